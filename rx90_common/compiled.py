@@ -1,0 +1,44 @@
+"""Compile the numerical kernels with numba, cached, and never with stale code.
+
+numba's on-disk cache looks at the file of the compiled function alone: after a change in a *called* kernel
+of another file it would run the old code. The cache therefore lies in a folder named after the hash of all
+kernel sources. fastmath stays off, so that one kernel gives the same bits wherever it is inlined.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+_ROOMS = ("rx90_common", "rx90_sim", "rx90_controller", "rx90_loop")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def _sources_hash() -> str:
+    root = Path(__file__).resolve().parent.parent
+    digest = hashlib.sha256(f"{numba.__version__} {sys.version_info[:2]}".encode())
+    for room in _ROOMS:
+        for path in sorted((root / room).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def cache_directory() -> Path:
+    """Return where compiled kernels of exactly these sources are kept (NUMBA_CACHE_DIR wins)."""
+    base = os.environ.get("NUMBA_CACHE_DIR")
+    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return root / "rx90_emulator" / _sources_hash()
+
+
+numba.config.CACHE_DIR = str(cache_directory())
+
+
+def kernel(function: _Function) -> _Function:
+    """Compile `function` in nopython mode on its first call and keep the result on disk."""
+    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))

@@ -1,0 +1,75 @@
+"""Build the rx90_emulator package, with colcon (ament_python) or with pip."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "rx90_emulator"
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """List config/ and launch/ folder by folder, for `share/rx90_emulator`."""
+    entries = [
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+    ]
+    for root in ("config", "launch"):
+        folders = [Path(root), *sorted(p for p in Path(root).rglob("*") if p.is_dir())]
+        for folder in folders:
+            files = sorted(str(p) for p in folder.iterdir() if p.is_file())
+            if files:
+                entries.append((f"share/{NAME}/{folder}", files))
+    return entries
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Emulator of the Staubli RX90B robot, its CS7B controller and a friction rig",
+    license="Apache-2.0",
+    python_requires=">=3.10,<3.14",
+    packages=find_packages(include=["rx90_*", "friction_bench*"]),
+    package_data={"": ["py.typed", "*.html.j2"]},
+    data_files=data_files(),
+    zip_safe=False,
+    install_requires=[
+        "setuptools>=65,<80",
+        "numpy>=2.2,<2.5",
+        "scipy>=1.15,<1.18",
+        "numba>=0.61,<0.69",
+        "pin>=4.1,<4.2",
+        "rosbags>=0.11.9,<0.12",
+        "PyYAML>=6.0.2,<7",
+        "matplotlib>=3.10,<3.12",
+        "Jinja2>=3.1.4,<4",
+        "tqdm>=4.67,<5",
+        "pyserial>=3.5,<4",
+    ],
+    extras_require={
+        "ros": [
+            "ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2",
+            "ros-jazzy-common-interfaces>=5.3.6,<5.4",
+        ],
+        "dev": [
+            "pytest>=8.3,<10",
+            "hypothesis>=6.120,<7",
+            "mujoco>=4.0,<4.1",
+            "colcon-common-extensions>=0.3.0,<0.4",
+            "ruff>=0.17,<0.18",
+            "mypy>=2.4,<2.5",
+            "types-PyYAML>=6.0.12,<7",
+            "types-tqdm>=4.67,<5",
+            "scipy-stubs>=1.15,<1.18",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "rx90_sim = rx90_sim.sim_node:main",
+            "rx90_controller = rx90_controller.controller_node:main",
+            "rx90_line = rx90_controller.line_command:main",
+            "rx90_run = rx90_loop.run_command:main",
+            "rx90_bag = rx90_bag.command:main",
+            "rx90_demo = rx90_demo.command:main",
+        ],
+    },
+)
