@@ -29,11 +29,10 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=["rx90_*", "friction_bench*"]),
-    package_data={"": ["py.typed", "*.html.j2"]},
+    package_data={"": ["py.typed", "templates/*"]},
     data_files=data_files(),
     zip_safe=False,
     install_requires=[
-        "setuptools>=65,<80",
         "numpy>=2.2,<2.5",
         "scipy>=1.15,<1.18",
         "numba>=0.61,<0.69",
@@ -53,7 +52,7 @@ setup(
         "dev": [
             "pytest>=8.3,<10",
             "hypothesis>=6.120,<7",
-            "mujoco>=4.0,<4.1",
+            "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
             "ruff>=0.17,<0.18",
             "mypy>=2.4,<2.5",
@@ -66,10 +65,11 @@ setup(
         "console_scripts": [
             "rx90_sim = rx90_sim.sim_node:main",
             "rx90_controller = rx90_controller.controller_node:main",
-            "rx90_line = rx90_controller.line_command:main",
-            "rx90_run = rx90_loop.run_command:main",
-            "rx90_bag = rx90_bag.command:main",
-            "rx90_demo = rx90_demo.command:main",
+            "rx90_line = rx90_common.executables:rx90_line",
+            "rx90_run = rx90_common.executables:rx90_run",
+            "rx90_bag = rx90_common.executables:rx90_bag",
+            "rx90_demo = rx90_common.executables:rx90_demo",
+            "rx90_sweep = rx90_common.executables:rx90_sweep",
         ],
     },
 )

@@ -184,6 +184,9 @@ def _without_ros_arguments(argv: list[str]) -> list[str]:
 
 
 def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
+    from rx90_exchange.environment import prepare  # noqa: PLC0415
+
+    prepare()
     # Here, because planning alone needs no ROS.
     import rclpy  # noqa: PLC0415
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
