@@ -123,7 +123,7 @@ class BagWriter:
             self._writer.write(connection, log_ns, cdr)
             self._unchecked_bytes += len(cdr)
             if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
-                self._check_space()
+                self._check_space(log_ns)
             if log_ns >= self._checkpoint_ns + _CHECKPOINT_NS:
                 self._checkpoint_ns = log_ns
                 self._checkpoint()
@@ -146,13 +146,13 @@ class BagWriter:
                 self._writer.abort()
             raise self._refusal(error) from error
 
-    def _check_space(self) -> None:
+    def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
         free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
             raise BagError(
-                f"{self.path}: the disk is nearly full ({free >> 20} MiB left); "
-                f"accepted: {_RESERVE_BYTES >> 20} MiB or more"
+                f"{self.path}: stopped at t = {log_ns / 1e9:.6f} s, as the disk is nearly full ({free >> 20} MiB "
+                f"left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
             )
 
     def _checkpoint(self) -> None:

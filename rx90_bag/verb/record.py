@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rx90_bag.topics import SUITE_TOPICS
 from rx90_common.errors import BagError
+from rx90_exchange.environment import prepare
 
 if TYPE_CHECKING:
     from rx90_bag.recording import TopicCount
@@ -42,6 +43,7 @@ def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
     from rx90_bag.status import StatusLine  # noqa: PLC0415
     from rx90_bag.writing import BagWriter  # noqa: PLC0415
 
+    prepare()
     try:
         from rx90_bag.recording import Recorder  # noqa: PLC0415
     except ImportError as error:
