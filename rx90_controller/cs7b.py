@@ -91,7 +91,7 @@ class CS7B:
     @property
     def saturated(self) -> NDArray[np.int64]:
         """Return for how many ticks each amplifier was at its limit, shape (6,)."""
-        return np.array(self.state["saturated"][0])
+        return np.array(self.state["saturated"][0], dtype=np.int64)
 
     def reference(self) -> tuple[Array, Array, Array]:
         """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,)."""

@@ -7,13 +7,14 @@ motor side, because each controller serves one motor.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.compiled import kernel
+from rx90_common.lanes import load, store
+from rx90_controller.servo import load_gains, position_servo, velocity_servo
 from rx90_description.wrist import to_motor
 
 Array = NDArray[np.float64]
@@ -29,8 +30,8 @@ LAW_STATE_DTYPE = np.dtype(
         ("feed_forward", np.float64, 6),  # FF block, held between position ticks
         ("current", np.float64, 6),
         ("command", np.float64, 6),  # torque constant times current
-        ("limited", np.int64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
-        ("saturated", np.int64, 6),  # ticks in saturation
+        ("limited", np.float64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
+        ("saturated", np.float64, 6),  # ticks in saturation
     ],
     align=True,
 )
@@ -63,20 +64,20 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     law, state = laws[0], states[0]
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
-    for i in range(6):
-        error = state.reference[0, i] - position[i]
-        state.error[i] = error
-        state.velocity_error[i] = state.reference[1, i] - velocity[i]
-        # Anti-windup: no integration further into the amplifier's saturation.
-        if error * state.limited[i] <= 0.0:
-            bound = law.integrator_limit[i]
-            state.integrator[i] = min(bound, max(-bound, state.integrator[i] + law.integral[i] * error))
-        state.position_torque[i] = law.proportional[i] * error + state.integrator[i]
-        speed = state.reference[1, i]
-        # The sign function, made continuous: a set-point that crosses zero must not switch the torque back
-        # and forth.
-        sign = min(1.0, max(-1.0, speed / law.coulomb_velocity[i]))
-        state.feed_forward[i] = law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign + law.viscous[i] * speed
+    loop = position_servo(
+        load_gains(law, 6),
+        load(state.reference[0], 6),
+        load(state.reference[1], 6),
+        load(state.reference[2], 6),
+        load(position, 6),
+        load(state.integrator, 6),
+        load(state.limited, 6),
+    )
+    store(state.error, loop.error)
+    store(state.velocity_error, load(state.reference[1], 6) - load(velocity, 6))
+    store(state.integrator, loop.integrator)
+    store(state.position_torque, loop.position_torque)
+    store(state.feed_forward, loop.feed_forward)
 
 
 @kernel
@@ -89,17 +90,16 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> None:
         velocity: measured motor velocities, rad/s, shape (6,).
     """
     law, state = laws[0], states[0]
-    for i in range(6):
-        damping = law.derivative[i] * (state.reference[1, i] - velocity[i])
-        asked = (state.position_torque[i] + state.feed_forward[i] + damping) / law.torque_constant[i]
-        peak = law.peak_current[i]
-        if abs(asked) > peak:
-            asked = math.copysign(peak, asked)
-            state.limited[i] = 1 if asked > 0.0 else -1
-            state.saturated[i] += 1
-        else:
-            state.limited[i] = 0
-        change = law.current_gain * (asked - state.current[i])
-        step = law.current_step[i]
-        state.current[i] += min(step, max(-step, change))
-        state.command[i] = law.torque_constant[i] * state.current[i]
+    loop = velocity_servo(
+        load_gains(law, 6),
+        law.current_gain,
+        load(state.position_torque, 6),
+        load(state.feed_forward, 6),
+        load(state.reference[1], 6),
+        load(velocity, 6),
+        load(state.current, 6),
+    )
+    store(state.current, loop.current)
+    store(state.command, loop.command)
+    store(state.limited, loop.limited)
+    store(state.saturated, load(state.saturated, 6) + loop.limited * loop.limited)
