@@ -1,18 +1,23 @@
 """The frame of a node's executable: signals, exit codes, one line instead of a traceback.
 
-Imports nothing slow, so that Ctrl-C is handled from the first moment on.
+Imports next to nothing before the signals are taken care of: importing rclpy takes a second in which Ctrl-C may come.
 """
 
 from __future__ import annotations
 
-import importlib
+import os
 import signal
 import sys
 from collections.abc import Sequence
 from types import FrameType
 
 from rx90_common.errors import Rx90Error
-from rx90_exchange.environment import prepare
+
+_HELP = """\
+usage: {program} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]
+
+A ROS 2 node; its parameters stand in README.md, and `ros2 param describe` tells them while it runs.
+exit status: 0 after Ctrl-C or at the end of the run, 1 with one line for what is wrong, 2 wrong usage."""
 
 
 def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
@@ -20,17 +25,34 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
 
     Ctrl-C and SIGTERM end it with 0; an error meant for the user is one line and 1.
     """
-    signal.signal(signal.SIGTERM, _interrupt)
     try:
+        # Taken over even where the parent ignores Ctrl-C, as rclpy does. Until the node spins nothing needs to be ended
+        # in order, and an exception would get lost in a callback of the compiler.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _leave)
+        from importlib import import_module  # noqa: PLC0415 - see above
+
+        from rx90_exchange.environment import prepare  # noqa: PLC0415 - see above
+
+        words = list(sys.argv[1:] if args is None else args)
+        own = words[: words.index("--ros-args")] if "--ros-args" in words else words
+        if own in (["-h"], ["--help"]):
+            print(_HELP.format(program=program))
+            return 0
+        if own:
+            print(f"{program}: argument {own[0]!r}; accepted: --help, --ros-args ...", file=sys.stderr, flush=True)
+            return 2
         prepare()
-        importlib.import_module(module).spin(list(sys.argv[1:] if args is None else args))
+        import_module(module).spin(words)
     except Rx90Error as error:
         print(f"{program}: {error}", file=sys.stderr, flush=True)
         return 1
-    except KeyboardInterrupt:
-        pass
+    finally:
+        # Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
     return 0
 
 
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def _leave(_signal: int, _frame: FrameType | None) -> None:
+    os._exit(0)

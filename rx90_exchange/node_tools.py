@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -22,6 +23,7 @@ from rx90_common.errors import ConfigError
 from rx90_exchange.qos import CLOCK_QOS
 
 _SPIN_SLICE = 0.2
+_SETTLED_LOOKS = 10  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 
@@ -114,9 +116,10 @@ def spin(make: Callable[[], TickingNode], args: Sequence[str]) -> None:
         sys.setswitchinterval(_SWITCH_INTERVAL)
         gc.collect()
         gc.freeze()
+        stopped = _stop_request()
         thread.start()
         try:
-            while thread.is_alive():
+            while thread.is_alive() and not stopped.is_set():
                 executor.spin_once(timeout_sec=_SPIN_SLICE)
         finally:
             ticking.stop()
@@ -125,6 +128,14 @@ def spin(make: Callable[[], TickingNode], args: Sequence[str]) -> None:
             ticking.node.destroy_node()
         if failures:
             raise failures[0]
+
+
+def _stop_request() -> threading.Event:
+    """Return what Ctrl-C and SIGTERM set from now on; as often as they come, the end stays in order."""
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda _signal, _frame: stopped.set())
+    return stopped
 
 
 def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
@@ -137,7 +148,7 @@ def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
 @contextlib.contextmanager
 def _rclpy(args: Sequence[str]) -> Iterator[None]:
     try:
-        # Python's own handling of Ctrl-C ends everything in order; rclpy's would pull the context away first.
+        # `spin` handles Ctrl-C and ends everything in order; rclpy would pull the context away first.
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
         raise ConfigError(f"ROS arguments {' '.join(args)}: refused ({' '.join(str(error).split())})") from error
@@ -150,7 +161,8 @@ def _rclpy(args: Sequence[str]) -> Iterator[None]:
 def wait_until_matched(node: Node, topics: Sequence[str], matched: Callable[[], list[int]], attempts: int) -> bool:
     """Wait until every subscription that the graph knows of is matched with our publishers.
 
-    A recorder that is already in the graph then gets the first message too.
+    A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
+    it must also have stayed as it is for half a second.
 
     Args:
         node: the publishers' node.
@@ -159,8 +171,14 @@ def wait_until_matched(node: Node, topics: Sequence[str], matched: Callable[[], 
         attempts: how often to look, 50 ms apart.
     """
     pause = threading.Event()
+    before: list[int] = []
+    quiet = 0
     for _ in range(attempts):
-        if all(have >= node.count_subscribers(topic) for topic, have in zip(topics, matched(), strict=True)):
+        known, have = [node.count_subscribers(topic) for topic in topics], matched()
+        complete = all(h >= k for h, k in zip(have, known, strict=True))
+        quiet = quiet + 1 if complete and have == before else 0
+        if quiet >= _SETTLED_LOOKS:
             return True
+        before = have
         pause.wait(0.05)
     return False

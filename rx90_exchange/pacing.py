@@ -47,8 +47,9 @@ class Pacer:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        if not 0.0 <= factor <= 1000.0:
-            raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0, 1000], 0 for no pacing")
+        # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
+        if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
+            raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
         self._step = period / factor if factor else 0.0
         self._clock, self._sleep = clock, sleep
         self.restart()

@@ -32,9 +32,11 @@ class Law:
         self.memory = 0
 
     def begin(self) -> None:
+        """Forget what was."""
         self.memory = 17
 
     def step(self, state: int) -> int:
+        """Return the command."""
         self.memory = (self.memory * 69621 + state) % _MODULUS
         return self.memory
 
@@ -49,7 +51,7 @@ def expected(ticks: int) -> int:
 
 
 def say(text: str) -> None:
-    """Print a line at once, with the time."""
+    """Print a line at once."""
     print(text, flush=True)
 
 
@@ -121,10 +123,10 @@ def _control() -> None:
 def _record(ticks: int, nap: float) -> None:
     """Take both topics, slowly, and say whether every tick was there in order."""
     import rclpy  # noqa: PLC0415
+    from rclpy.qos import QoSProfile  # noqa: PLC0415
     from sensor_msgs.msg import JointState  # noqa: PLC0415
 
     from rx90_exchange.lockstep import stamp_of  # noqa: PLC0415
-    from rx90_exchange.qos import deep_reader  # noqa: PLC0415
     from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES  # noqa: PLC0415
 
     node = rclpy.create_node("recorder")
@@ -134,7 +136,7 @@ def _record(ticks: int, nap: float) -> None:
         return lambda raw: seen[topic].append(stamp_of(raw) // PERIOD_NS)
 
     for topic in seen:
-        node.create_subscription(JointState, topic, keep(topic), deep_reader(_READ_AHEAD), raw=True)
+        node.create_subscription(JointState, topic, keep(topic), QoSProfile(depth=_READ_AHEAD), raw=True)
     say("recorder up")
     while any(not stamps or stamps[-1] < ticks - 1 for stamps in seen.values()):
         rclpy.spin_once(node, timeout_sec=0.1)

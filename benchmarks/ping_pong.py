@@ -1,0 +1,188 @@
+"""The lock-step's overhead: bare ping-pong of the two tick messages against the protocol with an empty model.
+
+Both run between two processes on real DDS. In the bare ping-pong a process sends its bytes as soon as the other's
+have come in; in the lock-step the states are encoded, the stamps checked and the command decoded, as in the nodes.
+Runs of both alternate, so that what else loads the machine meets both alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90_common.errors import ExchangeError
+from rx90_exchange.environment import prepare
+from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+
+PERIOD_NS = 250_000
+_READY_TIMEOUT = 60.0
+_SILENCE = 5.0
+
+
+class PingPong(NamedTuple):
+    """Medians over the rounds.
+
+    Attributes:
+        bare: exchanges per s of the bare ping-pong.
+        lockstep: ticks per s of the lock-step with an empty model.
+    """
+
+    bare: float
+    lockstep: float
+
+    @property
+    def ratio(self) -> float:
+        """Return the part of the bare rate that the lock-step reaches."""
+        return self.lockstep / self.bare
+
+
+def measure(exchanges: int = 8000, rounds: int = 5) -> PingPong:
+    """Run `rounds` rounds of `exchanges` exchanges of either kind.
+
+    Raises:
+        ExchangeError: if the other process does not answer.
+    """
+    prepare()
+    # Spawned, not forked: a fork would inherit the middleware's state without its threads.
+    spawn = multiprocessing.get_context("spawn")
+    end = spawn.Event()
+    other = spawn.Process(target=_answer, args=(end, os.getpid()), daemon=True)
+    other.start()
+    try:
+        return _ask(exchanges, rounds)
+    finally:
+        end.set()
+        other.join(10.0)
+        if other.is_alive():
+            other.kill()
+
+
+class _Bare(NamedTuple):
+    states: str = "ping"
+    commands: str = "pong"
+
+
+def _ask(exchanges: int, rounds: int) -> PingPong:
+    import rclpy  # noqa: PLC0415 - after `prepare`
+    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+
+    from rx90_exchange.channel import Channel  # noqa: PLC0415
+    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
+    from rx90_exchange.lockstep import LockstepSimulation  # noqa: PLC0415
+    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node = rclpy.create_node("ping_pong_simulation")
+        bare = Channel(node, *_Bare(), TICK_QOS)
+        channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
+        for waiting in (bare, channel):
+            _wait_for_peer(waiting)
+        states, commands = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
+        lockstep = LockstepSimulation(channel, lambda _text: None)
+        values = np.linspace(-1.0, 1.0, 18).reshape(3, 6)
+        message = states.encode(0, *values)
+        tick = 0
+
+        def ping() -> None:
+            bare.publish(message)
+            if bare.receive(_SILENCE) is None:
+                raise ExchangeError(f"ping-pong: no answer within {_SILENCE} s")
+
+        def tick_once() -> None:
+            nonlocal tick
+            stamp = tick * PERIOD_NS
+            raw = lockstep.exchange(stamp, states.encode(stamp, *values), _never)
+            if raw is None or commands.decode(raw)[3] is None:
+                raise ExchangeError(f"lock-step: tick {tick} has no command")
+            tick += 1
+
+        kinds = (ping, tick_once)
+        for kind in kinds:
+            _rate(kind, exchanges // 4)
+        rates = [[_rate(kind, exchanges) for kind in kinds] for _ in range(rounds)]
+        return PingPong(*(statistics.median(column) for column in zip(*rates, strict=True)))
+    finally:
+        rclpy.try_shutdown()
+
+
+def _never() -> bool:
+    return False
+
+
+def _wait_for_peer(channel) -> None:  # type: ignore[no-untyped-def]  # Channel is imported after `prepare`
+    deadline = time.monotonic() + _READY_TIMEOUT
+    while min(channel.matches()) < 1:
+        if time.monotonic() > deadline:
+            raise ExchangeError(f"{channel.subscribe_topic}: no peer within {_READY_TIMEOUT} s")
+        time.sleep(0.01)
+
+
+def _rate(run: Callable[[], None], count: int) -> float:
+    start = time.perf_counter()
+    for _ in range(count):
+        run()
+    return count / (time.perf_counter() - start)
+
+
+def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Event of multiprocessing
+    """Answer both kinds, in the second process, each on a thread of its own."""
+    import threading  # noqa: PLC0415
+
+    import rclpy  # noqa: PLC0415 - the environment is inherited
+    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+
+    from rx90_exchange.channel import Channel  # noqa: PLC0415
+    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
+    from rx90_exchange.lockstep import LockstepController  # noqa: PLC0415
+    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("ping_pong_controller")
+    commands, states = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
+    torques = np.zeros(6)
+    bare = Channel(node, *_Bare()[::-1], TICK_QOS)
+    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
+
+    def answer(stamp: int, raw: bytes) -> bytes:
+        states.decode(raw)
+        return commands.encode(stamp, effort=torques)
+
+    controller = LockstepController(channel, lambda _text: None, answer, lambda _stamp, _raw: None, PERIOD_NS)
+    message = commands.encode(0, effort=torques)
+
+    def pong() -> None:
+        while not end.is_set():
+            while bare.receive(0.2) is not None:
+                bare.publish(message)
+
+    thread = threading.Thread(target=pong, daemon=True)
+    thread.start()
+    while not end.is_set() and os.getppid() == parent:
+        controller.serve(0.2)
+    thread.join(2.0)
+    rclpy.try_shutdown()
+
+
+def main() -> int:
+    """Print the two rates and their ratio."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--exchanges", type=int, default=8000, help="exchanges in a round (%(default)s)")
+    parser.add_argument("--rounds", type=int, default=5, help="rounds of either kind (%(default)s)")
+    options = parser.parse_args()
+    result = measure(options.exchanges, options.rounds)
+    print(f"bare ping-pong  {result.bare:7.0f} exchanges/s")
+    print(f"lock-step       {result.lockstep:7.0f} ticks/s, {100 * result.ratio:.0f} % of it")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
