@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-_ROOMS = ("rx90_common", "rx90_sim", "rx90_controller", "rx90_loop")
+_ROOMS = ("rx90_common", "rx90_description", "rx90_sim", "rx90_controller", "rx90_loop")
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -49,3 +49,8 @@ def announce_compilation(program: str) -> None:
 def kernel(function: _Function) -> _Function:
     """Compile `function` in nopython mode on its first call and keep the result on disk."""
     return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+
+
+def inlined(function: _Function) -> _Function:
+    """Compile `function` into each kernel that calls it; not to be called from Python."""
+    return cast(_Function, numba.njit(error_model="numpy", forceinline=True)(function))

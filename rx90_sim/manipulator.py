@@ -1,50 +1,59 @@
 """The rigid arm in compiled code: mass matrix and bias torques of a serial chain of six revolute joints.
 
-Every quantity is expressed in the base frame about the base origin. Spatial inertias then add without any
-transformation, which makes the composite-rigid-body algorithm (Featherstone 2008, table 6.2) a running sum.
-The constants come from the URDF through Pinocchio; Pinocchio is the oracle in the tests.
+All six links are worked on at once, one lane each (rx90_common.lanes); only the product of the rotations runs
+from link to link. Every quantity is expressed in the base frame about the base origin, where inertias and
+forces of several links simply add up: the composite-rigid-body algorithm (Featherstone 2008, table 6.2)
+becomes a sum over lanes. Mass distributions are first and second moments, integrals of r and r r^T, of the
+base parameters, which hold no mass; Pinocchio is the oracle in the tests.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.compiled import kernel
+from rx90_common.compiled import inlined, kernel
+from rx90_common.elementary import sine_cosine
+from rx90_common.lanes import Lanes, fma, load, store, suffix_sum
+from rx90_sim.vectors import (
+    Vector,
+    add_cross,
+    add_dot,
+    add_scaled,
+    cross,
+    dot,
+    first_links,
+    load_vectors,
+    of_link,
+    product,
+    scale,
+    sum_before,
+    sum_from_base,
+    sum_to_tip,
+)
 
 MANIPULATOR_DTYPE = np.dtype(
     [
-        ("origin", np.float64, (6, 3)),
-        ("axis", np.float64, (6, 3)),
-        ("mass", np.float64, 6),
-        ("com", np.float64, (6, 3)),
-        ("inertia", np.float64, (6, 6)),
-        ("gravity", np.float64, 3),
+        ("frame", np.float64, (3, 3, 6)),  # column, component, link: in the frame before, at q = 0
+        ("next_origin", np.float64, (3, 6)),
+        ("first_origin", np.float64, 3),
+        ("first_moment", np.float64, (2, 6)),  # x, y
+        ("second_moment", np.float64, (4, 6)),  # xx, yy, xz, yz
+        ("base_acceleration", np.float64, 3),  # upwards: it stands for gravity
         ("rotor", np.float64, (6, 6)),
-        ("spring_torque", np.float64),
+        ("spring_torque", np.float64, 6),  # amplitude of the torque -k sin(q)
     ],
     align=True,
 )
-"""Constants: the chain in frames parallel at the zero pose, gravity, the rotors' inertia, the spring."""
+"""Constants, the link last: the base parameters, gravity, the rotors' inertia, the spring."""
 
-BODY_DTYPE = np.dtype(
-    [
-        (
-            "axis",
-            np.float64,
-            (6, 6),
-        ),  # joint axes as spatial vectors: angular, then linear at the base origin
-        ("mass", np.float64, 6),
-        ("moment", np.float64, (6, 3)),  # mass times centre of mass
-        ("inertia", np.float64, (6, 6)),  # xx, yy, zz, xy, xz, yz about the base origin
-        ("force", np.float64, (6, 6)),  # torque about the base origin, then force
-    ],
-    align=True,
-)
-"""Workspace of one evaluation, one row per body."""
+BODY_DTYPE = np.dtype([("orientation", np.float64, (3, 3, 6))], align=True)
+"""Workspace of one evaluation: column, component, link of the rotations."""
+
+Symmetric = tuple[Vector, Vector, Vector]
+"""A symmetric matrix per link, by its rows."""
 
 
 @kernel
@@ -69,190 +78,172 @@ def mass_and_bias(
         mass_matrix: overwritten, kg m^2.
         bias: overwritten, Nm.
     """
-    _forward(arm, body, q, v)
-    _backward(arm, body, mass_matrix, bias)
-    bias[1] += arm.spring_torque * math.sin(q[1])
+    sine, cosine = sine_cosine(load(q, 6))
+    _turn_joints(arm.frame, body.orientation, sine, cosine)
+    _chain_rotations(body.orientation)
+    x, y = load_vectors(body.orientation[0]), load_vectors(body.orientation[1])
+    z = load_vectors(body.orientation[2])
+    step = _combine(x, y, z, load_vectors(arm.next_origin))
+    origin = sum_before(arm.first_origin, step)
+    moment = add_scaled(scale(load(arm.first_moment[0], 6), x), load(arm.first_moment[1], 6), y)
+    spread = _second_moment(arm.second_moment, x, y, z)
+
+    field = _acceleration_field(load(v, 6), z)
+    acceleration = sum_before(arm.base_acceleration, product(field, step))
+    force = product(field, moment)
+    torque = add_cross(_torque(field, spread), moment, acceleration)
+    torque = sum_to_tip(add_cross(torque, origin, force))
+    force = sum_to_tip(force)
+
+    # The joint axes as spatial vectors (z, lever): angular, and linear at the base origin.
+    lever = cross(origin, z)
+    spring = load(arm.spring_torque, 6) * sine
+    store(bias, add_dot(add_dot(spring, z, torque), lever, force))
+
+    spread = _about_base(spread, moment, origin)
+    moment = sum_to_tip(moment)
+    _project(arm.rotor, z, lever, _angular_momentum(spread, moment, z, lever), cross(z, moment), mass_matrix)
 
 
-@kernel
-def _forward(arm: Any, body: Any, q: NDArray[np.float64], v: NDArray[np.float64]) -> None:
-    """Fill `body` with axes, inertias and the forces that the motion at zero joint acceleration needs."""
-    # Rotation and origin of the current link, its spatial velocity (w, u) and acceleration (b, d).
-    r00, r01, r02 = 1.0, 0.0, 0.0
-    r10, r11, r12 = 0.0, 1.0, 0.0
-    r20, r21, r22 = 0.0, 0.0, 1.0
-    px = py = pz = 0.0
-    wx = wy = wz = ux = uy = uz = 0.0
-    bx = by = bz = 0.0
-    dx, dy, dz = -arm.gravity[0], -arm.gravity[1], -arm.gravity[2]
+@inlined
+def _turn_joints(frame: Any, orientation: Any, sine: Lanes, cosine: Lanes) -> None:
+    """Write each link's orientation in the link before it: its frame at q = 0 turned about z by q."""
+    for k in range(3):
+        x, y = load(frame[0, k], 6), load(frame[1, k], 6)
+        store(orientation[0, k], fma(sine, y, cosine * x))
+        store(orientation[1, k], fma(-sine, x, cosine * y))
+        store(orientation[2, k], load(frame[2, k], 6))
+
+
+@inlined
+def _chain_rotations(orientation: Any) -> None:
+    """Turn orientations in the link before into orientations in the base, from the first link on."""
+    x, y, z = _column(orientation[0], 0), _column(orientation[1], 0), _column(orientation[2], 0)
+    for i in range(1, 6):
+        a, b, c = _column(orientation[0], i), _column(orientation[1], i), _column(orientation[2], i)
+        x, y, z = _combine(x, y, z, a), _combine(x, y, z, b), _combine(x, y, z, c)
+        for k in range(3):
+            orientation[0, k, i], orientation[1, k, i], orientation[2, k, i] = x[k], y[k], z[k]
+
+
+@inlined
+def _column(rows: Any, link: int) -> Vector:
+    return rows[0, link], rows[1, link], rows[2, link]
+
+
+@inlined
+def _combine(x: Vector, y: Vector, z: Vector, a: Vector) -> Vector:
+    """Return a, given along the axes x, y, z, in the base frame."""
+    return add_scaled(add_scaled(scale(a[0], x), a[1], y), a[2], z)
+
+
+@inlined
+def _second_moment(constants: Any, x: Vector, y: Vector, z: Vector) -> Symmetric:
+    """Return the second moments about the link origins: xx x x^T + yy y y^T + c z^T + z c^T, c = xz x + yz y."""
+    a, b = scale(load(constants[0], 6), x), scale(load(constants[1], 6), y)
+    c = add_scaled(scale(load(constants[2], 6), x), load(constants[3], 6), y)
+    xx = fma(a[0], x[0], fma(b[0], y[0], 2.0 * (c[0] * z[0])))
+    yy = fma(a[1], x[1], fma(b[1], y[1], 2.0 * (c[1] * z[1])))
+    zz = fma(a[2], x[2], fma(b[2], y[2], 2.0 * (c[2] * z[2])))
+    xy = fma(a[0], x[1], fma(b[0], y[1], fma(c[0], z[1], c[1] * z[0])))
+    xz = fma(a[0], x[2], fma(b[0], y[2], fma(c[0], z[2], c[2] * z[0])))
+    yz = fma(a[1], x[2], fma(b[1], y[2], fma(c[1], z[2], c[2] * z[1])))
+    return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+
+
+@inlined
+def _acceleration_field(rate: Lanes, z: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return B with the acceleration of a link's point at r from its origin: origin's acceleration + B r.
+
+    B r = a x r + w x (w x r) with angular velocity w and, at zero joint accelerations, angular acceleration a.
+    """
+    turn = scale(rate, z)
+    w = sum_from_base(turn)
+    # The link's own turn adds nothing to w x turn, so w may include it.
+    a = sum_from_base(cross(w, turn))
+    return (
+        (-fma(w[1], w[1], w[2] * w[2]), fma(w[0], w[1], -a[2]), fma(w[0], w[2], a[1])),
+        (fma(w[0], w[1], a[2]), -fma(w[0], w[0], w[2] * w[2]), fma(w[1], w[2], -a[0])),
+        (fma(w[0], w[2], -a[1]), fma(w[1], w[2], a[0]), -fma(w[0], w[0], w[1] * w[1])),
+    )
+
+
+@inlined
+def _torque(field: tuple[Vector, Vector, Vector], spread: Symmetric) -> Vector:
+    """Return the integral of r x (B r) over the mass: the skew part of B times the second moment."""
+    x, y, z = field
+    return (
+        dot(z, spread[1]) - dot(y, spread[2]),
+        dot(x, spread[2]) - dot(z, spread[0]),
+        dot(y, spread[0]) - dot(x, spread[1]),
+    )
+
+
+@inlined
+def _about_base(spread: Symmetric, moment: Vector, p: Vector) -> Symmetric:
+    """Move second moments from the link origins p to the base origin and sum them to the tip; no mass."""
+    xx = suffix_sum(fma(2.0 * p[0], moment[0], spread[0][0]))
+    yy = suffix_sum(fma(2.0 * p[1], moment[1], spread[1][1]))
+    zz = suffix_sum(fma(2.0 * p[2], moment[2], spread[2][2]))
+    xy = suffix_sum(fma(p[0], moment[1], fma(p[1], moment[0], spread[0][1])))
+    xz = suffix_sum(fma(p[0], moment[2], fma(p[2], moment[0], spread[0][2])))
+    yz = suffix_sum(fma(p[1], moment[2], fma(p[2], moment[1], spread[1][2])))
+    return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+
+
+@inlined
+def _angular_momentum(spread: Symmetric, moment: Vector, z: Vector, lever: Vector) -> Vector:
+    """Return the angular momentum of all that a joint moves, for a unit of its velocity."""
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = spread
+    turning = (
+        fma(yy + zz, z[0], -fma(xy, z[1], xz * z[2])),
+        fma(xx + zz, z[1], -fma(xy, z[0], yz * z[2])),
+        fma(xx + yy, z[2], -fma(xz, z[0], yz * z[1])),
+    )
+    return add_cross(turning, moment, lever)
+
+
+@inlined
+def _project(rotor: Any, z: Vector, lever: Vector, angular: Vector, linear: Vector, mass_matrix: Any) -> None:
+    """Write the mass matrix: the momentum that joint i makes, projected on the axes of the joints before it."""
+    # Only joints before i count in row i, so four lanes do for the first four rows.
+    near, near_lever = first_links(z), first_links(lever)
+    for i in range(4):
+        row = add_dot(load(rotor[i], 4), near, of_link(angular, i))
+        store(mass_matrix[i], add_dot(row, near_lever, of_link(linear, i)))
+    for i in range(4, 6):
+        row = add_dot(load(rotor[i], 6), z, of_link(angular, i))
+        store(mass_matrix[i], add_dot(row, lever, of_link(linear, i)))
     for i in range(6):
-        ox, oy, oz = arm.origin[i, 0], arm.origin[i, 1], arm.origin[i, 2]
-        px += r00 * ox + r01 * oy + r02 * oz
-        py += r10 * ox + r11 * oy + r12 * oz
-        pz += r20 * ox + r21 * oy + r22 * oz
-
-        # The joint axis as a spatial vector (a, e), and what a unit of joint velocity adds.
-        kx, ky, kz = arm.axis[i, 0], arm.axis[i, 1], arm.axis[i, 2]
-        ax = r00 * kx + r01 * ky + r02 * kz
-        ay = r10 * kx + r11 * ky + r12 * kz
-        az = r20 * kx + r21 * ky + r22 * kz
-        ex, ey, ez = py * az - pz * ay, pz * ax - px * az, px * ay - py * ax
-        rate = v[i]
-        bx += rate * (wy * az - wz * ay)
-        by += rate * (wz * ax - wx * az)
-        bz += rate * (wx * ay - wy * ax)
-        dx += rate * (wy * ez - wz * ey + uy * az - uz * ay)
-        dy += rate * (wz * ex - wx * ez + uz * ax - ux * az)
-        dz += rate * (wx * ey - wy * ex + ux * ay - uy * ax)
-        wx += rate * ax
-        wy += rate * ay
-        wz += rate * az
-        ux += rate * ex
-        uy += rate * ey
-        uz += rate * ez
-
-        # R <- R Rot(k, q), Rodrigues' formula.
-        c, s = math.cos(q[i]), math.sin(q[i])
-        t = 1.0 - c
-        m00, m01, m02 = c + t * kx * kx, t * kx * ky - s * kz, t * kx * kz + s * ky
-        m10, m11, m12 = t * kx * ky + s * kz, c + t * ky * ky, t * ky * kz - s * kx
-        m20, m21, m22 = t * kx * kz - s * ky, t * ky * kz + s * kx, c + t * kz * kz
-        r00, r01, r02 = (
-            r00 * m00 + r01 * m10 + r02 * m20,
-            r00 * m01 + r01 * m11 + r02 * m21,
-            r00 * m02 + r01 * m12 + r02 * m22,
-        )
-        r10, r11, r12 = (
-            r10 * m00 + r11 * m10 + r12 * m20,
-            r10 * m01 + r11 * m11 + r12 * m21,
-            r10 * m02 + r11 * m12 + r12 * m22,
-        )
-        r20, r21, r22 = (
-            r20 * m00 + r21 * m10 + r22 * m20,
-            r20 * m01 + r21 * m11 + r22 * m21,
-            r20 * m02 + r21 * m12 + r22 * m22,
-        )
-
-        # Inertia in base axes about the centre of mass, then about the base origin.
-        gx, gy, gz = arm.com[i, 0], arm.com[i, 1], arm.com[i, 2]
-        cx = px + r00 * gx + r01 * gy + r02 * gz
-        cy = py + r10 * gx + r11 * gy + r12 * gz
-        cz = pz + r20 * gx + r21 * gy + r22 * gz
-        mass = arm.mass[i]
-        hx, hy, hz = mass * cx, mass * cy, mass * cz
-        ixx, iyy, izz = arm.inertia[i, 0], arm.inertia[i, 1], arm.inertia[i, 2]
-        ixy, ixz, iyz = arm.inertia[i, 3], arm.inertia[i, 4], arm.inertia[i, 5]
-        n00 = r00 * ixx + r01 * ixy + r02 * ixz
-        n01 = r00 * ixy + r01 * iyy + r02 * iyz
-        n02 = r00 * ixz + r01 * iyz + r02 * izz
-        n10 = r10 * ixx + r11 * ixy + r12 * ixz
-        n11 = r10 * ixy + r11 * iyy + r12 * iyz
-        n12 = r10 * ixz + r11 * iyz + r12 * izz
-        n20 = r20 * ixx + r21 * ixy + r22 * ixz
-        n21 = r20 * ixy + r21 * iyy + r22 * iyz
-        n22 = r20 * ixz + r21 * iyz + r22 * izz
-        jxx = n00 * r00 + n01 * r01 + n02 * r02 + hy * cy + hz * cz
-        jyy = n10 * r10 + n11 * r11 + n12 * r12 + hx * cx + hz * cz
-        jzz = n20 * r20 + n21 * r21 + n22 * r22 + hx * cx + hy * cy
-        jxy = n00 * r10 + n01 * r11 + n02 * r12 - hx * cy
-        jxz = n00 * r20 + n01 * r21 + n02 * r22 - hx * cz
-        jyz = n10 * r20 + n11 * r21 + n12 * r22 - hy * cz
-
-        # Momentum (L, l), then force = I a + velocity x* momentum.
-        lx = mass * ux + wy * hz - wz * hy
-        ly = mass * uy + wz * hx - wx * hz
-        lz = mass * uz + wx * hy - wy * hx
-        sx = jxx * wx + jxy * wy + jxz * wz + hy * uz - hz * uy
-        sy = jxy * wx + jyy * wy + jyz * wz + hz * ux - hx * uz
-        sz = jxz * wx + jyz * wy + jzz * wz + hx * uy - hy * ux
-        body.force[i, 0] = jxx * bx + jxy * by + jxz * bz + hy * dz - hz * dy + wy * sz - wz * sy + uy * lz - uz * ly
-        body.force[i, 1] = jxy * bx + jyy * by + jyz * bz + hz * dx - hx * dz + wz * sx - wx * sz + uz * lx - ux * lz
-        body.force[i, 2] = jxz * bx + jyz * by + jzz * bz + hx * dy - hy * dx + wx * sy - wy * sx + ux * ly - uy * lx
-        body.force[i, 3] = mass * dx + by * hz - bz * hy + wy * lz - wz * ly
-        body.force[i, 4] = mass * dy + bz * hx - bx * hz + wz * lx - wx * lz
-        body.force[i, 5] = mass * dz + bx * hy - by * hx + wx * ly - wy * lx
-
-        body.axis[i, 0], body.axis[i, 1], body.axis[i, 2] = ax, ay, az
-        body.axis[i, 3], body.axis[i, 4], body.axis[i, 5] = ex, ey, ez
-        body.mass[i] = mass
-        body.moment[i, 0], body.moment[i, 1], body.moment[i, 2] = hx, hy, hz
-        body.inertia[i, 0], body.inertia[i, 1], body.inertia[i, 2] = jxx, jyy, jzz
-        body.inertia[i, 3], body.inertia[i, 4], body.inertia[i, 5] = jxy, jxz, jyz
+        for j in range(i):
+            mass_matrix[j, i] = mass_matrix[i, j]
 
 
-@kernel
-def _backward(arm: Any, body: Any, mass_matrix: NDArray[np.float64], bias: NDArray[np.float64]) -> None:
-    """Sum inertias and forces from the tip and project them on the joint axes."""
-    mass = hx = hy = hz = jxx = jyy = jzz = jxy = jxz = jyz = 0.0
-    tx = ty = tz = fx = fy = fz = 0.0
-    for i in range(5, -1, -1):
-        mass += body.mass[i]
-        hx += body.moment[i, 0]
-        hy += body.moment[i, 1]
-        hz += body.moment[i, 2]
-        jxx += body.inertia[i, 0]
-        jyy += body.inertia[i, 1]
-        jzz += body.inertia[i, 2]
-        jxy += body.inertia[i, 3]
-        jxz += body.inertia[i, 4]
-        jyz += body.inertia[i, 5]
-        tx += body.force[i, 0]
-        ty += body.force[i, 1]
-        tz += body.force[i, 2]
-        fx += body.force[i, 3]
-        fy += body.force[i, 4]
-        fz += body.force[i, 5]
-        ax, ay, az = body.axis[i, 0], body.axis[i, 1], body.axis[i, 2]
-        ex, ey, ez = body.axis[i, 3], body.axis[i, 4], body.axis[i, 5]
-        bias[i] = ax * tx + ay * ty + az * tz + ex * fx + ey * fy + ez * fz
-
-        # The momentum of all that joint i moves, for a unit of its velocity.
-        nx = jxx * ax + jxy * ay + jxz * az + hy * ez - hz * ey
-        ny = jxy * ax + jyy * ay + jyz * az + hz * ex - hx * ez
-        nz = jxz * ax + jyz * ay + jzz * az + hx * ey - hy * ex
-        lx = mass * ex + ay * hz - az * hy
-        ly = mass * ey + az * hx - ax * hz
-        lz = mass * ez + ax * hy - ay * hx
-        for j in range(i + 1):
-            entry = (
-                arm.rotor[i, j]
-                + body.axis[j, 0] * nx
-                + body.axis[j, 1] * ny
-                + body.axis[j, 2] * nz
-                + body.axis[j, 3] * lx
-                + body.axis[j, 4] * ly
-                + body.axis[j, 5] * lz
-            )
-            mass_matrix[i, j] = entry
-            mass_matrix[j, i] = entry
-
-
-@kernel
+@inlined
 def factorise(mass_matrix: NDArray[np.float64], factor: NDArray[np.float64]) -> None:
-    """Write the Cholesky factor of a mass matrix, shape (6, 6): L below, 1 / L_ii on the diagonal."""
+    """Write the factors L D L^T of a mass matrix, shape (6, 6): L below, 1 / D_ii on the diagonal."""
+    for i in range(6):
+        for j in range(i + 1):
+            factor[i, j] = mass_matrix[i, j]
     for j in range(6):
-        pivot = mass_matrix[j, j]
-        for k in range(j):
-            pivot -= factor[j, k] * factor[j, k]
-        inverse = 1.0 / math.sqrt(pivot)
-        factor[j, j] = inverse
+        inverse = 1.0 / factor[j, j]
         for i in range(j + 1, 6):
-            entry = mass_matrix[i, j]
-            for k in range(j):
-                entry -= factor[i, k] * factor[j, k]
-            factor[i, j] = entry * inverse
+            entry = factor[i, j] * inverse
+            for k in range(j + 1, i + 1):
+                factor[i, k] = fma(-entry, factor[k, j], factor[i, k])
+        for i in range(j + 1, 6):
+            factor[i, j] *= inverse
+        factor[j, j] = inverse
 
 
-@kernel
+@inlined
 def solve(factor: NDArray[np.float64], x: NDArray[np.float64]) -> None:
     """Solve M x = b in place for the factor written by `factorise`; `x` holds b, shape (6,)."""
+    for k in range(5):
+        for i in range(k + 1, 6):
+            x[i] = fma(-factor[i, k], x[k], x[i])
     for i in range(6):
-        total = x[i]
-        for k in range(i):
-            total -= factor[i, k] * x[k]
-        x[i] = total * factor[i, i]
-    for i in range(5, -1, -1):
-        total = x[i]
-        for k in range(i + 1, 6):
-            total -= factor[k, i] * x[k]
-        x[i] = total * factor[i, i]
+        x[i] *= factor[i, i]
+    for k in range(5, 0, -1):
+        for i in range(k):
+            x[i] = fma(-factor[k, i], x[k], x[i])

@@ -46,7 +46,7 @@ class Plant:
         self._lower, self._upper = robot.lower, robot.upper
         self._element_velocity = np.zeros(ELEMENT_COUNT)
         self._element_torque = np.zeros(ELEMENT_COUNT)
-        self.reset(np.zeros(6))
+        self.reset(np.clip(np.zeros(6), self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
         """Put the arm at rest at `position`, rad, shape (6,), brakes closed, tick 0.

@@ -12,15 +12,17 @@ from rx90_common.rates import Rates
 from rx90_description.drives import DriveParameters
 from rx90_description.robot import RobotModel
 from rx90_description.wrist import coupled_inertia
+from rx90_sim.base_parameters import base_parameters
 from rx90_sim.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_sim.friction.bristle import ELEMENTS_DTYPE
 from rx90_sim.friction.lugre import ELEMENT_DTYPE
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
         ("arm", MANIPULATOR_DTYPE),
-        ("friction", ELEMENT_DTYPE, ELEMENT_COUNT),
-        ("brake", ELEMENT_DTYPE, 6),  # a closed brake is a stiff bristle element on its motor
+        ("friction", ELEMENTS_DTYPE),
+        ("brake", ELEMENTS_DTYPE),  # a closed brake is a stiff bristle element on its motor
         ("gear", np.float64, 6),
         ("peak_torque", np.float64, 6),
         ("resolution", np.float64, 6),  # of the encoder, motor side, rad
@@ -42,7 +44,7 @@ STATE_DTYPE = np.dtype(
         ("q", np.float64, 6),
         ("v", np.float64, 6),
         ("z", np.float64, ELEMENT_COUNT),
-        ("brake_z", np.float64, 6),
+        ("brake_z", np.float64, ELEMENT_COUNT),
         ("brakes_closed", np.int64),
         ("acceleration", np.float64, 6),  # mean over the last step
         ("drive_torque", np.float64, 6),  # joint side, Nm
@@ -82,13 +84,8 @@ def plant_record(
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     _fill_arm(plant["arm"], robot, drives)
-    plant["friction"] = friction.records()
-    plant["brake"] = [
-        LuGreElement(torque, torque, torque, torque, 1.0, 1.0, stiffness, damping, 0.0).record()
-        for torque, stiffness, damping in zip(
-            drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True
-        )
-    ]
+    _fill_elements(plant["friction"], friction.records())
+    _fill_elements(plant["brake"], _brake_records(drives))
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque
     plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
@@ -103,8 +100,30 @@ def plant_record(
 
 
 def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
-    chain = robot.chain
-    for name in ("origin", "axis", "mass", "com", "inertia", "gravity"):
-        arm[name] = getattr(chain, name)
+    parameters = base_parameters(robot.chain)
+    arm["frame"] = parameters.frame.transpose(2, 1, 0)
+    for name in ("next_origin", "first_moment", "second_moment"):
+        arm[name] = getattr(parameters, name).T
+    arm["first_origin"] = parameters.first_origin
+    arm["base_acceleration"] = -robot.chain.gravity
     arm["rotor"] = coupled_inertia(drives.rotor_inertia)
-    arm["spring_torque"] = drives.spring_torque
+    arm["spring_torque"] = [0.0, drives.spring_torque, 0.0, 0.0, 0.0, 0.0]
+
+
+def _fill_elements(fields: Any, records: np.ndarray[Any, Any]) -> None:
+    for name in ELEMENTS_DTYPE.names or ():
+        fields[name] = records[name].T
+
+
+def _brake_records(drives: DriveParameters) -> np.ndarray[Any, Any]:
+    """Return the brakes, shape (7,), ELEMENT_DTYPE, with the inputs of the friction elements.
+
+    Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
+    """
+    records = np.zeros(ELEMENT_COUNT, ELEMENT_DTYPE)
+    records["tau_c"] = records["tau_s"] = 1.0
+    for i, values in enumerate(zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)):
+        torque, stiffness, damping = values
+        brake = LuGreElement(torque, torque, torque, torque, 1.0, 1.0, stiffness, damping, 0.0)
+        records[i if i < 5 else 6] = brake.record()
+    return records

@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.compiled import kernel
+from rx90_common.compiled import inlined, kernel
+from rx90_common.lanes import Lanes, append, first, lane, load, store
 from rx90_description.wrist import to_joint_torque, to_motor
-from rx90_sim.friction.bristle import bristle_step, friction_torque
+from rx90_sim.friction.bristle import bristle_step, friction_torque, load_elements
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 Record = NDArray[Any]
+Array = NDArray[np.float64]
 
 
 @kernel
@@ -37,9 +39,10 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
     for i in range(6):
-        # Brake 6 holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
+        # Brake 6, the seventh element, holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
         carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
-        state.brake_z[i] = -carried / plant.brake[i].c0
+        element = i if i < 5 else 6
+        state.brake_z[element] = -carried / plant.brake.c0[element]
     _read_encoders(plant, state)
     for i in range(6):
         state.observer[i] = state.motor_position[i]
@@ -92,9 +95,9 @@ def _worst_joint(plant: Any, state: Any) -> int:
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
-    for i in range(7):
-        velocity[i] = state.v[i] if i < 6 else state.v[4] + state.v[5]
-        torque[i] = friction_torque(plant.friction[i], state.z[i], velocity[i])
+    inputs = _element_velocities(state.v)
+    store(velocity, inputs)
+    store(torque, friction_torque(load_elements(plant.friction), load(state.z, 7), inputs))
 
 
 @kernel
@@ -102,7 +105,7 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
     """Turn motor torques into joint torques and predict how their jump changes the acceleration."""
     if powered == (state.brakes_closed == 1):
         state.brakes_closed = 0 if powered else 1
-        for i in range(6):
+        for i in range(7):
             state.brake_z[i] = 0.0
     for i in range(6):
         torque = command[i] if powered else 0.0
@@ -122,15 +125,19 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
 
 @kernel
 def _substep(plant: Any, state: Any, step: float) -> None:
+    """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
     half = 0.5 * step
     for i in range(6):
         state.v_mid[i] = state.v[i] + half * state.acceleration[i]
         state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
-    mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
     for i in range(6):
-        state.rhs[i] = state.drive_torque[i] - state.bias[i]
+        state.rhs[i] = state.drive_torque[i]
+    # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
     _add_friction(plant, state, step)
     _add_stops(plant, state)
+    mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
+    for i in range(6):
+        state.rhs[i] -= state.bias[i]
     factorise(state.mass_matrix, state.factor)
     solve(state.factor, state.rhs)
     for i in range(6):
@@ -140,23 +147,26 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.acceleration[i] = acceleration
 
 
+@inlined
+def _element_velocities(v: Array) -> Lanes:
+    """Return the input velocities of the seven friction elements, which are also the brakes'."""
+    return append(load(v, 6), v[4] + v[5])
+
+
 @kernel
 def _add_friction(plant: Any, state: Any, step: float) -> None:
     """Advance the bristles of the seven elements, and of closed brakes, and add their torques."""
-    for i in range(6):
-        state.z[i], torque = bristle_step(plant.friction[i], state.z[i], state.v_mid[i], step)
-        state.rhs[i] -= torque
-    wrist = state.v_mid[4] + state.v_mid[5]
-    state.z[6], torque = bristle_step(plant.friction[6], state.z[6], wrist, step)
-    state.rhs[4] -= torque
-    state.rhs[5] -= torque
+    velocity = _element_velocities(state.v_mid)
+    z, torque = bristle_step(load_elements(plant.friction), load(state.z, 7), velocity, step)
+    store(state.z, z)
     if state.brakes_closed:
-        for i in range(6):
-            velocity = state.v_mid[i] if i < 5 else wrist
-            state.brake_z[i], torque = bristle_step(plant.brake[i], state.brake_z[i], velocity, step)
-            state.rhs[i] -= torque
-            if i == 5:
-                state.rhs[4] -= torque
+        z, brake_torque = bristle_step(load_elements(plant.brake), load(state.brake_z, 7), velocity, step)
+        store(state.brake_z, z)
+        torque = torque + brake_torque
+    store(state.rhs, load(state.rhs, 6) - first(torque, 6))
+    wrist = lane(torque, 6)
+    state.rhs[4] -= wrist
+    state.rhs[5] -= wrist
 
 
 @kernel

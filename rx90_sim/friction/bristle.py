@@ -1,45 +1,86 @@
-"""Compiled bristle equations: the exact step of equation 17 for a velocity held over the step."""
+"""Compiled bristle equations: the exact step of equation 17 for a velocity held over the step.
+
+`element` is a record of ELEMENT_DTYPE with plain floats, or `Elements` with one lane per friction element and
+lanes for velocity and deflection: the equations are the same.
+"""
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Any, NamedTuple
 
-from rx90_common.compiled import kernel
+import numpy as np
+
+from rx90_common.compiled import inlined, kernel
+from rx90_common.elementary import exponential, power
+from rx90_common.lanes import Lanes, absolute, fma, load, select
+from rx90_sim.friction.lugre import ELEMENT_DTYPE
+
+ELEMENTS_DTYPE = np.dtype(
+    [(name, ELEMENT_DTYPE[name].base, (*ELEMENT_DTYPE[name].shape, 7)) for name in ELEMENT_DTYPE.names or ()],
+    align=True,
+)
+"""Seven elements, field by field: the element is the last index."""
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
-# bits there, where (1 - exp(-x)) / x would cancel, and a sticking joint costs no exponential at all.
+# bits there, where (1 - exp(-x)) / x would cancel.
 _SMALL = 0.02
 
 
-@kernel
-def sliding_torque(element: Any, velocity: float) -> float:
-    """Return c0 g(v), equation 19, Nm; `element` is a record of ELEMENT_DTYPE."""
-    sign = 1 if velocity >= 0.0 else 0
-    coulomb = element.tau_c[sign]
-    ratio = abs(velocity) * element.inverse_omega_s
-    if element.delta != 1.0:
-        ratio = ratio * ratio if element.delta == 2.0 else ratio**element.delta
-    return coulomb + (element.tau_s[sign] - coulomb) * math.exp(-ratio)
+class Elements(NamedTuple):
+    """The fields of ELEMENT_DTYPE, one lane per element."""
+
+    tau_c: tuple[Lanes, Lanes]
+    tau_s: tuple[Lanes, Lanes]
+    inverse_omega_s: Lanes
+    delta: Lanes
+    c0: Lanes
+    c1: Lanes
+    c2: Lanes
+    inverse_omega_d: Lanes
+
+
+@inlined
+def load_elements(records: Any) -> Elements:
+    """Return the seven elements of a record of ELEMENTS_DTYPE."""
+    return Elements(
+        (load(records.tau_c[0], 7), load(records.tau_c[1], 7)),
+        (load(records.tau_s[0], 7), load(records.tau_s[1], 7)),
+        load(records.inverse_omega_s, 7),
+        load(records.delta, 7),
+        load(records.c0, 7),
+        load(records.c1, 7),
+        load(records.c2, 7),
+        load(records.inverse_omega_d, 7),
+    )
 
 
 @kernel
-def damping(element: Any, velocity: float) -> float:
+def sliding_torque(element: Any, velocity: Lanes) -> Lanes:
+    """Return c0 g(v), equation 19, Nm."""
+    forward = velocity >= 0.0
+    coulomb = select(forward, element.tau_c[1], element.tau_c[0])
+    static = select(forward, element.tau_s[1], element.tau_s[0])
+    ratio = power(absolute(velocity) * element.inverse_omega_s, element.delta)
+    return fma(static - coulomb, exponential(-ratio), coulomb)
+
+
+@kernel
+def damping(element: Any, velocity: Lanes) -> Lanes:
     """Return c1(v), Nm s/rad."""
     ratio = velocity * element.inverse_omega_d
-    return element.c1 * math.exp(-ratio * ratio)
+    return element.c1 * exponential(-(ratio * ratio))
 
 
 @kernel
-def friction_torque(element: Any, z: float, velocity: float) -> float:
+def friction_torque(element: Any, z: Lanes, velocity: Lanes) -> Lanes:
     """Return the friction torque of equation 18 at one instant, Nm."""
-    rate = element.c0 * abs(velocity) / sliding_torque(element, velocity)
+    rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
     z_dot = velocity - rate * z
     return element.c0 * z + damping(element, velocity) * z_dot + element.c2 * velocity
 
 
 @kernel
-def bristle_step(element: Any, z: float, velocity: float, step: float) -> tuple[float, float]:
+def bristle_step(element: Any, z: Lanes, velocity: Lanes, step: float) -> tuple[Lanes, Lanes]:
     """Advance the bristle deflection by `step` seconds at constant velocity, exactly.
 
     With x = |v| / g * step, equation 17 has the solution z1 = z + (v step - x z) phi(x),
@@ -51,16 +92,21 @@ def bristle_step(element: Any, z: float, velocity: float, step: float) -> tuple[
         The new bristle deflection, rad, and the friction torque (equation 18) averaged over the step, Nm:
         c0 mean(z) + c1 mean(dz/dt) + c2 v, with mean(z) = z + (v step - x z) (1 - phi) / x.
     """
-    rate = element.c0 * abs(velocity) / sliding_torque(element, velocity)
-    x = rate * step
-    if x < _SMALL:
-        phi = 1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720))))
-        psi = 1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x * (1 / 720 - x / 5040))))
-    else:
-        inverse = 1.0 / x
-        phi = (1.0 - math.exp(-x)) * inverse
-        psi = (1.0 - phi) * inverse
+    rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
+    phi, psi = _decay(rate * step)
     z_dot = velocity - rate * z  # at the start of the step; phi times it is the mean
     mean = z + step * z_dot * psi
     torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + element.c2 * velocity
     return z + step * z_dot * phi, torque
+
+
+@inlined
+def _decay(x: Lanes) -> tuple[Lanes, Lanes]:
+    """Return phi = (1 - exp(-x)) / x and psi = (1 - phi) / x for x >= 0."""
+    inverse = 1.0 / x
+    phi = (1.0 - exponential(-x)) * inverse
+    psi = (1.0 - phi) * inverse
+    # 1/2 - x/6 + x^2/24 - ...
+    series = fma(x, fma(x, fma(x, fma(x, fma(x, -1 / 5040, 1 / 720), -1 / 120), 1 / 24), -1 / 6), 1 / 2)
+    small = x < _SMALL
+    return select(small, fma(-x, series, 1.0), phi), select(small, series, psi)

@@ -1,0 +1,343 @@
+"""Lanes: several numbers side by side that compiled kernels compute with as with one.
+
+The links of the arm go through the same formulas, and so do the friction elements. A value of n lanes is a
+vector of the processor, so that one formula, written as if for a single link, serves all of them at once. Loops
+over arrays would leave it to the optimiser whether that happens.
+
+Every operation rounds each lane as IEEE 754 asks, on its own, in the order it is written. Results do not
+depend on the processor, on alignment or on where a kernel is inlined. `fma` is a product and a sum rounded
+once; it is written where it is meant and never put in by the compiler.
+
+All functions take plain floats as well, so that a formula can also serve a single element.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any, Concatenate, ParamSpec, cast
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.errors import TypingError
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+Lanes = Any
+"""A float or several; outside compiled code this type has no values."""
+Mask = Any
+"""What a comparison of lanes gives."""
+
+_DOUBLE = ir.DoubleType()
+_INDEX = ir.IntType(32)
+_Operands = ParamSpec("_Operands")
+
+
+class LanesType(types.Type):
+    """Type of `width` floats, or of `width` truth values.
+
+    Processors have registers of whole multiples of four floats, so the vector is `padded` to one. What the
+    lanes beyond `width` hold has no meaning and reaches neither memory nor a result.
+    """
+
+    def __init__(self, width: int, *, is_mask: bool = False) -> None:
+        self.width, self.is_mask = width, is_mask
+        self.padded = -(-width // 4) * 4
+        super().__init__(name=f"{'Mask' if is_mask else 'Lanes'}({width})")
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: LanesType) -> None:
+        element = ir.IntType(1) if kind.is_mask else _DOUBLE
+        super().__init__(manager, kind, ir.VectorType(element, kind.padded))
+
+
+def operation(function: Callable[Concatenate[Any, _Operands], Any]) -> Callable[_Operands, Any]:
+    """Make an operation of compiled code from a function of types: it returns a signature and an emitter."""
+    return cast(Callable[_Operands, Any], intrinsic(prefer_literal=True)(function))
+
+
+def _is_float_lanes(kind: Any) -> bool:
+    return isinstance(kind, LanesType) and not kind.is_mask
+
+
+def _common(*kinds: Any) -> Any:
+    """Return the type of what lanes and numbers give together; None, which numba refuses, if they do not fit."""
+    lanes = {kind for kind in kinds if isinstance(kind, LanesType)}
+    numbers = all(_is_float_lanes(kind) or isinstance(kind, types.Number) for kind in kinds)
+    if not numbers or len(lanes) > 1:
+        return None
+    return lanes.pop() if lanes else types.float64
+
+
+def _spread(context: Any, builder: Any, value: Any, kind: Any, to: Any) -> Any:
+    """Return `value` of type `kind` as the float or the lanes `to`, a number copied to each lane."""
+    if isinstance(kind, LanesType):
+        return value
+    number = context.cast(builder, value, kind, types.float64)
+    if not isinstance(to, LanesType):
+        return number
+    single = builder.insert_element(_undefined(to.padded), number, _INDEX(0))
+    return _shuffle(builder, single, single, [0] * to.padded)
+
+
+def _undefined(count: int) -> Any:
+    return ir.Constant(ir.VectorType(_DOUBLE, count), ir.Undefined)
+
+
+def _shuffle(builder: Any, a: Any, b: Any, order: list[int]) -> Any:
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(order)), order))
+
+
+def _binary(symbol: Any, emit: Callable[[Any, Any, Any], Any], *, compares: bool = False) -> None:
+    """Give an operator of Python its meaning for two lanes, or lanes and a number."""
+
+    @type_callable(symbol)
+    def type_operator(_: Any) -> Any:
+        def result(a: Any, b: Any) -> Any:
+            kind = _common(a, b)
+            if not isinstance(kind, LanesType):
+                return None
+            return LanesType(kind.width, is_mask=True) if compares else kind
+
+        return result
+
+    def lower(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        to = _common(*signature.args)
+        a, b = (_spread(context, builder, x, kind, to) for x, kind in zip(arguments, signature.args, strict=True))
+        return emit(builder, a, b)
+
+    for kinds in ((LanesType, LanesType), (LanesType, types.Number), (types.Number, LanesType)):
+        lower_builtin(symbol, *kinds)(lower)
+
+
+_binary(operator.add, lambda builder, a, b: builder.fadd(a, b))
+_binary(operator.sub, lambda builder, a, b: builder.fsub(a, b))
+_binary(operator.mul, lambda builder, a, b: builder.fmul(a, b))
+_binary(operator.truediv, lambda builder, a, b: builder.fdiv(a, b))
+_binary(operator.eq, lambda builder, a, b: builder.fcmp_ordered("==", a, b), compares=True)
+_binary(operator.lt, lambda builder, a, b: builder.fcmp_ordered("<", a, b), compares=True)
+_binary(operator.le, lambda builder, a, b: builder.fcmp_ordered("<=", a, b), compares=True)
+_binary(operator.gt, lambda builder, a, b: builder.fcmp_ordered(">", a, b), compares=True)
+_binary(operator.ge, lambda builder, a, b: builder.fcmp_ordered(">=", a, b), compares=True)
+
+
+@type_callable(operator.neg)
+def _type_negation(_: Any) -> Any:
+    return lambda kind: kind if _is_float_lanes(kind) else None
+
+
+@lower_builtin(operator.neg, LanesType)  # type: ignore[untyped-decorator]
+def _negation(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+    return builder.fneg(arguments[0])
+
+
+def _call(builder: Any, name: str, *operands: Any) -> Any:
+    """Call an instruction of LLVM that exists for one float and for several."""
+    kind = operands[0].type
+    suffix = f"v{kind.count}f64" if isinstance(kind, ir.VectorType) else "f64"
+    declared = ir.FunctionType(kind, [kind] * len(operands))
+    function = cgutils.get_or_insert_function(builder.module, declared, f"llvm.{name}.{suffix}")
+    return builder.call(function, operands)
+
+
+def _pieces(width: int) -> list[tuple[int, int]]:
+    """Return (offset, size) of the power-of-two pieces in which `width` numbers are read and written."""
+    pieces, offset = [], 0
+    for size in (4, 2, 1):
+        while width - offset >= size:
+            pieces.append((offset, size))
+            offset += size
+    return pieces
+
+
+def _place(context: Any, builder: Any, array: Any, kind: Any, offset: int, size: int) -> Any:
+    """Return the address of `size` numbers from `offset` on in an array."""
+    start = context.make_array(kind)(context, builder, array).data
+    number = builder.gep(start, [_INDEX(offset)])
+    return builder.bitcast(number, ir.VectorType(_DOUBLE, size).as_pointer())
+
+
+def _check_contiguous(array: Any) -> None:
+    if not (isinstance(array, types.Array) and array.ndim == 1 and array.layout == "C"):
+        raise TypingError(f"lanes lie in {array}; accepted: a contiguous array of one dimension")
+    if array.dtype != types.float64:
+        raise TypingError(f"lanes hold {array.dtype}; accepted: float64")
+
+
+@operation
+def load(_: Any, array: Any, width: Any) -> Any:
+    """Return the first `width` numbers of a contiguous array; `width` is a literal."""
+    if not isinstance(width, types.IntegerLiteral):
+        return None
+    _check_contiguous(array)
+    kind = LanesType(width.literal_value)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        total = _undefined(kind.padded)
+        for offset, size in _pieces(kind.width):
+            place = _place(context, builder, arguments[0], signature.args[0], offset, size)
+            piece = builder.load(place, align=8)
+            spread = _shuffle(builder, piece, piece, [min(i, size - 1) for i in range(kind.padded)])
+            inside = range(offset, offset + size)
+            order = [kind.padded + i - offset if i in inside else i for i in range(kind.padded)]
+            total = _shuffle(builder, total, spread, order)
+        return total
+
+    return kind(array, width), emit
+
+
+@operation
+def store(_: Any, array: Any, value: Any) -> Any:
+    """Write lanes to the beginning of a contiguous array."""
+    _check_contiguous(array)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        for offset, size in _pieces(value.width):
+            place = _place(context, builder, arguments[0], signature.args[0], offset, size)
+            piece = _shuffle(builder, arguments[1], arguments[1], list(range(offset, offset + size)))
+            builder.store(piece, place, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, value), emit
+
+
+@operation
+def width_of(_: Any, x: Any) -> Any:
+    """Return the number of lanes; a float has one."""
+    count = x.width if isinstance(x, LanesType) else 1
+
+    def emit(_context: Any, _builder: Any, _signature: Any, _arguments: Any) -> Any:
+        return ir.IntType(64)(count)
+
+    return types.intp(x), emit
+
+
+@operation
+def lane(_: Any, x: Any, index: Any) -> Any:
+    """Return one lane as a float."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.extract_element(*arguments) if isinstance(x, LanesType) else arguments[0]
+
+    return types.float64(x, index), emit
+
+
+@operation
+def replace_lane(_: Any, x: Any, index: Any, value: Any) -> Any:
+    """Return `x` with another number in one lane."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        vector, position, number = arguments
+        return builder.insert_element(vector, number, position) if isinstance(x, LanesType) else number
+
+    return x(x, index, value), emit
+
+
+@operation
+def first(_: Any, x: Any, width: Any) -> Any:
+    """Return the first `width` lanes; `width` is a literal."""
+    if not isinstance(width, types.IntegerLiteral):
+        return None
+    kind = LanesType(width.literal_value)
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return _shuffle(builder, arguments[0], arguments[0], list(range(kind.padded)))
+
+    return kind(x, width), emit
+
+
+@operation
+def append(_: Any, x: Any, value: Any) -> Any:
+    """Return the lanes of `x` and one more that holds `value`."""
+    kind = LanesType(x.width + 1)
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        order = [min(i, x.padded - 1) for i in range(kind.padded)]
+        wide = _shuffle(builder, arguments[0], arguments[0], order)
+        return builder.insert_element(wide, arguments[1], _INDEX(x.width))
+
+    return kind(x, value), emit
+
+
+@operation
+def delay(_: Any, x: Any, value: Any) -> Any:
+    """Return (value, x0, x1, ...): each lane moved one up, the last one dropped."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        moved = _shuffle(builder, arguments[0], arguments[0], [0, *range(x.padded - 1)])
+        return builder.insert_element(moved, arguments[1], _INDEX(0))
+
+    return x(x, value), emit
+
+
+@operation
+def prefix_sum(_: Any, x: Any) -> Any:
+    """Return (x0, x0 + x1, ...), summed in pairs of growing distance."""
+    return x(x), _scan(x, -1)
+
+
+@operation
+def suffix_sum(_: Any, x: Any) -> Any:
+    """Return (..., x(n-2) + x(n-1), x(n-1)), summed in pairs of growing distance."""
+    return x(x), _scan(x, +1)
+
+
+def _scan(kind: LanesType, direction: int) -> Callable[..., Any]:
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        (total,) = arguments
+        zeros = ir.Constant(total.type, [0.0] * kind.padded)
+        distance = 1
+        while distance < kind.width:
+            sources = [i + direction * distance for i in range(kind.padded)]
+            order = [i if 0 <= i < kind.width else kind.padded for i in sources]
+            total = builder.fadd(total, _shuffle(builder, total, zeros, order))
+            distance *= 2
+        return total
+
+    return emit
+
+
+@operation
+def select(_: Any, mask: Any, a: Any, b: Any) -> Any:
+    """Return, lane by lane, a where the mask is true and b elsewhere."""
+    common = _common(a, b)
+    result = LanesType(mask.width) if isinstance(mask, LanesType) else common
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        choices = zip(arguments[1:], signature.args[1:], strict=True)
+        yes, no = (_spread(context, builder, value, kind, result) for value, kind in choices)
+        return builder.select(arguments[0], yes, no)
+
+    return None if common is None else (result(mask, a, b), emit)
+
+
+@operation
+def any_lane(_: Any, mask: Any) -> Any:
+    """Return whether the mask is true anywhere."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        if not isinstance(mask, LanesType):
+            return arguments[0]
+        bits = builder.bitcast(arguments[0], ir.IntType(mask.padded))
+        return builder.icmp_unsigned("!=", builder.and_(bits, bits.type(2**mask.width - 1)), bits.type(0))
+
+    return types.boolean(mask), emit
+
+
+@operation
+def absolute(_: Any, x: Any) -> Any:
+    """Return |x|."""
+    return x(x), lambda _context, builder, _signature, arguments: _call(builder, "fabs", *arguments)
+
+
+@operation
+def fma(_: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c, rounded once."""
+    result = _common(a, b, c)
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        operands = zip(arguments, signature.args, strict=True)
+        return _call(builder, "fma", *(_spread(context, builder, x, kind, result) for x, kind in operands))
+
+    return None if result is None else (result(a, b, c), emit)

@@ -1,0 +1,82 @@
+"""Inertial parameters of a serial arm, reduced to those that its motion can show.
+
+Mass that lies on a joint axis moves in the same way whether it belongs to the link before or after the joint.
+From the tip on, each link therefore hands on to the one before it the mass, the first moment and the second
+moment along its axis (Gautier and Khalil 1990: the base parameters). What stays are two first moments and,
+with the link's x axis turned to make the product of inertia about the axis vanish, four second moments:
+6 numbers in place of 10, and neither M(q) nor h(q, v) changes.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_description.robot import RigidChain
+
+Array = NDArray[np.float64]
+
+
+class BaseParameters(NamedTuple):
+    """The arm in link frames whose z axes are the joint axes and whose origins lie on them.
+
+    Attributes:
+        frame: (6, 3, 3) orientation of each link's frame in the frame before it, at q = 0.
+        next_origin: (6, 3) origin of the next link in the link's own frame, m; zero for the last.
+        first_origin: (3,) origin of the first link in the base, m.
+        first_moment: (6, 2) integrals of x and y over the mass, kg m.
+        second_moment: (6, 4) integrals of xx, yy, xz and yz over the mass, kg m^2.
+    """
+
+    frame: Array
+    next_origin: Array
+    first_origin: Array
+    first_moment: Array
+    second_moment: Array
+
+
+def base_parameters(chain: RigidChain) -> BaseParameters:
+    """Return the base parameters of the arm; the axes are unit vectors."""
+    mass = chain.mass.copy()
+    first = mass[:, None] * chain.com
+    second = _second_moments(chain)
+    for i in range(len(mass) - 1, 0, -1):
+        z, origin = chain.axis[i], chain.origin[i]
+        along = z @ first[i]
+        first[i - 1] += mass[i] * origin + along * z
+        second[i - 1] += mass[i] * np.outer(origin, origin) + (z @ second[i] @ z) * np.outer(z, z)
+        second[i - 1] += along * (np.outer(origin, z) + np.outer(z, origin))
+        mass[i - 1] += mass[i]
+    # What lies along the axis itself has been handed on; in these frames it is not looked at again.
+    at_zero = np.array([_link_frame(z, moment) for z, moment in zip(chain.axis, second, strict=True)])
+    before = np.concatenate([np.eye(3)[None], at_zero[:-1]])
+    following = np.concatenate([chain.origin[1:], np.zeros((1, 3))])
+    local = np.transpose(at_zero, (0, 2, 1)) @ second @ at_zero
+    return BaseParameters(
+        frame=np.transpose(before, (0, 2, 1)) @ at_zero,
+        next_origin=np.einsum("ikc,ik->ic", at_zero, following),
+        first_origin=chain.origin[0],
+        first_moment=np.einsum("ikc,ik->ic", at_zero, first)[:, :2],
+        second_moment=local[:, [0, 1, 0, 1], [0, 1, 2, 2]],
+    )
+
+
+def _second_moments(chain: RigidChain) -> Array:
+    """Return the integrals of r r^T over the mass about the link origins, shape (6, 3, 3), kg m^2."""
+    xx, yy, zz, xy, xz, yz = chain.inertia.T
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
+    central = 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
+    return np.asarray(central + chain.mass[:, None, None] * chain.com[:, :, None] * chain.com[:, None, :])
+
+
+def _link_frame(z: Array, moment: Array) -> Array:
+    """Return axes (columns) with the given z, turned such that x and y are principal directions."""
+    side = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x = side / np.linalg.norm(side)
+    y = np.cross(z, x)
+    turn = 0.5 * math.atan2(2.0 * (x @ moment @ y), x @ moment @ x - y @ moment @ y)
+    c, s = math.cos(turn), math.sin(turn)
+    return np.column_stack([c * x + s * y, c * y - s * x, z])
