@@ -1,0 +1,64 @@
+"""Start the simulation and the controller and, when asked, robot_state_publisher and RViz."""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, OrSubstitution
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+PACKAGE = "rx90_emulator"
+ARGUMENTS = (
+    ("time_mode", "lock_step", "lock_step or free_running"),
+    ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
+    ("tool", "robot/tool_laser_head.yaml", "tool file, shipped or your own; none: no tool"),
+    ("drives", "robot/drives.yaml", "drives file, shipped or your own"),
+    ("friction", "robot/friction.yaml", "friction file, shipped or your own"),
+    ("controller", "controller/cs7b.yaml", "controller file, shipped or your own"),
+    ("robot_state_publisher", "false", "publish the transforms of the arm"),
+    ("rviz", "false", "show the arm in RViz, with its transforms"),
+)
+
+
+def generate_launch_description() -> LaunchDescription:
+    share = Path(get_package_share_directory(PACKAGE))
+    urdf = (share / "config/robot/rx90b.urdf").read_text(encoding="utf-8")
+
+    def given(*names: str) -> dict[str, ParameterValue]:
+        return {name: ParameterValue(LaunchConfiguration(name), value_type=str) for name in names}
+
+    factor = ParameterValue(LaunchConfiguration("real_time_factor"), value_type=float)
+    simulation = Node(
+        package=PACKAGE,
+        executable="rx90_sim",
+        output="screen",
+        parameters=[given("time_mode", "tool", "drives", "friction") | {"real_time_factor": factor}],
+    )
+    controller = Node(
+        package=PACKAGE,
+        executable="rx90_controller",
+        output="screen",
+        parameters=[given("drives", "controller")],
+    )
+    wanted = OrSubstitution(LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz"))
+    transforms = Node(
+        package="robot_state_publisher",
+        executable="robot_state_publisher",
+        parameters=[{"robot_description": ParameterValue(urdf, value_type=str), "use_sim_time": True}],
+        # The simulation publishes the description, with its tool, under that name.
+        remappings=[("robot_description", "robot_state_publisher/robot_description")],
+        condition=IfCondition(wanted),
+    )
+    rviz = Node(
+        package="rviz2",
+        executable="rviz2",
+        arguments=["-d", str(share / "config/rviz/rx90.rviz")],
+        parameters=[{"use_sim_time": True}],
+        condition=IfCondition(LaunchConfiguration("rviz")),
+    )
+    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
+    # A missing package ends the launch: what may be missing comes first, so that no node is left behind then.
+    return LaunchDescription([*declared, transforms, rviz, simulation, controller])

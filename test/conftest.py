@@ -1,0 +1,47 @@
+"""Fixtures that the rooms of the test folder share."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from rx90_loop.setup import Setup, SetupFiles
+
+pytest_plugins = ["processes"]
+
+
+@pytest.fixture(scope="session")
+def shipped() -> Setup:
+    """Return the setup of the shipped files, read once; everything in it is frozen."""
+    return Setup.load()
+
+
+@pytest.fixture(scope="session")
+def shipped_files() -> SetupFiles:
+    """Return the paths of the shipped files."""
+    return SetupFiles()
+
+
+@pytest.fixture
+def edited_yaml(tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that copies a YAML file with one value replaced, or with a key removed or added."""
+
+    def edit(source: Path, path: tuple[str | int, ...], value: Any, *, remove: bool = False) -> Path:
+        data = copy.deepcopy(yaml.safe_load(source.read_text(encoding="utf-8")))
+        holder = data
+        for key in path[:-1]:
+            holder = holder[key]
+        if remove:
+            del holder[path[-1]]
+        else:
+            holder[path[-1]] = value
+        target = tmp_path / source.name
+        target.write_text(yaml.safe_dump(data), encoding="utf-8")
+        return target
+
+    return edit

@@ -1,0 +1,165 @@
+"""The package as colcon and pip install it: found, complete, and its executables run."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from catkin_pkg.package import parse_package
+from processes import TIMEOUT, Processes, Running, executable, wait_until
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "rx90_emulator"
+EXECUTABLES = ("rx90_sim", "rx90_controller", "rx90_line", "rx90_run", "rx90_bag", "rx90_demo")
+NODES = ("rx90_sim", "rx90_controller")
+
+
+def colcon(*arguments: object, folder: Path) -> str:
+    """Run colcon on the source tree, its logs in `folder`, and return what it printed."""
+    done = subprocess.run(
+        [executable("colcon"), "--log-base", str(folder / "log"), *map(str, arguments)],
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+        timeout=TIMEOUT,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def sourced(prefix: Path) -> dict[str, str]:
+    """Return the environment that `source setup.bash` of a colcon workspace makes."""
+    clean = {key: value for key, value in os.environ.items() if not key.endswith(("PYTHONPATH", "PREFIX_PATH"))}
+    script = f'. "{prefix}/setup.bash" && env -0'
+    done = subprocess.run(["bash", "-c", script], env=clean, capture_output=True, text=True, check=True)
+    return dict(pair.split("=", 1) for pair in done.stdout.split("\0") if "=" in pair)
+
+
+@pytest.fixture(scope="module")
+def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the source tree with colcon and return the package's prefix in the install space."""
+    folder = tmp_path_factory.mktemp("workspace")
+    colcon(
+        *("build", "--base-paths", ROOT, "--packages-select", PACKAGE),
+        *("--build-base", folder / "build", "--install-base", folder / "install"),
+        folder=folder,
+    )
+    return folder / "install" / PACKAGE
+
+
+@pytest.fixture
+def workspace(prefix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Put this process and all it starts into the sourced workspace; return the folder of executables."""
+    monkeypatch.chdir(tmp_path)  # Python would find the source tree in the working directory
+    environment = sourced(prefix.parent)
+    for name in ("PYTHONPATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.setenv(name, environment[name])
+    return prefix / "lib" / PACKAGE
+
+
+def test_colcon_takes_it_for_an_ament_python_package(tmp_path: Path) -> None:
+    """Colcon identifies the source tree as one package of type ros.ament_python."""
+    listed = colcon("list", "--base-paths", ROOT, folder=tmp_path)
+    assert listed.split() == [PACKAGE, str(ROOT), "(ros.ament_python)"]
+
+
+def test_package_xml_is_valid_for_ros_tools() -> None:
+    """package.xml passes ROS's own validation without a warning and has one element on a line."""
+    warnings: list[str] = []
+    package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
+    package.validate(warnings=warnings)
+    assert (warnings, package.get_build_type()) == ([], "ament_python")
+    opened = [line for line in (ROOT / "package.xml").read_text().splitlines() if line.count("<") > 2]
+    assert opened == []
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    """package.xml, the installed distribution and the change log give one version."""
+    version = ElementTree.parse(ROOT / "package.xml").findtext("version")
+    newest = re.search(r"^(\d+\.\d+\.\d+)\b", (ROOT / "CHANGELOG.rst").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert {version, distribution(PACKAGE).version, newest[1]} == {version}
+
+
+def test_colcon_installs_every_data_file_and_the_marker(prefix: Path) -> None:
+    """Each file under config/ and launch/ is installed as it is, and the ament index names the package."""
+    for source in [p for room in ("config", "launch") for p in (ROOT / room).rglob("*") if p.is_file()]:
+        if "__pycache__" not in source.parts:
+            target = prefix / "share" / PACKAGE / source.relative_to(ROOT)
+            assert target.read_bytes() == source.read_bytes(), target
+    assert (prefix / "share/ament_index/resource_index/packages" / PACKAGE).is_file()
+
+
+def test_colcon_installs_every_module_and_template(prefix: Path) -> None:
+    """Each Python file, type marker and template of the rooms is in the install space."""
+    site = next((prefix / "lib").glob("python*/site-packages"))
+    rooms = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name != "test"]
+    assert {path.name for path in rooms} >= {"rx90_sim", "rx90_controller", "rx90_bag"}
+    for source in [path for room in rooms for path in room.rglob("*") if path.is_file()]:
+        if source.suffix in {".py", ".j2"} or source.name == "py.typed":
+            assert (site / source.relative_to(ROOT)).is_file(), source
+
+
+def test_colcon_and_pip_install_the_same_executables(prefix: Path) -> None:
+    """The names under lib/rx90_emulator are those of the pip environment's console scripts."""
+    scripts = {e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts"}
+    assert {path.name for path in (prefix / "lib" / PACKAGE).iterdir()} == scripts
+    assert scripts >= set(EXECUTABLES)
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_every_installed_executable_explains_itself(name: str, workspace: Path, processes: Processes) -> None:
+    """Each executable of the install space answers --help with its usage and exit code 0."""
+    done = processes.run(str(workspace / name), "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"usage: {name}")
+
+
+def test_the_install_space_needs_no_source_tree(workspace: Path, processes: Processes) -> None:
+    """In a sourced workspace modules and data come from the install space, not from the source tree."""
+    code = "import rx90_sim, rx90_common.share as s; print(rx90_sim.__file__); print(s.share_directory())"
+    done = processes.run(sys.executable, "-c", code)
+    found = [Path(line).resolve() for line in done.stdout.splitlines()]
+    assert len(found) == 2, done.stderr
+    assert all(workspace.parent.parent in path.parents for path in found), found
+
+
+@pytest.mark.ros
+def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> None:
+    """Simulation and controller out of the install space run in lock-step: joint_states go on in time."""
+    import rclpy  # noqa: PLC0415  only now: it reads the domain when it is first used
+    from sensor_msgs.msg import JointState  # noqa: PLC0415
+
+    stamps: list[float] = []
+    nodes: list[Running] = []
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    watcher = rclpy.create_node("watcher", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(watcher)
+    watcher.create_subscription(
+        JointState,
+        "joint_states",
+        lambda m: stamps.append(m.header.stamp.sec + m.header.stamp.nanosec * 1e-9),
+        10,
+    )
+
+    def ran_on() -> bool:
+        assert [node.returncode for node in nodes] == [None, None]
+        executor.spin_once(timeout_sec=0.1)
+        return bool(stamps) and stamps[-1] - stamps[0] >= 0.2
+
+    try:
+        nodes += [processes.start(str(workspace / name)) for name in NODES]
+        wait_until(ran_on, "0.2 s of simulated time")
+    finally:
+        executor.shutdown()
+        watcher.destroy_node()
+        rclpy.shutdown(context=context)
