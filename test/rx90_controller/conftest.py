@@ -1,0 +1,81 @@
+"""The controller on textbook plants: six independent inertias behind unit gears."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.rates import Rates
+from rx90_controller.cs7b import CS7B
+from rx90_controller.cs7b_parameters import CS7BParameters, FeedForward
+from rx90_loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+FREE = 1e9
+"""A limit that is never met."""
+
+
+@dataclasses.dataclass
+class Servo:
+    """A controller and six rigid rotors of inertia `inertia` that feel nothing but their motors.
+
+    Between ticks the rotors move exactly as bodies under constant torque. Measured are position and velocity,
+    without encoder and observer.
+    """
+
+    controller: CS7B
+    inertia: Array
+
+    def __post_init__(self) -> None:
+        self.position, self.velocity = np.zeros(6), np.zeros(6)
+        self.controller.reset(self.position)
+
+    def run(self, ticks: int, load: float = 0.0) -> tuple[Array, Array]:
+        """Return positions (sampled before each command) and torques, each of shape (ticks, 6)."""
+        period = self.controller.rates.period
+        positions, torques = np.empty((ticks, 6)), np.empty((ticks, 6))
+        for k in range(ticks):
+            positions[k] = self.position
+            torques[k] = self.controller.step(self.position, self.velocity)
+            acceleration = (torques[k] + load) / self.inertia
+            self.position = self.position + period * (self.velocity + 0.5 * period * acceleration)
+            self.velocity = self.velocity + period * acceleration
+        return positions, torques
+
+
+@pytest.fixture(scope="session")
+def servo(shipped: Setup) -> Callable[..., Servo]:
+    """Return a maker of servos: unit gears without coupling to speak of, limits off unless given."""
+
+    def make(rates: Rates | None = None, inertia: float = 2.0, peak: float = FREE, **changed: Any) -> Servo:
+        six = np.ones(6)
+        drives = dataclasses.replace(shipped.drives, gear=six, torque_constant=0.5 * six, peak_current=2.0 * peak * six)
+        parameters: dict[str, Any] = {
+            "inertia": inertia * six,
+            "kp": 40.0 * six,
+            "kv": 300.0 * six,
+            "ki": 1e5 * six,
+            "integrator_limit": FREE * six,
+            "coulomb": 0.0 * six,
+            "coulomb_velocity": 0.01,
+            "viscous": 0.0 * six,
+            "feed_forward": FeedForward.off(),
+            "current_bandwidth": 800.0,
+            "current_slew": FREE * six,
+            "start_tolerance": 10.0,
+        }
+        controller = CS7B(
+            dataclasses.replace(shipped.robot, lower=-100 * six, upper=100 * six, max_velocity=1000 * six),
+            drives,
+            CS7BParameters(**(parameters | changed)),
+            rates or Rates(),
+        )
+        return Servo(controller, inertia * six)
+
+    return make

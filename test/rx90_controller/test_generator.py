@@ -1,0 +1,239 @@
+"""The set-point generator: hold, start, follow, replace, hold again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from rx90_common.errors import ConfigError, TrajectoryError
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), 1e-3)
+PERIOD = 1e-3
+HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
+ZERO = np.zeros(6)
+
+
+def points(
+    times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
+) -> TrajectoryPoints:
+    """Return checked points in the robot's joint order."""
+    return TrajectoryPoints.create(NAMES, NAMES, times, position, velocity or [[]] * len(times), [[]] * len(times))
+
+
+def move(to: float, seconds: float) -> TrajectoryPoints:
+    """Return a smooth motion from wherever the arm is by `to` rad in every joint."""
+    return points([seconds], [HOME + to], [ZERO])
+
+
+@pytest.fixture
+def generator() -> TrajectoryGenerator:
+    """Return a generator that holds HOME."""
+    return TrajectoryGenerator(LIMITS, PERIOD, HOME)
+
+
+def test_without_a_trajectory_the_position_is_held(generator: TrajectoryGenerator) -> None:
+    """Nothing given, the set-point is the held position at rest, for ever."""
+    got = generator.setpoints(0, 5000)
+    assert np.all(got[:, 0] == HOME)
+    assert np.all(got[:, 1:] == 0.0)
+    assert not generator.moving(5000)
+
+
+def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
+    generator: TrajectoryGenerator,
+) -> None:
+    """A single point with velocity is a cubic from the held set-point, then its position is held."""
+    assert generator.accept(move(0.4, 0.5), now=10, start=None) == 10
+    assert generator.moving(10)
+    got = generator.setpoints(10, 800)
+    times = np.arange(800) * PERIOD
+    want = CubicHermiteSpline([0, 0.5], [HOME, HOME + 0.4], [ZERO, ZERO])
+    assert got[:500, 0] == pytest.approx(want(times[:500]), abs=1e-13)
+    assert got[:500, 1] == pytest.approx(want(times[:500], 1), abs=1e-12)
+    assert np.all(got[501:, 0] == HOME + 0.4)
+    assert np.all(got[501:, 1:] == 0.0)
+    assert not generator.moving(520)
+
+
+def test_a_start_in_the_future_waits_at_the_held_position(generator: TrajectoryGenerator) -> None:
+    """Until its start tick the old set-point is held, bit for bit; from it on the motion runs."""
+    assert generator.accept(move(0.4, 0.5), now=0, start=300) == 300
+    assert generator.moving(0)
+    got = generator.setpoints(0, 1000)
+    assert np.all(got[:301, 0] == HOME)
+    assert np.all(got[:300, 1:] == 0.0)
+    fresh = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    fresh.accept(move(0.4, 0.5), now=0, start=None)
+    assert np.array_equal(got[300:], fresh.setpoints(0, 700))
+
+
+def test_a_replacement_in_motion_goes_on_from_there(generator: TrajectoryGenerator) -> None:
+    """A new trajectory takes over position and velocity of the running one without a jump."""
+    generator.accept(move(1.0, 1.0), now=0, start=None)
+    generator.setpoints(0, 400)
+    before = generator.setpoints(400)[0].copy()
+    generator.accept(points([0.6], [HOME], [ZERO]), now=401, start=401)
+    after = generator.setpoints(401, 700)
+    assert np.all(before[1] > 0.5)
+    assert after[0, 0] == pytest.approx(before[0] + PERIOD * before[1], abs=5e-6)
+    assert after[0, 1] == pytest.approx(before[1], abs=0.02)
+    assert np.abs(np.diff(after[:, 1], axis=0)).max() < 0.05
+    assert np.all(after[-1, 0] == HOME)
+
+
+def test_a_waiting_trajectory_is_replaced_by_the_next(generator: TrajectoryGenerator) -> None:
+    """Of two accepted trajectories only the later one runs."""
+    generator.accept(move(0.4, 0.5), now=0, start=200)
+    generator.accept(move(-0.3, 0.5), now=0, start=100)
+    got = generator.setpoints(0, 1000)
+    assert np.all(got[:, 0] <= HOME + 1e-12)
+    assert np.all(got[-1, 0] == HOME - 0.3)
+
+
+def test_the_running_motion_ends_before_a_later_start(generator: TrajectoryGenerator) -> None:
+    """A trajectory for later lets the running one finish and starts from where that one ends."""
+    generator.accept(move(0.4, 0.3), now=0, start=None)
+    generator.setpoints(0, 100)
+    generator.accept(points([0.3], [HOME], [ZERO]), now=100, start=500)
+    got = generator.setpoints(100, 1000)
+    assert np.all(got[399, 0] == HOME + 0.4)
+    assert np.all(got[-1, 0] == HOME)
+
+
+@given(
+    blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12),
+    start=st.integers(0, 900),
+    seconds=st.floats(0.3, 1.2),
+)
+@settings(max_examples=60, deadline=None)
+def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
+    """However the ticks are grouped, the set-points are the same to the last bit."""
+
+    def fresh() -> TrajectoryGenerator:
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        generator.accept(points([seconds / 2, seconds], [HOME + 0.2, HOME + 0.1], [ZERO + 0.1, ZERO]), 0, start)
+        return generator
+
+    single, grouped, tick = fresh(), fresh(), 0
+    for count in blocks:
+        block = grouped.setpoints(tick, count)
+        assert block.shape == (count, 3, 6)
+        assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
+        tick += count
+
+
+def refused(generator: TrajectoryGenerator, make: Callable[[], TrajectoryPoints], now: int, start: int | None) -> str:
+    """Return why a trajectory is refused, having seen that the running motion goes on untouched."""
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    for each in (generator, twin):
+        each.accept(move(0.4, 0.5), now=0, start=None)
+        each.setpoints(0, now)
+    with pytest.raises(TrajectoryError) as caught:
+        generator.accept(make(), now, start)
+    assert np.array_equal(generator.setpoints(now, 1000), twin.setpoints(now, 1000))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_start_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
+    """A start tick that has gone by is refused with how late it is."""
+    said = refused(generator, lambda: move(0.1, 1.0), 250, 100)
+    assert said == "start time 0.1 s is 0.15 s in the past; accepted: now or later"
+
+
+def test_a_start_elsewhere_is_refused(generator: TrajectoryGenerator) -> None:
+    """A first point at time 0 away from the set-point at the start is refused by joint and amount."""
+    there = HOME + 0.4
+    there[3] += 0.0011
+    said = refused(generator, lambda: points([0.0, 1.0], [there, HOME], [ZERO, ZERO]), 250, 600)
+    assert said.startswith("point 0: joint_4 starts at 0.4011 rad, the set-point there is 0.4 rad")
+
+
+def test_a_start_within_the_tolerance_is_taken(generator: TrajectoryGenerator) -> None:
+    """A first point at time 0 within the start tolerance is accepted and is the first set-point."""
+    generator.accept(points([0.0, 1.0], [HOME + 9e-4, HOME], [ZERO, ZERO]), 0, None)
+    assert np.all(generator.setpoints(0)[0, 0] == HOME + 9e-4)
+
+
+def test_a_point_beyond_a_limit_is_refused(generator: TrajectoryGenerator) -> None:
+    """A point beyond a joint limit is refused by point, joint, value, time and limits."""
+    far = HOME.copy()
+    far[1] = 2.1
+    said = refused(generator, lambda: points([1.0, 3.0, 5.0], [HOME, far, HOME], [ZERO] * 3), 600, None)
+    assert said.startswith("point 1: joint_2 gets a set-point position 2.0")
+    assert said.endswith("accepted: [-2, 2]")
+
+
+def test_an_overshoot_between_points_is_refused(generator: TrajectoryGenerator) -> None:
+    """A spline that swings beyond a limit between two good points is refused, though the points are good."""
+    edge = np.full(6, 1.99)
+    fast = np.zeros(6)
+    fast[4] = 2.0
+    said = refused(generator, lambda: points([2.0, 2.5, 4.0], [edge, edge, HOME], [ZERO, fast, ZERO]), 600, None)
+    assert said.startswith("point 2: joint_5 gets a set-point position 2.0")
+
+
+def test_a_motion_that_is_too_fast_is_refused(generator: TrajectoryGenerator) -> None:
+    """A velocity beyond a joint's limit is refused by point, joint, value and time."""
+    said = refused(generator, lambda: points([0.5, 0.8], [HOME, HOME + 1.0], None), 600, None)
+    assert said.startswith("point 1: joint_1 gets a set-point velocity 3.33333 rad/s")
+    assert "at 0.5" in said
+    assert said.endswith("accepted: [-3, 3]")
+
+
+def test_a_jump_between_two_set_points_is_refused(generator: TrajectoryGenerator) -> None:
+    """Points that fit between two set-points cannot hide a jump."""
+    times = [0.9, 0.9002, 0.9003, 1.2]
+    said = refused(generator, lambda: points(times, [HOME, HOME, HOME - 0.5, HOME - 0.5], None), 600, None)
+    assert said.startswith("point 3: joint_1 gets a set-point step of -500 rad/s")
+
+
+def test_long_trajectories_are_checked_to_their_end() -> None:
+    """A fault minutes into a trajectory is found, at whichever set-point it lies."""
+    for at in (4.095, 4.096, 4.097, 300.0):
+        times = [at - 1.0, at, at + 1.0, at + 400.0]
+        spike = HOME.copy()
+        spike[5] = -2.0 - 1e-6
+        said = refused(
+            TrajectoryGenerator(LIMITS, PERIOD, HOME),
+            lambda p=spike, t=times: points(t, [HOME, p, HOME, HOME]),
+            600,
+            None,
+        )
+        assert said.startswith("point 1: joint_6")
+
+
+def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
+    """A motion that ends on the limit, or runs at it, is accepted."""
+    end = np.full(6, 2.0)
+    generator.accept(points([2.0], [end], [ZERO]), 0, None)
+    assert np.all(generator.setpoints(2001)[0, 0] == 2.0)
+    generator.accept(points([4.0 / 3.0], [np.full(6, -2.0)], None), 2002, None)
+    assert generator.setpoints(2003)[0, 1] == pytest.approx(-3.0)
+
+
+def test_limits_that_are_none_are_refused() -> None:
+    """Joint limits with lower >= upper or without velocity are refused."""
+    with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0"):
+        JointLimits(NAMES, np.full(6, 1.0), np.full(6, 1.0), np.full(6, 3.0))
+    with pytest.raises(ConfigError, match="accepted"):
+        JointLimits(NAMES, np.full(6, -1.0), np.full(6, 1.0), np.zeros(6))
+
+
+def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:
+    """After a reset the given position is held, whatever ran or waited before."""
+    generator.accept(move(0.4, 0.5), 0, None)
+    generator.setpoints(0, 100)
+    generator.accept(move(0.2, 0.5), 100, 200)
+    generator.reset(ZERO)
+    got = generator.setpoints(0, 1000)
+    assert np.all(got == 0.0)

@@ -1,0 +1,76 @@
+"""Splines against SciPy's, by what the points carry."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly, CubicHermiteSpline
+
+from rx90_controller.trajectory.spline import Spline, interpolate
+
+Array = NDArray[np.float64]
+TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
+RNG = np.random.default_rng(11)
+POSITION = RNG.uniform(-1.0, 1.0, (6, 6))
+VELOCITY = RNG.uniform(-2.0, 2.0, (6, 6))
+ACCELERATION = RNG.uniform(-9.0, 9.0, (6, 6))
+INSIDE = np.sort(RNG.uniform(0.0, 2.0, 500))
+
+
+def test_positions_alone_are_joined_by_straight_lines() -> None:
+    """With positions alone the set-points interpolate linearly and the acceleration is zero."""
+    got = interpolate(TIMES, POSITION, None, None).sample(INSIDE)
+    for joint in range(6):
+        want = np.interp(INSIDE, TIMES, POSITION[:, joint])
+        assert got[:, 0, joint] == pytest.approx(want, abs=1e-13)
+    slope = np.diff(POSITION, axis=0) / np.diff(TIMES)[:, None]
+    assert got[:, 1] == pytest.approx(slope[np.searchsorted(TIMES, INSIDE, "right") - 1], rel=1e-12)
+    assert np.all(got[:, 2] == 0.0)
+
+
+def test_velocities_make_it_cubic() -> None:
+    """With velocities the set-points are SciPy's cubic Hermite spline and its two derivatives."""
+    got = interpolate(TIMES, POSITION, VELOCITY, None).sample(INSIDE)
+    spline = CubicHermiteSpline(TIMES, POSITION, VELOCITY)
+    for order in range(3):
+        want = spline(INSIDE, order)
+        assert got[:, order] == pytest.approx(want, abs=1e-11 * np.abs(want).max())
+
+
+def test_accelerations_make_it_quintic() -> None:
+    """With accelerations the set-points are SciPy's quintic through positions and both derivatives."""
+    got = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION).sample(INSIDE)
+    given = np.stack([POSITION, VELOCITY, ACCELERATION], axis=1)
+    spline = BPoly.from_derivatives(TIMES, given)
+    for order in range(3):
+        want = spline(INSIDE, order)
+        assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("given", ["position", "velocity", "acceleration"])
+def test_every_point_is_met(given: str) -> None:
+    """At each knot the set-point is the point, with the derivatives it carries; after the last it rests."""
+    velocity = None if given == "position" else VELOCITY
+    acceleration = ACCELERATION if given == "acceleration" else None
+    spline = interpolate(TIMES, POSITION, velocity, acceleration)
+    got = spline.sample(TIMES[:-1])
+    assert got[:, 0] == pytest.approx(POSITION[:-1], abs=1e-15)
+    if velocity is not None:
+        assert got[:, 1] == pytest.approx(VELOCITY[:-1], abs=1e-15)
+    if acceleration is not None:
+        assert got[:, 2] == pytest.approx(ACCELERATION[:-1], abs=1e-14)
+    before = spline.sample(np.nextafter(TIMES[1:], 0.0))
+    assert before[:, 0] == pytest.approx(POSITION[1:], abs=1e-12)
+    rest = spline.sample(np.array([2.0, 2.1, 1e6]))
+    assert np.all(rest[:, 0] == POSITION[-1])
+    assert np.all(rest[:, 1:] == 0.0)
+
+
+def test_a_resting_spline_rests() -> None:
+    """A spline of one knot gives its position at every time, also before it."""
+    spline = Spline(np.zeros(1), np.zeros((0, 6, 6)), POSITION[0])
+    got = spline.sample(np.array([-1.0, 0.0, 5.0]))
+    assert spline.duration == 0.0
+    assert np.all(got[1:, 0] == POSITION[0])
+    assert np.all(got[1:, 1:] == 0.0)

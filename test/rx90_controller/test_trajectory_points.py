@@ -1,0 +1,104 @@
+"""Points as they come from outside: joints in any order, and every way to be refused."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rx90_common.errors import Rx90Error, TrajectoryError
+from rx90_controller.trajectory import TrajectoryPoints
+
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+ROW = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+REST = [0.0] * 6
+
+
+def create(**changed: Any) -> TrajectoryPoints:
+    """Return three good points with something changed."""
+    given: dict[str, Any] = {
+        "robot_joints": NAMES,
+        "joint_names": NAMES,
+        "times": [1.0, 2.0, 3.0],
+        "position": [ROW, ROW, ROW],
+        "velocity": [REST, REST, REST],
+        "acceleration": [REST, REST, REST],
+    }
+    return TrajectoryPoints.create(**(given | changed))
+
+
+def test_joints_may_come_in_any_order() -> None:
+    """Whatever the order of the names, each joint gets its own values, in all three tables."""
+    plain = create(position=[ROW, REST, ROW], velocity=[ROW, ROW, REST], acceleration=[ROW, REST, ROW])
+    for order in itertools.islice(itertools.permutations(range(6)), 0, 720, 7):
+        shuffled = create(
+            joint_names=[NAMES[i] for i in order],
+            position=[[row[i] for i in order] for row in (ROW, REST, ROW)],
+            velocity=[[row[i] for i in order] for row in (ROW, ROW, REST)],
+            acceleration=[[row[i] for i in order] for row in (ROW, REST, ROW)],
+        )
+        for table in ("times", "position", "velocity", "acceleration"):
+            assert np.array_equal(getattr(shuffled, table), getattr(plain, table))
+
+
+def test_what_is_not_given_is_none() -> None:
+    """Empty vectors mean: not given."""
+    empty: list[list[float]] = [[], [], []]
+    assert create(acceleration=empty).acceleration is None
+    plain = create(velocity=empty, acceleration=empty)
+    assert plain.velocity is None
+    assert plain.acceleration is None
+
+
+NAN_ROW = [0.1, 0.2, math.nan, 0.4, 0.5, 0.6]
+REFUSALS: list[tuple[dict[str, Any], str]] = [
+    ({"joint_names": (*NAMES[:5], "joint_9")}, "unknown joint 'joint_9'; accepted: joint_1, joint_2"),
+    ({"joint_names": (*NAMES[:5], "joint_1")}, "joint 'joint_1' stands 2 times; accepted: once"),
+    ({"joint_names": NAMES[:5]}, "joint 'joint_6' is missing; accepted: all of"),
+    ({"joint_names": ()}, "joint 'joint_1' is missing"),
+    ({"times": [], "position": [], "velocity": [], "acceleration": []}, "no points; accepted: at least one"),
+    ({"times": [-0.5, 2.0, 3.0]}, "point 0: time_from_start -0.5 s; accepted: >= 0"),
+    ({"times": [1.0, 2.0, 2.0]}, "point 2: time_from_start 2 s after 2 s; accepted: increasing"),
+    ({"times": [1.0, 0.5, 3.0]}, "point 1: time_from_start 0.5 s after 1 s"),
+    ({"times": [1.0, math.nan, 3.0]}, "point 1: time_from_start nan s; accepted: a number"),
+    ({"times": [math.nan, 2.0, 3.0]}, "point 0: time_from_start nan s; accepted: a number"),
+    ({"times": [1.0, 2.0, math.inf]}, "point 2: time_from_start inf s; accepted: a number up to"),
+    ({"times": [1.0, 2.0, 2147483647.0]}, "point 2: time_from_start 2.14748e+09 s; accepted: a number up to"),
+    ({"position": [ROW, ROW[:5], ROW]}, "point 1: 5 positions; accepted: 6 in every point"),
+    ({"position": [ROW, ROW, [*ROW, 0.0]]}, "point 2: 7 positions"),
+    ({"position": [ROW, [], ROW]}, "point 1: 0 positions"),
+    ({"position": [[], [], []]}, "point 0: no positions"),
+    ({"velocity": [REST, [], REST]}, "point 1: 0 velocities; accepted: 6 in every point, or none in any"),
+    ({"acceleration": [REST, REST, REST[:1]]}, "point 2: 1 accelerations"),
+    ({"velocity": [[], [], []]}, "accelerations without velocities"),
+    ({"position": [ROW, ROW, NAN_ROW]}, "point 2: positions of joint_3 is nan; accepted: a finite number"),
+    ({"velocity": [REST, NAN_ROW, REST]}, "point 1: velocities of joint_3 is nan"),
+    ({"acceleration": [[math.inf, *REST[1:]], REST, REST]}, "point 0: accelerations of joint_1 is inf"),
+    ({"velocity": [REST, REST, [0, 0, 0, 0, -0.1, 0]]}, "point 2: joint_5 ends at -0.1 rad/s; accepted: 0"),
+]
+
+
+@pytest.mark.parametrize(("changed", "words"), REFUSALS, ids=[words[:40] for _, words in REFUSALS])
+def test_a_bad_trajectory_is_refused_by_point_joint_and_reason(changed: dict[str, Any], words: str) -> None:
+    """Each fault gives one line that names the point, the joint and what is accepted."""
+    with pytest.raises(TrajectoryError) as caught:
+        create(**changed)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert isinstance(caught.value, Rx90Error)
+
+
+def test_faults_name_the_joint_in_the_order_it_came() -> None:
+    """With shuffled names the fault is reported for the joint whose value it is."""
+    names = list(reversed(NAMES))
+    with pytest.raises(TrajectoryError, match="positions of joint_4 is nan"):
+        create(joint_names=names, position=[ROW, NAN_ROW, ROW])
+
+
+def test_a_single_point_at_the_start_is_refused() -> None:
+    """One point at time 0 is no motion."""
+    with pytest.raises(TrajectoryError, match="one point at time_from_start 0"):
+        create(times=[0.0], position=[ROW], velocity=[REST], acceleration=[REST])

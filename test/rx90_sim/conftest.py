@@ -1,0 +1,174 @@
+"""Oracles and small plants for the tests of what nature does."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+from rx90_common.rates import Rates
+from rx90_loop.setup import Setup
+from rx90_sim.friction import FrictionSet, LuGreElement
+from rx90_sim.plant import Plant
+
+Array = NDArray[np.float64]
+
+WRIST = np.eye(6)
+WRIST[5, 4] = 1.0
+"""Motor turns for joint turns, without the gears: motor 6 turns with joints 5 and 6."""
+ELEMENT_INPUT = np.vstack([np.eye(6), WRIST[5]])
+"""Input velocities of the seven friction elements for joint velocities."""
+
+
+@dataclass(frozen=True)
+class LuGreOracle:
+    """Equations 17 to 19, written down from the paper for n elements, for a stiff solver."""
+
+    elements: Sequence[LuGreElement]
+
+    def _values(self, name: str) -> Array:
+        return np.array([getattr(element, name) for element in self.elements])
+
+    def stribeck(self, v: Array) -> Array:
+        """Return c0 g(v), equation 19."""
+        side = [
+            np.where(v >= 0, self._values(f"{n}_positive"), self._values(f"{n}_negative")) for n in ("tau_c", "tau_s")
+        ]
+        coulomb, static = side
+        return np.asarray(
+            coulomb + (static - coulomb) * np.exp(-((np.abs(v) / self._values("omega_s")) ** self._values("delta")))
+        )
+
+    def rates(self, z: Array, v: Array) -> tuple[Array, Array]:
+        """Return dz/dt (equation 17) and the friction torque (equation 18)."""
+        c0 = self._values("c0")
+        z_dot = v - np.abs(v) * c0 / self.stribeck(v) * z
+        c1 = self._values("c1") * np.exp(-((v / self._values("omega_d")) ** 2))
+        return z_dot, c0 * z + c1 * z_dot + self._values("c2") * v
+
+
+@dataclass(frozen=True)
+class ArmOracle:
+    """The arm by Pinocchio and the friction by the paper's equations, for a stiff solver."""
+
+    setup: Setup
+
+    def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+        """Return M with rotors and coupling, and h with the spring."""
+        model = self.setup.robot.model
+        data = model.createData()
+        q, v = np.asarray(q, float), np.asarray(v, float)
+        upper = np.triu(pin.crba(model, data, q))
+        rotors = WRIST.T @ np.diag(self.setup.drives.rotor_inertia) @ WRIST
+        bias = np.array(pin.nonLinearEffects(model, data, q, v))
+        bias[1] += self.setup.drives.spring_torque * math.sin(q[1])
+        return upper + np.triu(upper, 1).T + rotors, bias
+
+    def energy(self, q: Array, v: Array) -> float:
+        """Return kinetic energy (rotors included) plus potential energy (spring included), J."""
+        model = self.setup.robot.model
+        mass, _ = self.mass_and_bias(q, v)
+        gravity = pin.computePotentialEnergy(model, model.createData(), np.asarray(q, float))
+        spring = -self.setup.drives.spring_torque * math.cos(q[1])
+        return float(0.5 * v @ mass @ v + gravity + spring)
+
+    def joint_torque(self, motor: ArrayLike) -> Array:
+        """Return joint torques by the principle of virtual work."""
+        return np.asarray(WRIST.T @ (self.setup.drives.gear * np.asarray(motor, float)))
+
+    def integrate(self, state: Array, motor: ArrayLike, duration: float, tolerance: float = 1e-11) -> Array:
+        """Return (q, v, z), shape (19,), after `duration` seconds of constant motor torques."""
+        lugre = LuGreOracle(self.setup.friction.elements)
+        drive = self.joint_torque(motor)
+
+        def rhs(_: float, y: Array) -> Array:
+            q, v, z = y[:6], y[6:12], y[12:]
+            z_dot, friction = lugre.rates(z, ELEMENT_INPUT @ v)
+            mass, bias = self.mass_and_bias(q, v)
+            return np.concatenate([v, np.linalg.solve(mass, drive - bias - ELEMENT_INPUT.T @ friction), z_dot])
+
+        result = solve_ivp(rhs, (0.0, duration), state, "Radau", rtol=tolerance, atol=tolerance * 1e-2)
+        assert result.success
+        return np.asarray(result.y[:, -1])
+
+
+@pytest.fixture(scope="session")
+def arm_oracle(shipped: Setup) -> ArmOracle:
+    """Return the independent model of the shipped arm."""
+    return ArmOracle(shipped)
+
+
+@pytest.fixture(scope="session")
+def lugre_oracle() -> type[LuGreOracle]:
+    """Return the independent LuGre equations."""
+    return LuGreOracle
+
+
+def negligible_element() -> LuGreElement:
+    """Return friction so small that it does not show."""
+    return LuGreElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
+
+
+@pytest.fixture(scope="session")
+def frictionless() -> FrictionSet:
+    """Return seven elements without noticeable friction."""
+    names = tuple(f"element_{i}" for i in range(7))
+    return FrictionSet(names, (negligible_element(),) * 7)
+
+
+def decoupled_setup(shipped: Setup, elements: Sequence[LuGreElement], inertia: float) -> Setup:
+    """Return six unit-gear rotors that do not know of each other: joints 1 to 4 carry the given elements.
+
+    The links weigh nothing, there is neither gravity nor spring, the torques are not limited. What is left of
+    the plant is, joint by joint, the textbook's mass with friction.
+    """
+    nothing, six = np.zeros((6, 3)), np.ones(6)
+    chain = shipped.robot.chain._replace(mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3))
+    robot = dataclasses.replace(shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six)
+    drives = dataclasses.replace(
+        shipped.drives,
+        gear=six,
+        rotor_inertia=inertia * six,
+        torque_constant=six,
+        peak_current=1e6 * six,
+        spring_torque=0.0,
+    )
+    padded = [*elements, *[negligible_element()] * (7 - len(elements))]
+    friction = FrictionSet(shipped.friction.names, tuple(padded))
+    return Setup(robot, drives, friction, shipped.controller, shipped.rates)
+
+
+@pytest.fixture(scope="session")
+def masses(shipped: Setup) -> Callable[..., Plant]:
+    """Return a maker of plants of independent masses: `masses(elements, inertia, base_hz)`."""
+
+    def make(elements: Sequence[LuGreElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
+        setup = dataclasses.replace(decoupled_setup(shipped, elements, inertia), rates=Rates(base_hz, base_hz // 4))
+        return setup.plant()
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def paper_element() -> LuGreElement:
+    """Return the values of Canudas de Wit, Olsson, Astrom, Lischinsky (1995), table 1: N, m, kg, s."""
+    return LuGreElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
+
+
+@pytest.fixture
+def record() -> Callable[[LuGreElement], Any]:
+    """Return what makes the compiled record of one element."""
+
+    def make(element: LuGreElement) -> Any:
+        names = tuple(f"element_{i}" for i in range(7))
+        return FrictionSet(names, (element,) * 7).records()[0]
+
+    return make

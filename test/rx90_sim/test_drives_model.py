@@ -1,0 +1,180 @@
+"""The drives: torque limits, encoders, the velocity observer."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from rx90_common.errors import ConfigError
+from rx90_common.rates import Rates
+from rx90_loop.setup import Setup
+from rx90_sim.friction import FrictionSet
+from rx90_sim.plant import Plant
+
+Masses = Callable[..., Plant]
+
+
+def test_motor_torque_saturates_at_the_peak_and_is_counted(shipped: Setup) -> None:
+    """A command beyond torque constant times peak current gives the peak with its sign and is counted."""
+    plant = shipped.plant()
+    peak = shipped.drives.torque_constant * shipped.drives.peak_current
+    command = peak * [2.0, -3.0, 0.5, 1.0, -1.0, 1.0001]
+    for _ in range(7):
+        plant.step(command)
+    assert plant.motor_states()[2] == pytest.approx(peak * [1, -1, 0.5, 1, -1, 1], rel=1e-15)
+    assert plant.saturated.tolist() == [7, 7, 0, 0, 0, 7]
+    plant.reset(np.zeros(6))
+    assert plant.saturated.tolist() == [0] * 6
+
+
+def test_the_joint_gets_gear_times_motor_torque(shipped: Setup) -> None:
+    """Drive torque at joints 1 to 4 is motor torque times gear ratio, under the limit and at it."""
+    plant = shipped.plant()
+    plant.step(np.array([0.1, -0.2, 0.3, 0.4, 0.0, 0.0]))
+    assert plant.joint_states()[2][:4] == pytest.approx([8.5, -17.0, 25.5, 24.0])
+
+
+def test_without_power_there_is_no_torque(shipped: Setup) -> None:
+    """A tick without command takes the torque away and closes the brakes; a command opens them again."""
+    plant = shipped.plant()
+    assert plant.brakes_closed
+    plant.step(np.full(6, 0.1))
+    assert not plant.brakes_closed
+    plant.step(None)
+    assert plant.brakes_closed
+    assert np.all(plant.motor_states()[2] == 0.0)
+    assert np.all(plant.joint_states()[2] == 0.0)
+    plant.step(np.zeros(6))
+    assert not plant.brakes_closed
+
+
+def test_the_encoder_gives_whole_counts_next_to_the_truth(shipped: Setup) -> None:
+    """Measured motor positions are whole counts, at most half a count from gear times joint position."""
+    plant = shipped.plant()
+    rng = np.random.default_rng(4)
+    coupling = np.eye(6)
+    coupling[5, 4] = 1.0
+    count = 2 * math.pi / shipped.drives.encoder_counts
+    for _ in range(100):
+        plant.reset(rng.uniform(shipped.robot.lower, shipped.robot.upper))
+        for _ in range(3):
+            plant.step(rng.uniform(-0.2, 0.2, 6))
+            position, _, _ = plant.motor_states()
+            exact = shipped.drives.gear * (coupling @ plant.joint_states()[0])
+            counts = position / count
+            assert np.abs(counts - np.rint(counts)).max() < 1e-6
+            assert np.abs(position - exact).max() <= count[0] * 0.5000001
+
+
+def test_a_slow_joint_crosses_counts_one_by_one(masses: Masses) -> None:
+    """At a slow constant velocity the encoder is a staircase of single counts."""
+    plant = masses([])
+    plant.state["v"][0, 0] = 0.02
+    count = 2 * math.pi / 65536
+    seen = []
+    for _ in range(2000):
+        plant.step(np.zeros(6))
+        seen.append(plant.motor_states()[0][0] / count)
+    steps = np.rint(np.diff(seen))
+    assert set(steps.tolist()) == {0.0, 1.0}
+    assert steps.sum() == pytest.approx(0.02 * 1999 / 4000 / count, abs=1.5)
+
+
+def observer_filter(bandwidth: float, period: float) -> tuple[list[float], list[float]]:
+    """Return the transfer function from position to velocity of a critically damped tracking observer.
+
+    Two equal poles p = exp(-2 pi f T), a zero at z = 1 (it differentiates), unit gain for a ramp, and no
+    delay: (1 - p)^2 / T * z (z - 1) / (z - p)^2.
+    """
+    p = math.exp(-2 * math.pi * bandwidth * period)
+    gain = (1 - p) ** 2 / period
+    return [gain, -gain, 0.0], [1.0, -2 * p, p * p]
+
+
+def test_the_velocity_is_the_observer_s_answer_to_the_encoder(shipped: Setup) -> None:
+    """Measured velocity equals the observer's transfer function applied to the encoder's counts."""
+    plant = shipped.plant()
+    plant.reset(np.array([0.2, 0.5, 1.0, 0.1, 0.4, 0.3]))
+    start = plant.motor_states()[0].copy()
+    positions, velocities = [], []
+    for k in range(1500):
+        plant.step(0.3 * shipped.drives.peak_torque * math.sin(k / 150))
+        position, velocity, _ = plant.motor_states()
+        positions.append(position - start)
+        velocities.append(velocity.copy())
+    b, a = observer_filter(shipped.drives.velocity_bandwidth, shipped.rates.period)
+    want = signal.lfilter(b, a, np.array(positions), axis=0)
+    got = np.array(velocities)
+    assert np.abs(got).max() > 1.0
+    assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
+
+
+def test_step_and_ramp_response_of_the_observer(masses: Masses, shipped: Setup) -> None:
+    """A jump in position decays as T-sampled double pole; a ramp settles to its slope without error."""
+    bandwidth, period = shipped.drives.velocity_bandwidth, shipped.rates.period
+    p, n = math.exp(-2 * math.pi * bandwidth * period), np.arange(40)
+    plant = masses([])
+    plant.state["q"][0, 0] = 1.0
+    step = []
+    for _ in n:
+        plant.step(np.zeros(6))
+        step.append(plant.motor_states()[1][0])
+    # Partial fractions of (1 - p)^2 / T z^2 / (z - p)^2.
+    assert step == pytest.approx((1 - p) ** 2 / period * (n + 1) * p**n, rel=1e-4, abs=1e-9)
+
+    plant.reset(np.zeros(6))
+    plant.state["v"][0, 0] = 3.0
+    for _ in range(400):
+        plant.step(np.zeros(6))
+    noise = 2 * math.pi / 65536 / period * (1 - p) ** 2 * 2
+    assert plant.motor_states()[1][0] == pytest.approx(3.0, abs=noise)
+
+
+def test_an_observer_beyond_the_tick_rate_is_refused(shipped: Setup) -> None:
+    """A velocity bandwidth of half the base rate or more is refused with its value and the range."""
+    drives = dataclasses.replace(shipped.drives, velocity_bandwidth=500.0)
+    setup = dataclasses.replace(shipped, drives=drives, rates=Rates(1000, 1000))
+    with pytest.raises(ConfigError, match=r"velocity_bandwidth is 500\.0 Hz; accepted: below .* 500 Hz"):
+        setup.plant()
+
+
+@pytest.mark.parametrize("substeps", [0, -1])
+def test_no_substeps_are_refused(shipped: Setup, substeps: int) -> None:
+    """Fewer than one plant step in a tick is refused with the value."""
+    with pytest.raises(ConfigError, match=rf"substeps is {substeps}; accepted"):
+        shipped.plant(substeps)
+
+
+def test_reset_refuses_what_is_no_pose(shipped: Setup) -> None:
+    """An initial position outside the limits, not finite or of another size is refused by joint and value."""
+    plant = shipped.plant()
+    for bad in (np.inf, np.nan, 2.5):
+        with pytest.raises(ConfigError, match=rf"joint_2 is {bad} rad; accepted: \[-2\.3998, 2\.3998\]"):
+            plant.reset([0, bad, 0, 0, 0, 0])
+    with pytest.raises(ConfigError, match=r"shape \(5,\); accepted: \(6,\)"):
+        plant.reset(np.zeros(5))
+
+
+def test_a_plant_without_friction_torque_runs(shipped: Setup, frictionless: FrictionSet) -> None:
+    """Reset, step and sampling leave every published number finite, with friction and without."""
+    for friction in (shipped.friction, frictionless):
+        plant = dataclasses.replace(shipped, friction=friction).plant()
+        rng = np.random.default_rng(6)
+        for _ in range(400):
+            plant.step(rng.uniform(-2, 2, 6) * shipped.drives.peak_torque)
+            for sample in (*plant.motor_states(), *plant.joint_states(), *plant.friction_states()):
+                assert np.all(np.isfinite(sample))
+
+
+def test_an_arm_that_cannot_stand_at_zero_starts_at_its_limit(shipped: Setup) -> None:
+    """A robot whose limits leave out the zero pose gets a plant at the nearest pose within them."""
+    lower = shipped.robot.lower.copy()
+    lower[2] = 0.4
+    robot = dataclasses.replace(shipped.robot, lower=lower)
+    plant = dataclasses.replace(shipped, robot=robot).plant()
+    assert plant.joint_states()[0].tolist() == [0, 0, 0.4, 0, 0, 0]

@@ -1,0 +1,164 @@
+"""The friction file: what is refused, in which words, and what is warned of."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rx90_common.errors import ConfigError
+from rx90_loop.setup import Setup, SetupFiles
+from rx90_sim.friction import FrictionSet, LuGreElement, load_friction
+
+Edit = Callable[..., Path]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+ELEMENTS = (*NAMES, "joint_5_6")
+KEYS = ("tau_c", "tau_s", "omega_s", "delta", "c0", "c1", "c2", "omega_d")
+MAY_BE_ZERO = {"c1", "c2"}
+
+
+def refusal(path: Path) -> str:
+    """Return the one line with which the file is refused."""
+    with pytest.raises(ConfigError) as caught:
+        load_friction(path, NAMES)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert text.startswith(f"{path}: ")
+    assert "accepted: " in text
+    return text
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("value", [-1.5, 0.0, math.nan, math.inf, -math.inf, "soft", None, True, [1.0], {}])
+def test_a_bad_value_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, key: str, value: Any) -> None:
+    """Each key of an element refuses what is not in its range, naming file, element, key and value."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_3", key), value)
+    if value == 0.0 and key in MAY_BE_ZERO:
+        load_friction(path, NAMES)
+        return
+    text = refusal(path)
+    assert "elements.joint_3" in text
+    if value != {}:
+        assert key in text
+        assert repr(value) in text or str(value) in text
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_a_missing_element_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, name: str) -> None:
+    """Without one of the seven elements the file is refused by the missing element's name."""
+    path = edited_yaml(shipped_files.friction, ("elements", name), None, remove=True)
+    assert f"elements.{name} is missing" in refusal(path)
+
+
+@pytest.mark.parametrize("key", [k for k in KEYS if k != "omega_d"])
+def test_a_missing_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, key: str) -> None:
+    """An element that lacks a value is refused by element and key."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", key), None, remove=True)
+    assert f"elements.joint_5_6.{key} is missing" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [("tau_z",), ("elements", "joint_7"), ("elements", "joint_1", "tauc")],
+    ids=["file", "elements", "element"],
+)
+def test_an_unknown_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
+    """A misspelt key is refused at every level instead of being ignored."""
+    path = edited_yaml(shipped_files.friction, place, 1.0)
+    assert f"{'.'.join(place)} is not a known key" in refusal(path)
+
+
+def test_a_key_that_stands_twice_is_refused(shipped_files: SetupFiles, tmp_path: Path) -> None:
+    """A repeated key is refused: its first value would be lost silently."""
+    text = shipped_files.friction.read_text().replace("delta: 1.0,", "delta: 1.0, delta: 2.0,", 1)
+    path = tmp_path / "friction.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_friction(path, NAMES)
+    assert "'delta' stands twice" in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_static_below_coulomb_torque_is_refused(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+    """tau_s < tau_c is refused with both values, also when only one sign of the velocity has it."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "tau_s"), 24.5)
+    assert "elements.joint_1: tau_s_positive is 24.5; accepted: a number >= tau_c_positive = 25.0" in refusal(path)
+    one_sided = {"positive": 32.0, "negative": 24.5}
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "tau_s"), one_sided)
+    assert "tau_s_negative is 24.5; accepted: a number >= tau_c_negative = 25.0" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"positive": 30.0}, "tau_c.negative is missing"),
+        ({"positive": 30.0, "negative": 30.0, "up": 1}, "tau_c.up is not a known key"),
+        ({"positive": 30.0, "negative": "x"}, "tau_c.negative is 'x'"),
+        ({"positive": 30.0, "negative": -30.0}, "tau_c_negative is -30.0"),
+    ],
+)
+def test_one_sided_torques_are_checked_too(
+    shipped_files: SetupFiles, edited_yaml: Edit, value: Any, words: str
+) -> None:
+    """A pair of torques needs both signs, no others, and positive numbers."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_2", "tau_c"), value)
+    assert words in refusal(path)
+
+
+def test_each_sign_gets_its_own_torques(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+    """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
+    element = load_friction(path, NAMES).elements[3]
+    assert (element.tau_c_positive, element.tau_c_negative) == (6.0, 7.0)
+    assert (element.tau_s_positive, element.tau_s_negative) == (7.5, 7.5)
+    compiled = element.record()
+    assert compiled["tau_c"].tolist() == [7.0, 6.0]
+
+
+def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: SetupFiles) -> None:
+    """The shipped set carries its provenance and gives no passivity warning at any joint speed."""
+    assert "provenance: assumed" in shipped_files.friction.read_text()
+    assert shipped.friction.names == ELEMENTS
+    assert shipped.friction.passivity_warnings(shipped.robot.max_velocity.tolist()) == []
+
+
+def test_a_damping_that_is_not_passive_is_warned_of(
+    shipped: Setup, shipped_files: SetupFiles, edited_yaml: Edit
+) -> None:
+    """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
+    friction = load_friction(path, NAMES)
+    speeds = shipped.robot.max_velocity.tolist()
+    (line,) = friction.passivity_warnings(speeds)
+    assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
+    assert "\n" not in line
+    # At full speed the Stribeck part is gone: c1 < 4 tau_c / v.
+    accepted = 4 * 25.0 / speeds[0]
+    assert f"accepted: below {accepted:.3g} " in line
+    better = dataclasses.replace(friction.elements[0], c1=0.99 * accepted)
+    assert math.isinf(better.passivity_limit(speeds[0]))
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, 0.0])
+@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(LuGreElement)])
+def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
+    """LuGreElement refuses the same values when no file is involved."""
+    good = LuGreElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+    if value == 0.0 and name in MAY_BE_ZERO:
+        assert getattr(dataclasses.replace(good, **{name: value}), name) == 0.0
+    else:
+        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted"):
+            dataclasses.replace(good, **{name: value})
+
+
+def test_a_set_has_seven_elements(shipped: Setup) -> None:
+    """Six or eight elements are no friction set."""
+    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: 7"):
+        FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
+    assert np.all([e.c0 > 0 for e in shipped.friction.elements])

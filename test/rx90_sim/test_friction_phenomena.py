@@ -1,0 +1,187 @@
+"""What the LuGre paper (Canudas de Wit et al. 1995, section III) shows, on the plant itself: no second model.
+
+Joints 1 to 4 of the plant serve as independent masses; a motor torque is the external force.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from rx90_common.compiled import kernel
+from rx90_loop.setup import Setup
+from rx90_sim.friction import LuGreElement
+from rx90_sim.friction.bristle import bristle_step
+from rx90_sim.plant import Plant
+from rx90_sim.plant_step import plant_step
+
+Array = NDArray[np.float64]
+Masses = Callable[..., Plant]
+
+
+@kernel
+def pull(plants: NDArray[Any], states: NDArray[Any], rate: Array, stiffness: float, speed: float, path: Array) -> int:
+    """Load masses by a force `rate * t` and a spring pulled at `speed`; record (x, v), shape (n, 2, 6).
+
+    Forces are held over a tick at their value in the middle of it.
+    """
+    plant, state = plants[0], states[0]
+    force = np.zeros(6)
+    for k in range(path.shape[0]):
+        middle = (k + 0.5) * plant.period
+        for i in range(6):
+            position = state.q[i] + 0.5 * plant.period * state.v[i]
+            force[i] = rate[i] * middle + stiffness * (speed * middle - position)
+        joint = plant_step(plants, states, force, True)
+        if joint >= 0:
+            return joint
+        for i in range(6):
+            path[k, 0, i], path[k, 1, i] = state.q[i], state.v[i]
+    return -1
+
+
+@kernel
+def hold(plants: NDArray[Any], states: NDArray[Any], force: Array, ticks: int) -> int:
+    """Hold motor torques for many ticks."""
+    for _ in range(ticks):
+        joint = plant_step(plants, states, force, True)
+        if joint >= 0:
+            return joint
+    return -1
+
+
+def mass_with_friction(oracle: Any, force: Callable[[float, float], float]) -> Callable[[float, Array], list[float]]:
+    """Return the equations of a unit mass under `force(t, x)` and friction."""
+
+    def rhs(t: float, y: Array) -> list[float]:
+        z_dot, friction = oracle.rates(y[2:3], y[1:2])
+        return [y[1], force(t, y[0]) - float(friction[0]), float(z_dot[0])]
+
+    return rhs
+
+
+def test_break_away_falls_as_the_force_rate_rises(
+    masses: Masses, paper_element: LuGreElement, lugre_oracle: type
+) -> None:
+    """The break-away force falls with the rate of the force, from tau_s on, and equals a stiff solver's."""
+    rates = np.array([0.2, 1.0, 5.0, 25.0])
+    plant = masses([paper_element] * 4)
+    path = np.empty((8 * 4000, 2, 6))
+    assert pull(plant.constants, plant.state, np.append(rates, [0.0, 0.0]), 0.0, 0.0, path) == -1
+    # What the applied force does not accelerate, friction takes; its summit is the break-away force.
+    middle = (np.arange(len(path)) + 0.5) / 4000
+    friction = rates * middle[:, None] - np.diff(path[:, 1, :4], axis=0, prepend=0.0) * 4000
+    ours = np.where(path[:, 1, :4] < 0.1, friction, 0.0).max(axis=0)
+    assert np.all(np.diff(ours) < -0.01)
+    assert ours[0] == pytest.approx(1.5, abs=0.03)
+    assert np.all(ours > 1.0)
+
+    oracle = lugre_oracle([paper_element])
+    for rate, summit in zip(rates, ours, strict=True):
+
+        def away(_: float, y: Array) -> float:
+            return float(y[1]) - 0.1
+
+        away.terminal = True  # type: ignore[attr-defined]
+        rhs = mass_with_friction(oracle, lambda t, _, r=rate: r * t)  # type: ignore[misc]
+        exact = solve_ivp(rhs, (0.0, 8.0), np.zeros(3), "Radau", rtol=1e-8, atol=1e-11, events=away, dense_output=True)
+        y = exact.sol(np.linspace(0.2 * exact.t[-1], exact.t[-1], 8001))
+        assert summit == pytest.approx(max(oracle.rates(z[None], v[None])[1][0] for _, v, z in y.T), abs=2e-3)
+
+
+def test_stick_slip_of_a_mass_pulled_by_a_spring(
+    masses: Masses, paper_element: LuGreElement, lugre_oracle: type
+) -> None:
+    """A mass pulled by a soft spring sticks and slips with the period and stroke of a stiff solver."""
+    stiffness, speed, end = 2.0, 0.1, 40.0
+    plant = masses([paper_element])
+    path = np.empty((int(end * 4000), 2, 6))
+    assert pull(plant.constants, plant.state, np.zeros(6), stiffness, speed, path) == -1
+    x, v = path[:, 0, 0], path[:, 1, 0]
+    stuck = np.abs(v) < 1e-3
+    assert 0.5 < stuck.mean() < 0.95
+
+    rhs = mass_with_friction(lugre_oracle([paper_element]), lambda t, y: stiffness * (speed * t - y))
+    times = np.linspace(0.0, end, 4001)[1:]
+    exact = solve_ivp(rhs, (0.0, end), np.zeros(3), "Radau", times, rtol=1e-8, atol=1e-11).y
+    # The same number of jumps, each as long and at the same time.
+    assert np.abs(x[39::40] - exact[0]).max() < 2e-4
+    slips = np.flatnonzero(np.diff((v > 0.05).astype(int)) == 1) / 4000
+    exact_slips = times[np.flatnonzero(np.diff((exact[1] > 0.05).astype(int)) == 1)]
+    assert len(slips) == len(exact_slips) >= 3
+    assert np.diff(slips) == pytest.approx(np.diff(exact_slips), abs=0.02)
+
+
+def presliding_loop(record: Any, amplitude: float, frequency: float, cycles: int, steps: int) -> Array:
+    """Return (position, torque) over the last of several sine cycles of position, shape (steps, 2)."""
+    period = 1.0 / frequency
+    times = np.linspace(0.0, cycles * period, cycles * steps + 1)
+    position = amplitude * np.sin(2 * np.pi * frequency * times)
+    step, z, rows = period / steps, 0.0, []
+    for start, end in itertools.pairwise(position):
+        z, torque = bristle_step(record, z, (end - start) / step, step)
+        rows.append(((start + end) / 2, torque))
+    return np.array(rows).reshape(cycles, steps, 2)
+
+
+def test_presliding_hysteresis_is_closed_and_independent_of_rate(
+    record: Callable[[LuGreElement], Any],
+) -> None:
+    """Cyclic micro-motion gives the same closed loop at rates that differ a hundredfold."""
+    element = LuGreElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0)
+    amplitude = 2.5e-4  # 0.8 of the break-away deflection
+    slow, fast = (presliding_loop(record(element), amplitude, f, cycles=30, steps=800) for f in (0.001, 0.1))
+    torque = slow[..., 1]
+    height = torque[-1].max() - torque[-1].min()
+    area = 0.5 * abs(np.dot(slow[-1, :, 0], np.roll(torque[-1], -1)) - np.dot(torque[-1], np.roll(slow[-1, :, 0], -1)))
+    assert area > 0.1 * height * 2 * amplitude
+    assert np.abs(torque[-1] - torque[-2]).max() < 1e-6 * height
+    assert np.abs(torque[-1] - fast[-1, :, 1]).max() < 0.01 * height
+    # The initial slope at reversal is the bristle stiffness.
+    turn = 200  # a quarter period: the velocity reverses
+    slope = (torque[-1, turn + 2] - torque[-1, turn + 12]) / (slow[-1, turn + 2, 0] - slow[-1, turn + 12, 0])
+    back = (torque[-1, turn - 12] - torque[-1, turn - 2]) / (slow[-1, turn - 12, 0] - slow[-1, turn - 2, 0])
+    assert slope > 0.9 * element.c0
+    assert back < 0.5 * element.c0
+
+
+def test_a_mass_under_constant_load_does_not_creep_in_an_hour(
+    masses: Masses, shipped: Setup, paper_element: LuGreElement
+) -> None:
+    """Below break-away a mass moves by its bristle, then keeps every bit of its position for an hour."""
+    elements = [*shipped.friction.elements[:3], paper_element]
+    load = np.array([0.8 * e.tau_c_positive for e in elements])
+    load[1] *= -1
+    force = np.append(load, [0.0, 0.0])
+    hertz = 1000
+    plant = masses(elements, inertia=3.0, base_hz=hertz)
+    assert hold(plant.constants, plant.state, force, 60 * hertz) == -1
+    after_a_minute = plant.joint_states()[0][:4].copy()
+    deflection = load / [e.c0 for e in elements]
+    # The bristle settles at load / c0; on its way it loses what slid while it moved.
+    assert np.all(np.abs(after_a_minute) >= np.abs(deflection) * (1 - 1e-6))
+    assert np.all(np.abs(after_a_minute) <= 10 * np.abs(deflection))
+    assert hold(plant.constants, plant.state, force, 59 * 60 * hertz) == -1
+    assert np.array_equal(plant.joint_states()[0][:4], after_a_minute)
+    assert plant.friction_states()[0][:4] == pytest.approx(deflection, rel=1e-9)
+
+
+def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm_oracle: Any) -> None:
+    """With the brakes open the whole arm settles under its load and keeps every bit of its position."""
+    plant = shipped.plant()
+    pose = np.array([0.3, 0.4, 0.7, -0.4, 0.6, 0.2])
+    plant.reset(pose)
+    _, gravity = arm_oracle.mass_and_bias(pose, np.zeros(6))
+    rest = np.array([15.0, -18.0, 10.0, 3.5, -2.0, 1.0])  # below tau_c of every joint
+    motor = np.linalg.solve(np.array([arm_oracle.joint_torque(row) for row in np.eye(6)]).T, gravity + rest)
+    assert hold(plant.constants, plant.state, motor, 10 * 4000) == -1
+    settled = plant.joint_states()[0].copy()
+    assert 1e-5 < np.abs(settled - pose).max() < 5e-3
+    assert hold(plant.constants, plant.state, motor, 300 * 4000) == -1
+    assert np.array_equal(plant.joint_states()[0], settled)

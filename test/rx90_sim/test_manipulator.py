@@ -1,0 +1,148 @@
+"""The rigid arm in compiled code against Pinocchio and against the published check values."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_description.robot import load_robot
+from rx90_loop.setup import Setup
+from rx90_sim.manipulator import factorise, mass_and_bias, solve
+
+Array = NDArray[np.float64]
+
+
+def compiled(setup: Setup, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return M and h as the plant computes them."""
+    plant = setup.plant()
+    mass, bias = np.empty((6, 6)), np.empty(6)
+    mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, mass, bias)
+    return mass, bias
+
+
+def random_urdf(seed: int) -> str:
+    """Return a serial arm with random frames, axes, centres of mass and rotated inertia tensors."""
+    rng = np.random.default_rng(seed)
+
+    def triple(scale: float) -> str:
+        return " ".join(repr(float(x)) for x in rng.uniform(-scale, scale, 3))
+
+    def inertial() -> str:
+        points = rng.normal(size=(8, 3)) * 0.1
+        spread = (points - points.mean(axis=0)).T @ (points - points.mean(axis=0)) * rng.uniform(1.0, 5.0)
+        i = np.trace(spread) * np.eye(3) - spread
+        return (
+            f'<inertial><origin xyz="{triple(0.3)}" rpy="{triple(3.0)}"/>'
+            f'<mass value="{rng.uniform(0.2, 30.0)}"/>'
+            f'<inertia ixx="{i[0, 0]}" iyy="{i[1, 1]}" izz="{i[2, 2]}" ixy="{i[0, 1]}" ixz="{i[0, 2]}" '
+            f'iyz="{i[1, 2]}"/></inertial>'
+        )
+
+    parts = ['<robot name="random"><link name="l0"/>']
+    for k in range(1, 7):
+        parts.append(
+            f'<link name="l{k}">{inertial()}</link><joint name="joint_{k}" type="revolute">'
+            f'<origin xyz="{triple(0.5)}" rpy="{triple(3.0)}"/><parent link="l{k - 1}"/><child link="l{k}"/>'
+            f'<axis xyz="{triple(1.0)}"/><limit lower="-3" upper="3" velocity="5" effort="100"/></joint>'
+        )
+    # A load on a bracket: a fixed joint that must be merged into the last link.
+    parts.append(
+        f'<link name="load">{inertial()}</link><joint name="bracket" type="fixed">'
+        f'<origin xyz="{triple(0.2)}" rpy="{triple(3.0)}"/><parent link="l6"/><child link="load"/></joint>'
+        "</robot>"
+    )
+    return "".join(parts)
+
+
+def test_mass_and_bias_equal_pinocchio_at_random_states(shipped: Setup, arm_oracle: Any) -> None:
+    """M with rotors and coupling and h with spring equal Pinocchio's to 1e-10 of their size."""
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        q = rng.uniform(shipped.robot.lower, shipped.robot.upper)
+        v = rng.uniform(-1, 1, 6) * shipped.robot.max_velocity
+        mass, bias = compiled(shipped, q, v)
+        want_mass, want_bias = arm_oracle.mass_and_bias(q, v)
+        assert np.abs(mass - want_mass).max() < 1e-10
+        assert np.abs(bias - want_bias).max() < 1e-10
+        assert np.array_equal(mass, mass.T)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_any_serial_arm_equals_pinocchio(shipped: Setup, tmp_path: Path, arm_oracle: Any, seed: int) -> None:
+    """An arm with turned frames, skew axes, off-axis masses and a fixed load equals Pinocchio to 1e-10."""
+    path = tmp_path / "random.urdf"
+    path.write_text(random_urdf(seed))
+    setup = dataclasses.replace(shipped, robot=load_robot(path))
+    oracle = dataclasses.replace(arm_oracle, setup=setup)
+    rng = np.random.default_rng(seed)
+    for _ in range(40):
+        q, v = rng.uniform(-math.pi, math.pi, 6), rng.uniform(-4.0, 4.0, 6)
+        mass, bias = compiled(setup, q, v)
+        want_mass, want_bias = oracle.mass_and_bias(q, v)
+        assert np.abs(mass - want_mass).max() < 1e-10 * np.abs(want_mass).max()
+        assert np.abs(bias - want_bias).max() < 1e-10 * np.abs(want_bias).max()
+
+
+def test_inertia_check_values_of_the_parameter_set(shipped: Setup) -> None:
+    """The diagonal of M at the published pose is the published one, to the two digits it is printed with."""
+    mass, _ = compiled(shipped, np.array([0.0, 0.5, 1.2, 0.0, 0.9, 0.0]), np.zeros(6))
+    assert np.diag(mass) == pytest.approx([11.2, 15.6, 3.6, 0.37, 0.29, 0.040], rel=0.015)
+
+
+def test_gravity_check_values_of_the_parameter_set(shipped: Setup) -> None:
+    """With the arm horizontal gravity alone is 238 Nm on joint 2, and the spring leaves 118 Nm of it."""
+    horizontal = np.array([0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    _, bias = compiled(shipped, horizontal, np.zeros(6))
+    unsprung = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, spring_torque=0.0))
+    _, gravity = compiled(unsprung, horizontal, np.zeros(6))
+    assert abs(gravity[1]) == pytest.approx(238.0, abs=0.5)
+    assert abs(bias[1]) == pytest.approx(118.0, abs=0.5)
+    # Gravity pulls the arm down, to larger q2; holding it takes a negative torque.
+    assert gravity[1] < 0
+    assert gravity[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rotor_6_appears_in_four_entries(shipped: Setup) -> None:
+    """Rotor inertia 6 adds to M55, M56, M65 and M66 and to nothing else."""
+    heavier = shipped.drives.rotor_inertia + np.array([0, 0, 0, 0, 0, 0.7])
+    setup = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, rotor_inertia=heavier))
+    q = np.array([0.1, 0.5, 1.2, -0.3, 0.9, 0.4])
+    added = compiled(setup, q, np.zeros(6))[0] - compiled(shipped, q, np.zeros(6))[0]
+    want = np.zeros((6, 6))
+    want[4:, 4:] = 0.7
+    assert added == pytest.approx(want, abs=1e-13)
+
+
+def test_the_tool_is_part_of_the_last_link(shipped: Setup, shipped_files: Any) -> None:
+    """The tool of 3.5 kg adds its weight's moment about joint 2 at arm's length."""
+    bare = dataclasses.replace(shipped, robot=load_robot(shipped_files.urdf))
+    horizontal = np.array([0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    added = compiled(shipped, horizontal, np.zeros(6))[1] - compiled(bare, horizontal, np.zeros(6))[1]
+    assert added[1] == pytest.approx(-3.5 * 9.81 * (0.985 + 0.100), rel=1e-6)
+
+
+def test_factor_and_solve_equal_lapack() -> None:
+    """The Cholesky solution equals LAPACK's for random symmetric positive definite matrices."""
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        root = rng.normal(size=(6, 6))
+        mass, b = root @ root.T + 0.05 * np.eye(6), rng.normal(size=6)
+        factor, x = np.zeros((6, 6)), b.copy()
+        factorise(mass, factor)
+        solve(factor, x)
+        assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)
+
+
+def test_pinocchio_reads_the_same_robot(shipped: Setup) -> None:
+    """Pinocchio's model has the joints, limits and masses that the plant uses; 111 kg with the base."""
+    model = shipped.robot.model
+    assert list(model.names)[1:] == list(shipped.robot.joint_names)
+    assert np.array_equal(model.lowerPositionLimit, shipped.robot.lower)
+    assert np.array_equal(model.velocityLimit, shipped.robot.max_velocity)
+    assert sum(i.mass for i in model.inertias) == pytest.approx(111.0 + 3.5, abs=0.01)
