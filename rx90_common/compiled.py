@@ -36,7 +36,8 @@ def cache_directory() -> Path:
     return root / "rx90_emulator" / _sources_hash()
 
 
-numba.config.CACHE_DIR = str(cache_directory())
+# numba makes its settings at import, so its type stubs do not know them.
+setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
 def kernel(function: _Function) -> _Function:

@@ -56,6 +56,10 @@ class Section:
     def __iter__(self) -> Iterator[str]:
         return iter(key for key in self._data if key not in {"source", "provenance", "note"})
 
+    def holds_mapping(self, key: str) -> bool:
+        """Return whether the value under `key` is itself a mapping."""
+        return isinstance(self._data.get(key), dict)
+
     def _get(self, key: str, accepted: str) -> Any:
         self._used.add(key)
         if key not in self._data:
@@ -69,7 +73,9 @@ class Section:
             self.refuse(key, value, "a mapping")
         return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
 
-    def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
+    def number(
+        self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False
+    ) -> float:
         """Return a finite number in [low, high], or in (low, high] with `above`."""
         accepted = _range_text(low, high, above)
         return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
@@ -141,12 +147,12 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 def _construct_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
-        key = loader.construct_object(key_node, deep=True)  # type: ignore[no-untyped-call]
+        key = loader.construct_object(key_node, deep=True)
         if key in mapping:
             raise yaml.constructor.ConstructorError(
                 None, None, f"the key {key!r} stands twice", key_node.start_mark
             )
-        mapping[key] = loader.construct_object(value_node, deep=True)  # type: ignore[no-untyped-call]
+        mapping[key] = loader.construct_object(value_node, deep=True)
     return mapping
 
 

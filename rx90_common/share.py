@@ -23,7 +23,8 @@ def share_directory() -> Path:
     if (source / "package.xml").is_file() and (source / "config").is_dir():
         return source
     try:
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+        # The models work where no ROS is installed.
+        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory  # noqa: PLC0415
     except ImportError:
         pass
     else:
@@ -34,7 +35,9 @@ def share_directory() -> Path:
     prefix = Path(sys.prefix) / "share" / PACKAGE
     if prefix.is_dir():
         return prefix
-    raise ConfigError(f"the data folder of {PACKAGE} was not found in {source}, AMENT_PREFIX_PATH or {prefix}")
+    raise ConfigError(
+        f"the data folder of {PACKAGE} was not found in {source}, AMENT_PREFIX_PATH or {prefix}"
+    )
 
 
 def config_path(relative: str) -> Path:

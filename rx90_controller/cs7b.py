@@ -1,0 +1,100 @@
+"""The controller as the nodes and the closed loop use it: measured motor states in, motor torques out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.rates import Rates
+from rx90_controller.cs7b_law import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
+from rx90_controller.cs7b_parameters import CS7BParameters
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_description.drives import DriveParameters
+from rx90_description.robot import RobotModel
+from rx90_description.wrist import to_joint, to_joint_torque
+
+Array = NDArray[np.float64]
+
+
+class CS7B:
+    """Six servo controllers behind one trajectory generator.
+
+    Attributes:
+        joint_names: names of the six joints.
+        tick: number of the next base tick.
+        trajectory: the set-point generator.
+        law: compiled constants, shape (1,), CONTROLLER_DTYPE.
+        state: compiled state, shape (1,), LAW_STATE_DTYPE.
+    """
+
+    def __init__(
+        self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates
+    ) -> None:
+        self.joint_names = robot.joint_names
+        self.rates = rates
+        self.law = parameters.record(drives, rates)
+        self.state: np.ndarray[Any, Any] = np.zeros(1, LAW_STATE_DTYPE)
+        self._gear = drives.gear
+        limits = JointLimits(
+            robot.joint_names, robot.lower, robot.upper, robot.max_velocity, parameters.start_tolerance
+        )
+        self.trajectory = TrajectoryGenerator(limits, rates.position_period, np.zeros(6))
+        self.tick = 0
+        self._setpoint = np.zeros((3, 6))
+        self._joint = np.zeros((3, 6))
+
+    def reset(self, position: Array, tick: int = 0) -> None:
+        """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
+        law_reset(self.state)
+        hold = np.empty(6)
+        to_joint(self._gear, np.ascontiguousarray(position), hold)
+        self.trajectory.reset(hold)
+        self.tick = tick
+
+    @property
+    def position_tick(self) -> int:
+        """Return the number of the next tick of the position loop."""
+        return -(-self.tick // self.rates.ratio)
+
+    @property
+    def on_position_tick(self) -> bool:
+        """Return whether the next base tick runs the position loop."""
+        return self.tick % self.rates.ratio == 0
+
+    def step(self, position: Array, velocity: Array) -> Array:
+        """Run the loops that are due in this tick.
+
+        Args:
+            position: motor positions by the encoders, rad, shape (6,).
+            velocity: measured motor velocities, rad/s, shape (6,).
+
+        Returns:
+            Motor torques (torque constant times current), Nm, shape (6,); a view, valid until the next step.
+        """
+        if self.on_position_tick:
+            self._setpoint = self.trajectory.setpoints(self.position_tick)[0]
+            position_loop(self.law, self.state, self._setpoint, position, velocity)
+        velocity_loop(self.law, self.state, velocity)
+        self.tick += 1
+        return np.asarray(self.state["command"][0])
+
+    @property
+    def saturated(self) -> NDArray[np.int64]:
+        """Return for how many ticks each amplifier was at its limit, shape (6,)."""
+        return np.array(self.state["saturated"][0])
+
+    def reference(self) -> tuple[Array, Array, Array]:
+        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,)."""
+        to_joint_torque(self._gear, self.state["feed_forward"][0], self._joint[2])
+        return self._setpoint[0], self._setpoint[1], self._joint[2]
+
+    def tracking_error(self) -> tuple[Array, Array, Array]:
+        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,)."""
+        state = self.state
+        error = np.empty((3, 6))
+        to_joint(self._gear, state["error"][0], error[0])
+        to_joint(self._gear, state["velocity_error"][0], error[1])
+        to_joint_torque(self._gear, state["command"][0], error[2])
+        return error[0], error[1], error[2]

@@ -1,0 +1,8 @@
+"""Joint trajectories: splines through the given points, checks, and the 1 kHz set-point generator."""
+
+from rx90_controller.trajectory.generator import TrajectoryGenerator
+from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory.points import TrajectoryPoints
+from rx90_controller.trajectory.spline import Spline
+
+__all__ = ["JointLimits", "Spline", "TrajectoryGenerator", "TrajectoryPoints"]

@@ -1,0 +1,105 @@
+"""The set-point generator: holds a position, follows a trajectory, holds its last point."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.errors import TrajectoryError
+from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory.points import TrajectoryPoints
+from rx90_controller.trajectory.spline import Spline, interpolate
+
+Array = NDArray[np.float64]
+
+
+class TrajectoryGenerator:
+    """Set-points q, dq/dt and d2q/dt2 on the ticks of the position loop.
+
+    Time is counted in position ticks and never read from a clock. A trajectory replaces the running one at
+    its start tick; a refused one leaves everything untouched.
+    """
+
+    def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
+        """Hold `hold`, rad, shape (6,); `period` is that of the position loop, s."""
+        self.limits = limits
+        self.period = period
+        self.reset(hold)
+
+    def reset(self, hold: Array) -> None:
+        """Drop every trajectory and hold a position, rad, shape (6,)."""
+        self._current = _resting(np.array(hold, dtype=np.float64))
+        self._start = 0
+        self._next: tuple[int, Spline] | None = None
+
+    def setpoints(self, tick: int, count: int = 1) -> Array:
+        """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
+
+        Ticks must not go back between calls.
+        """
+        if self._next is not None:
+            start, spline = self._next
+            if tick >= start:
+                self._current, self._start, self._next = spline, start, None
+            elif tick + count > start:
+                head = start - tick
+                return np.concatenate([self._sample(tick, head), self.setpoints(start, count - head)])
+        return self._sample(tick, count)
+
+    def moving(self, tick: int) -> bool:
+        """Return whether a trajectory runs or waits for its start at position tick `tick`."""
+        return self._next is not None or (tick - self._start) * self.period < self._current.duration
+
+    def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> int:
+        """Take a trajectory; return the position tick at which it starts.
+
+        Args:
+            points: the checked points.
+            now: the first position tick that may still be changed.
+            start: its start tick, None for `now`.
+
+        Raises:
+            TrajectoryError: if it lies in the past, starts elsewhere than the arm is, or breaks a limit.
+        """
+        begin = now if start is None else start
+        if begin < now:
+            late = (now - begin) * self.period
+            raise TrajectoryError(
+                f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
+            )
+        spline = self._connect(points, begin)
+        ticks = np.arange(math.ceil(spline.duration / self.period) + 1)
+        times = np.asarray(ticks * self.period, dtype=np.float64)
+        self.limits.check(spline.sample(times), times)
+        self._next = (begin, spline)
+        return begin
+
+    def _sample(self, tick: int, count: int) -> Array:
+        ticks = np.arange(tick - self._start, tick - self._start + count)
+        return self._current.sample(np.asarray(ticks * self.period, dtype=np.float64))
+
+    def _connect(self, points: TrajectoryPoints, begin: int) -> Spline:
+        """Return the spline through the points, begun at the set-point the arm will have at tick `begin`."""
+        held = self._sample(begin, 1)[0]
+        if points.times[0] > 0:
+            return interpolate(
+                np.concatenate([[0.0], points.times]),
+                np.vstack([held[0], points.position]),
+                None if points.velocity is None else np.vstack([held[1], points.velocity]),
+                None if points.acceleration is None else np.vstack([held[2], points.acceleration]),
+            )
+        gap = points.position[0] - held[0]
+        joint = int(np.argmax(np.abs(gap)))
+        if abs(gap[joint]) > self.limits.start_tolerance:
+            raise TrajectoryError(
+                f"point 0: {self.limits.names[joint]} starts at {points.position[0, joint]:.6g} rad, the "
+                f"set-point there is {held[0, joint]:.6g} rad; accepted: within "
+                f"{self.limits.start_tolerance:g} rad, or a first point later than the start"
+            )
+        return interpolate(points.times, points.position, points.velocity, points.acceleration)
+
+
+def _resting(position: Array) -> Spline:
+    return Spline(np.zeros(1), np.zeros((0, 6, 6)), position)

@@ -1,0 +1,124 @@
+"""The points of a trajectory as they came, checked and sorted into the robot's joint order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.errors import TrajectoryError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrajectoryPoints:
+    """Points of a JointTrajectory in the robot's joint order.
+
+    Attributes:
+        times: time from start, s, shape (n,), increasing, first >= 0.
+        position: rad, shape (n, 6).
+        velocity: rad/s, shape (n, 6), or None if no point carries velocities.
+        acceleration: rad/s^2, shape (n, 6), or None if no point carries accelerations.
+    """
+
+    times: Array
+    position: Array
+    velocity: Array | None
+    acceleration: Array | None
+
+    @classmethod
+    def create(
+        cls,
+        robot_joints: Sequence[str],
+        joint_names: Sequence[str],
+        times: Sequence[float],
+        position: Sequence[Sequence[float]],
+        velocity: Sequence[Sequence[float]],
+        acceleration: Sequence[Sequence[float]],
+    ) -> TrajectoryPoints:
+        """Check raw points, joints in any order; an empty vector means "not given".
+
+        Raises:
+            TrajectoryError: naming joint, index of the point and reason.
+        """
+        order = _joint_order(robot_joints, joint_names)
+        _check_times(times)
+        named = [joint_names[i] for i in order]
+        tables = {
+            what: _table(what, values, order, named)
+            for what, values in (
+                ("positions", position),
+                ("velocities", velocity),
+                ("accelerations", acceleration),
+            )
+        }
+        if tables["positions"] is None:
+            raise TrajectoryError("point 0: no positions; accepted: six positions in every point")
+        if tables["accelerations"] is not None and tables["velocities"] is None:
+            raise TrajectoryError("point 0: accelerations without velocities; accepted: velocities too")
+        _check_rest_at_end(tables["velocities"], named)
+        return cls(
+            np.array(times, dtype=np.float64),
+            tables["positions"],
+            tables["velocities"],
+            tables["accelerations"],
+        )
+
+
+def _joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list[int]:
+    for name in joint_names:
+        if name not in robot_joints:
+            raise TrajectoryError(f"unknown joint '{name}'; accepted: {', '.join(robot_joints)}")
+        if joint_names.count(name) > 1:
+            raise TrajectoryError(f"joint '{name}' stands {joint_names.count(name)} times; accepted: once")
+    for name in robot_joints:
+        if name not in joint_names:
+            raise TrajectoryError(f"joint '{name}' is missing; accepted: all of {', '.join(robot_joints)}")
+    return [list(joint_names).index(name) for name in robot_joints]
+
+
+def _check_times(times: Sequence[float]) -> None:
+    if not times:
+        raise TrajectoryError("no points; accepted: at least one")
+    if times[0] < 0:
+        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: >= 0")
+    for i in range(1, len(times)):
+        if not times[i] > times[i - 1]:
+            raise TrajectoryError(
+                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: "
+                "increasing times"
+            )
+    if len(times) == 1 and times[0] == 0:
+        raise TrajectoryError("one point at time_from_start 0; accepted: a point later than the start")
+
+
+def _table(what: str, rows: Sequence[Sequence[float]], order: list[int], names: list[str]) -> Array | None:
+    given = [len(row) > 0 for row in rows]
+    if not any(given):
+        return None
+    for i, row in enumerate(rows):
+        if len(row) != len(order):
+            raise TrajectoryError(
+                f"point {i}: {len(row)} {what}; accepted: {len(order)} in every point, or none in any"
+            )
+    table = np.array(rows, dtype=np.float64)[:, order]
+    if not np.isfinite(table).all():
+        i, joint = np.argwhere(~np.isfinite(table))[0]
+        raise TrajectoryError(
+            f"point {i}: {what} of {names[joint]} is {table[i, joint]}; accepted: a finite number"
+        )
+    return table
+
+
+def _check_rest_at_end(velocity: Array | None, names: list[str]) -> None:
+    if velocity is None:
+        return
+    joint = int(np.argmax(np.abs(velocity[-1])))
+    if velocity[-1, joint] != 0.0:
+        raise TrajectoryError(
+            f"point {len(velocity) - 1}: {names[joint]} ends at {velocity[-1, joint]:g} rad/s; accepted: 0, "
+            "the arm rests at the last point"
+        )

@@ -1,0 +1,96 @@
+"""Piecewise polynomials through trajectory points: linear, cubic or quintic by what the points carry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.compiled import kernel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spline:
+    """A set-point for every time from the first knot on; after the last knot it rests there.
+
+    Attributes:
+        times: knots, s, shape (n,), increasing.
+        coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, 6 joints).
+        final: position after the last knot, rad, shape (6,).
+    """
+
+    times: Array
+    coefficients: Array
+    final: Array
+
+    @property
+    def duration(self) -> float:
+        """Return the time of the last knot, s."""
+        return float(self.times[-1])
+
+    def sample(self, times: Array) -> Array:
+        """Return set-points at `times`, s, shape (m,): position, velocity, acceleration, shape (m, 3, 6)."""
+        setpoints = np.empty((times.size, 3, 6))
+        sample_spline(self.times, self.coefficients, self.final, times, setpoints)
+        return setpoints
+
+
+@kernel
+def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array, setpoints: Array) -> None:
+    """Write the set-points at `times` into `setpoints`, shape (m, 3, 6)."""
+    last = knots.size - 1
+    for m in range(times.size):
+        t = times[m]
+        if t >= knots[last]:
+            for j in range(6):
+                setpoints[m, 0, j] = final[j]
+                setpoints[m, 1, j] = 0.0
+                setpoints[m, 2, j] = 0.0
+            continue
+        k = max(np.searchsorted(knots, t, side="right") - 1, 0)
+        s = t - knots[k]
+        for j in range(6):
+            c0, c1, c2 = coefficients[k, 0, j], coefficients[k, 1, j], coefficients[k, 2, j]
+            c3, c4, c5 = coefficients[k, 3, j], coefficients[k, 4, j], coefficients[k, 5, j]
+            setpoints[m, 0, j] = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
+            setpoints[m, 1, j] = c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
+            setpoints[m, 2, j] = 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
+
+
+def interpolate(times: Array, position: Array, velocity: Array | None, acceleration: Array | None) -> Spline:
+    """Return the spline through the points.
+
+    Linear for positions alone, cubic with velocities, quintic with velocities and accelerations.
+
+    Args:
+        times: s, shape (n,), increasing, n >= 2.
+        position: rad, shape (n, 6).
+        velocity: rad/s, shape (n, 6).
+        acceleration: rad/s^2, shape (n, 6).
+    """
+    h = np.diff(times)[:, None]
+    coefficients = np.zeros((times.size - 1, 6, 6))
+    p0, rise = position[:-1], np.diff(position, axis=0)
+    coefficients[:, 0] = p0
+    if velocity is None:
+        coefficients[:, 1] = rise / h
+    elif acceleration is None:
+        v0, v1 = velocity[:-1], velocity[1:]
+        coefficients[:, 1] = v0
+        coefficients[:, 2] = (3 * rise / h - 2 * v0 - v1) / h
+        coefficients[:, 3] = (-2 * rise / h + v0 + v1) / h**2
+    else:
+        v0, v1, a0, a1 = velocity[:-1], velocity[1:], acceleration[:-1], acceleration[1:]
+        # What is left to do beyond constant acceleration a0, in position, velocity and acceleration.
+        dp = rise - h * v0 - h**2 * a0 / 2
+        dv = v1 - v0 - h * a0
+        da = a1 - a0
+        coefficients[:, 1] = v0
+        coefficients[:, 2] = a0 / 2
+        coefficients[:, 3] = (10 * dp / h - 4 * dv + h * da / 2) / h**2
+        coefficients[:, 4] = (-15 * dp / h + 7 * dv - h * da) / h**3
+        coefficients[:, 5] = (6 * dp / h - 3 * dv + h * da / 2) / h**4
+    return Spline(times, coefficients, position[-1].copy())

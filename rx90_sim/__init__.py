@@ -1,0 +1,1 @@
+"""What nature does: friction, manipulator, drives and the plant they make; and the simulation node."""

@@ -1,0 +1,116 @@
+"""The plant as the nodes and the closed loop use it: motor torques in, sampled states out."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.errors import ConfigError, DivergenceError
+from rx90_common.rates import Rates
+from rx90_description.drives import DriveParameters
+from rx90_description.robot import RobotModel
+from rx90_sim.friction import ELEMENT_COUNT, FrictionSet
+from rx90_sim.plant_data import STATE_DTYPE, plant_record
+from rx90_sim.plant_step import friction_states, plant_reset, plant_step
+
+Array = NDArray[np.float64]
+_NO_COMMAND = np.zeros(6)
+
+
+class Plant:
+    """The arm with its drives and friction, advanced tick by tick.
+
+    Attributes:
+        joint_names: names of the six joints.
+        friction_names: names of the seven friction elements.
+        tick: number of the tick whose states are sampled now.
+        constants: compiled constants, shape (1,), PLANT_DTYPE.
+        state: compiled state, shape (1,), STATE_DTYPE.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        drives: DriveParameters,
+        friction: FrictionSet,
+        rates: Rates,
+        substeps: int = 1,
+    ) -> None:
+        self.joint_names = robot.joint_names
+        self.friction_names = friction.names
+        self.constants = plant_record(robot, drives, friction, rates, substeps)
+        self.state: np.ndarray[Any, Any] = np.zeros(1, STATE_DTYPE)
+        self.tick = 0
+        self._lower, self._upper = robot.lower, robot.upper
+        self._element_velocity = np.zeros(ELEMENT_COUNT)
+        self._element_torque = np.zeros(ELEMENT_COUNT)
+        self.reset(np.zeros(6))
+
+    def reset(self, position: ArrayLike) -> None:
+        """Put the arm at rest at `position`, rad, shape (6,), brakes closed, tick 0.
+
+        Raises:
+            ConfigError: if the position is not six finite numbers within the joint limits.
+        """
+        target = np.array(position, dtype=np.float64)
+        if target.shape != (6,):
+            raise ConfigError(f"initial position has shape {target.shape}; accepted: (6,)")
+        for name, value, low, high in zip(self.joint_names, target, self._lower, self._upper, strict=True):
+            if not low <= value <= high:
+                raise ConfigError(
+                    f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]"
+                )
+        plant_reset(self.constants, self.state, target)
+        self.tick = 0
+
+    def step(self, command: Array | None) -> None:
+        """Hold motor torques for one tick; None takes the torque away and closes the brakes.
+
+        Args:
+            command: motor torques, motor side, Nm, shape (6,).
+
+        Raises:
+            DivergenceError: naming joint and tick; the state is then no longer of use.
+        """
+        if command is None:
+            joint = plant_step(self.constants, self.state, _NO_COMMAND, False)
+        else:
+            joint = plant_step(self.constants, self.state, command, True)
+        self.tick += 1
+        if joint >= 0:
+            self.raise_divergence(joint)
+
+    def raise_divergence(self, joint: int) -> NoReturn:
+        """Raise the error that names joint and tick."""
+        raise DivergenceError(
+            f"the state of {self.joint_names[joint]} diverged in tick {self.tick}: velocity "
+            f"{self.state['v'][0, joint]:g} rad/s; accepted: finite and up to "
+            f"{self.constants['speed_limit'][0, joint]:g} rad/s"
+        )
+
+    @property
+    def brakes_closed(self) -> bool:
+        """Return whether the brakes hold the arm."""
+        return bool(self.state["brakes_closed"][0])
+
+    @property
+    def saturated(self) -> NDArray[np.int64]:
+        """Return for how many ticks each motor gave less than was asked, shape (6,)."""
+        return np.array(self.state["saturated"][0])
+
+    def motor_states(self) -> tuple[Array, Array, Array]:
+        """Return position by the encoder rad, observed velocity rad/s, torque Nm, motor side, shape (6,)."""
+        state = self.state
+        return state["motor_position"][0], state["motor_velocity"][0], state["motor_torque"][0]
+
+    def joint_states(self) -> tuple[Array, Array, Array]:
+        """Return joint position rad, velocity rad/s and drive torque at the joint Nm, shape (6,)."""
+        state = self.state
+        return state["q"][0], state["v"][0], state["drive_torque"][0]
+
+    def friction_states(self) -> tuple[Array, Array, Array]:
+        """Return bristle deflection rad, input velocity rad/s and friction torque Nm, shape (7,)."""
+        friction_states(self.constants, self.state, self._element_velocity, self._element_torque)
+        return self.state["z"][0], self._element_velocity, self._element_torque

@@ -1,0 +1,110 @@
+"""The plant's constants and state as compiled code sees them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from rx90_common.errors import ConfigError
+from rx90_common.rates import Rates
+from rx90_description.drives import DriveParameters
+from rx90_description.robot import RobotModel
+from rx90_description.wrist import coupled_inertia
+from rx90_sim.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_sim.friction.lugre import ELEMENT_DTYPE
+from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
+
+PLANT_DTYPE = np.dtype(
+    [
+        ("arm", MANIPULATOR_DTYPE),
+        ("friction", ELEMENT_DTYPE, ELEMENT_COUNT),
+        ("brake", ELEMENT_DTYPE, 6),  # a closed brake is a stiff bristle element on its motor
+        ("gear", np.float64, 6),
+        ("peak_torque", np.float64, 6),
+        ("resolution", np.float64, 6),  # of the encoder, motor side, rad
+        ("observer_position", np.float64),  # gains of the velocity observer
+        ("observer_velocity", np.float64),
+        ("lower", np.float64, 6),
+        ("upper", np.float64, 6),
+        ("stop_stiffness", np.float64, 6),
+        ("stop_damping", np.float64, 6),
+        ("period", np.float64),
+        ("substeps", np.int64),
+        ("speed_limit", np.float64, 6),
+    ],
+    align=True,
+)
+
+STATE_DTYPE = np.dtype(
+    [
+        ("q", np.float64, 6),
+        ("v", np.float64, 6),
+        ("z", np.float64, ELEMENT_COUNT),
+        ("brake_z", np.float64, 6),
+        ("brakes_closed", np.int64),
+        ("acceleration", np.float64, 6),  # mean over the last step
+        ("drive_torque", np.float64, 6),  # joint side, Nm
+        ("motor_torque", np.float64, 6),
+        ("motor_position", np.float64, 6),  # what the encoder says
+        ("motor_velocity", np.float64, 6),  # what the observer makes of it
+        ("observer", np.float64, 6),  # the observer's position
+        ("saturated", np.int64, 6),  # ticks in which a motor gave less than was asked
+        # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
+        ("body", BODY_DTYPE),
+        ("mass_matrix", np.float64, (6, 6)),
+        ("factor", np.float64, (6, 6)),
+        ("bias", np.float64, 6),
+        ("q_mid", np.float64, 6),
+        ("v_mid", np.float64, 6),
+        ("rhs", np.float64, 6),
+    ],
+    align=True,
+)
+
+
+def plant_record(
+    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int = 1
+) -> np.ndarray[Any, Any]:
+    """Return the plant's constants, shape (1,), dtype PLANT_DTYPE.
+
+    Raises:
+        ConfigError: if `substeps` is not at least 1 or the observer is faster than the tick allows.
+    """
+    if substeps < 1:
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1")
+    if drives.velocity_bandwidth >= rates.base_hz / 2:
+        raise ConfigError(
+            f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
+            f"{rates.base_hz / 2:g} Hz"
+        )
+    record = np.zeros(1, PLANT_DTYPE)
+    plant = record[0]
+    _fill_arm(plant["arm"], robot, drives)
+    plant["friction"] = friction.records()
+    plant["brake"] = [
+        LuGreElement(torque, torque, torque, torque, 1.0, 1.0, stiffness, damping, 0.0).record()
+        for torque, stiffness, damping in zip(
+            drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True
+        )
+    ]
+    plant["gear"] = drives.gear
+    plant["peak_torque"] = drives.peak_torque
+    plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
+    pole = math.exp(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
+    plant["observer_position"] = 1.0 - pole**2
+    plant["observer_velocity"] = (1.0 - pole) ** 2 / rates.period
+    plant["lower"], plant["upper"] = robot.lower, robot.upper
+    plant["stop_stiffness"], plant["stop_damping"] = drives.stop_stiffness, drives.stop_damping
+    plant["period"], plant["substeps"] = rates.period, substeps
+    plant["speed_limit"] = 10.0 * robot.max_velocity
+    return record
+
+
+def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
+    chain = robot.chain
+    for name in ("origin", "axis", "mass", "com", "inertia", "gravity"):
+        arm[name] = getattr(chain, name)
+    arm["rotor"] = coupled_inertia(drives.rotor_inertia)
+    arm["spring_torque"] = drives.spring_torque

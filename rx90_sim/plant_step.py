@@ -1,0 +1,180 @@
+"""The one plant step, compiled: drives, brakes, end stops, LuGre friction and the rigid arm.
+
+Second order with a single evaluation of the arm and of the friction in a step: both are evaluated at the
+midpoint of the step, which the last step's mean acceleration and the jump of the drive torque predict. The
+bristles are advanced exactly for the midpoint velocity, so their rate, far above the tick rate at full joint
+speed, sets no limit to the step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.compiled import kernel
+from rx90_description.wrist import to_joint_torque, to_motor
+from rx90_sim.friction.bristle import bristle_step, friction_torque
+from rx90_sim.manipulator import factorise, mass_and_bias, solve
+
+# Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
+Record = NDArray[Any]
+
+
+@kernel
+def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -> None:
+    """Put the arm at rest at `position`, rad, shape (6,), brakes closed, in static equilibrium."""
+    plant, state = plants[0], states[0]
+    for i in range(6):
+        state.q[i] = position[i]
+        state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
+        state.saturated[i] = 0
+    for i in range(7):
+        state.z[i] = 0.0
+    state.brakes_closed = 1
+    mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
+    factorise(state.mass_matrix, state.factor)
+    for i in range(6):
+        # Brake 6 holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
+        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
+        state.brake_z[i] = -carried / plant.brake[i].c0
+    _read_encoders(plant, state)
+    for i in range(6):
+        state.observer[i] = state.motor_position[i]
+        state.motor_velocity[i] = 0.0
+
+
+@kernel
+def plant_step(plants: Record, states: Record, command: NDArray[np.float64], powered: bool) -> int:
+    """Hold the motor torques of `command` for one tick, then sample the encoders.
+
+    Args:
+        plants: constants, shape (1,), PLANT_DTYPE.
+        states: state, shape (1,), STATE_DTYPE, advanced in place.
+        command: motor torques, motor side, Nm, shape (6,); ignored without power.
+        powered: false takes the torque away and closes the brakes.
+
+    Returns:
+        -1, or the index of the joint whose state is no longer finite or beyond its speed limit.
+    """
+    plant, state = plants[0], states[0]
+    _actuate(plant, state, command, powered)
+    step = plant.period / plant.substeps
+    for _ in range(plant.substeps):
+        _substep(plant, state, step)
+    for i in range(6):
+        # The comparison is false for NaN too.
+        if not abs(state.v[i]) <= plant.speed_limit[i]:
+            return i
+    _read_encoders(plant, state)
+    _observe_velocity(plant, state)
+    return -1
+
+
+@kernel
+def friction_states(
+    plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]
+) -> None:
+    """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
+    plant, state = plants[0], states[0]
+    for i in range(7):
+        velocity[i] = state.v[i] if i < 6 else state.v[4] + state.v[5]
+        torque[i] = friction_torque(plant.friction[i], state.z[i], velocity[i])
+
+
+@kernel
+def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool) -> None:
+    """Turn motor torques into joint torques and predict how their jump changes the acceleration."""
+    if powered == (state.brakes_closed == 1):
+        state.brakes_closed = 0 if powered else 1
+        for i in range(6):
+            state.brake_z[i] = 0.0
+    for i in range(6):
+        torque = command[i] if powered else 0.0
+        peak = plant.peak_torque[i]
+        if abs(torque) > peak:
+            torque = math.copysign(peak, torque)
+            state.saturated[i] += 1
+        state.motor_torque[i] = torque
+        state.rhs[i] = -state.drive_torque[i]
+    to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
+    for i in range(6):
+        state.rhs[i] += state.drive_torque[i]
+    solve(state.factor, state.rhs)
+    for i in range(6):
+        state.acceleration[i] += state.rhs[i]
+
+
+@kernel
+def _substep(plant: Any, state: Any, step: float) -> None:
+    half = 0.5 * step
+    for i in range(6):
+        state.v_mid[i] = state.v[i] + half * state.acceleration[i]
+        state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
+    mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
+    for i in range(6):
+        state.rhs[i] = state.drive_torque[i] - state.bias[i]
+    _add_friction(plant, state, step)
+    _add_stops(plant, state)
+    factorise(state.mass_matrix, state.factor)
+    solve(state.factor, state.rhs)
+    for i in range(6):
+        acceleration = state.rhs[i]
+        state.q[i] += step * (state.v[i] + half * acceleration)
+        state.v[i] += step * acceleration
+        state.acceleration[i] = acceleration
+
+
+@kernel
+def _add_friction(plant: Any, state: Any, step: float) -> None:
+    """Advance the bristles of the seven elements, and of closed brakes, and add their torques."""
+    for i in range(6):
+        state.z[i], torque = bristle_step(plant.friction[i], state.z[i], state.v_mid[i], step)
+        state.rhs[i] -= torque
+    wrist = state.v_mid[4] + state.v_mid[5]
+    state.z[6], torque = bristle_step(plant.friction[6], state.z[6], wrist, step)
+    state.rhs[4] -= torque
+    state.rhs[5] -= torque
+    if state.brakes_closed:
+        for i in range(6):
+            velocity = state.v_mid[i] if i < 5 else wrist
+            state.brake_z[i], torque = bristle_step(plant.brake[i], state.brake_z[i], velocity, step)
+            state.rhs[i] -= torque
+            if i == 5:
+                state.rhs[4] -= torque
+
+
+@kernel
+def _add_stops(plant: Any, state: Any) -> None:
+    """Add the mechanical end stops: a spring and damper beyond the limits that only push back."""
+    for i in range(6):
+        q, push = state.q_mid[i], 0.0
+        if q > plant.upper[i]:
+            push = min(
+                0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i]
+            )
+        elif q < plant.lower[i]:
+            push = max(
+                0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i]
+            )
+        state.rhs[i] += push
+
+
+@kernel
+def _read_encoders(plant: Any, state: Any) -> None:
+    to_motor(plant.gear, state.q, state.motor_position)
+    for i in range(6):
+        resolution = plant.resolution[i]
+        state.motor_position[i] = np.rint(state.motor_position[i] / resolution) * resolution
+
+
+@kernel
+def _observe_velocity(plant: Any, state: Any) -> None:
+    """Track the encoder as a resolver converter does: a critically damped observer of second order."""
+    for i in range(6):
+        predicted = state.observer[i] + plant.period * state.motor_velocity[i]
+        surprise = state.motor_position[i] - predicted
+        state.observer[i] = predicted + plant.observer_position * surprise
+        state.motor_velocity[i] += plant.observer_velocity * surprise
