@@ -35,6 +35,7 @@ class Rig:
     Attributes:
         counts_per_revolution: encoder counts per turn of the motor.
         tick: period of the reports, s.
+        efficiency_uncertainty: standard uncertainty of the gear's efficiency.
         scale_uncertainty: relative standard uncertainty of the torque scale.
         load_travel: turns of the load shaft that one arming allows.
     """
@@ -45,6 +46,7 @@ class Rig:
     baud: int
     gear_ratio: float
     gear_efficiency: float
+    efficiency_uncertainty: float
     dac_full_scale: float
     adc_full_scale: float
     scale_uncertainty: float
@@ -168,6 +170,7 @@ def load_rig(path: Path) -> Rig:
         baud=root.integer("baud", 1200, 1_000_000),
         gear_ratio=ratio,
         gear_efficiency=efficiency,
+        efficiency_uncertainty=gear.number("efficiency_uncertainty", 0.0, 0.5),
         dac_full_scale=torque.number("dac_full_scale", 0.0, above=True),
         adc_full_scale=torque.number("adc_full_scale", 0.0, above=True),
         scale_uncertainty=torque.number("scale_uncertainty", 0.0, 0.5),
