@@ -303,9 +303,7 @@ def _refuse_curved(fit: RampFit, time: Array, angle: Array, T: float) -> None:
     late = _solve(time[half:], angle[half:], step, fit.break_away, T)
     difference = late.a - early.a
     error = math.sqrt(early.covariance[0, 0] + late.covariance[0, 0])
-    if abs(difference) > 5 * error and abs(difference) > MOST_POINTS = 150
-"""The least squares problem is solved with at most so many readings; its cost grows with their cube."""
-CURVATURE_LIMIT * fit.a:
+    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * fit.a:
         raise IdentificationError(
             f"{fit.record.label}: the velocity follows no straight asymptote, its slope goes from "
             f"{early.a:.4g} to {late.a:.4g} rad/s²; saturation, or a transient that is not over"
