@@ -125,8 +125,8 @@ static void start_peripherals(void)
     ADMUX = _BV(REFS0) | _BV(ADLAR);
     ADCSRB = 0;
     ADCSRA = _BV(ADEN) | _BV(ADSC) | _BV(ADATE) | _BV(ADPS2) | _BV(ADPS1) | _BV(ADPS0);
+    UCSR0A = _BV(U2X0);                    /* before the divider: simavr computes the rate on that write */
     UBRR0 = BAUD_REGISTER;
-    UCSR0A = _BV(U2X0);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
     wdt_enable(WDTO_60MS);
     sei();
