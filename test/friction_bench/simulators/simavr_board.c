@@ -111,8 +111,8 @@ void board_run(struct board *board, uint32_t us, uint16_t edges, uint8_t reading
     avr_raise_irq(board->adc, (reading * 5000u + 2500u) / 256u);
     for (i = 0; i < edges; i++) {
         run_until(board, start + length * (i + 1u) / (edges + 1u));
-        avr_raise_irq(board->encoder, 1);
         avr_raise_irq(board->encoder, 0);
+        avr_raise_irq(board->encoder, 1); /* idles high, by the pull-up */
     }
     run_until(board, start + length);
 }

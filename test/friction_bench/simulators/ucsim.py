@@ -16,6 +16,8 @@ SHIM = Path(__file__).with_name("ucsim_poll.c")
 CRYSTAL_MHZ = 11.0592
 CLOCKS_PER_INSTRUCTION = 16.0
 """Rough mean for this firmware (12 clocks a cycle); the error of one slice is made up for in the next."""
+LISTEN_SLICES = 20
+"""The simulator may hold a byte of its own after the line to it has run empty."""
 MARKER = "918273645"
 MARK = "expr 918273644+1"
 """The console echoes its input in the midst of its output: the echo must not look like the answer."""
@@ -64,6 +66,7 @@ class UcsimBoard:
         self._clock = 0
         self._dac = 0
         self._port3 = 0xFF
+        self._listen = 0
         self._console([])
 
     def _console(self, lines: list[str]) -> list[int]:
@@ -103,11 +106,19 @@ class UcsimBoard:
         self._target += slice_us * CRYSTAL_MHZ
         steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
         # The simulator looks for input every million instructions, unless told.
-        lines = [f"expr uart0_check_often={1 if self._pending() else 0}", f"set hw port[2] {adc}"]
+        self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
+        lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
         for _ in range(edges):
             lines += [f"step {max(1, steps // (edges + 1))}", "set hw port[3] 0xfb", "step 4", "set hw port[3] 0xff"]
         lines += [f"step {max(1, steps // (edges + 1))}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
+
+    def reset(self) -> None:
+        """Pull the reset pin; uCsim's reset leaves the clock running."""
+        *_, self._clock, self._dac, self._port3 = self._console(
+            ["reset", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        )
+        self._target = float(self._clock)
 
     def instructions(self, count: int) -> None:
         """Execute single instructions, for a look at what happens within microseconds of power-up."""
