@@ -40,6 +40,12 @@ def cache_directory() -> Path:
 setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
+def announce_compilation(program: str) -> None:
+    """Say on stderr that the kernels are about to be compiled, if these sources never were on this machine."""
+    if not any(cache_directory().rglob("*.nbi")):
+        print(f"{program}: compiling the numerical kernels, once on this machine, about 20 s ...", file=sys.stderr)
+
+
 def kernel(function: _Function) -> _Function:
     """Compile `function` in nopython mode on its first call and keep the result on disk."""
     return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))

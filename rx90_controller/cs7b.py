@@ -53,6 +53,16 @@ class CS7B:
         self.trajectory.reset(hold)
         self.tick = tick
 
+    def warm_up(self) -> None:
+        """Compile, or load, every kernel that a run calls, and discharge the controller."""
+        rest = np.zeros(6)
+        self.reset(rest)
+        for _ in range(self.rates.ratio + 1):
+            self.step(rest, rest)
+        self.reference()
+        self.tracking_error()
+        self.reset(rest)
+
     @property
     def position_tick(self) -> int:
         """Return the number of the next tick of the position loop."""

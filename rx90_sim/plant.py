@@ -65,6 +65,15 @@ class Plant:
         plant_reset(self.constants, self.state, target)
         self.tick = 0
 
+    def warm_up(self) -> None:
+        """Compile, or load, every kernel that a run calls, and come back to the state before."""
+        before, tick = self.state.copy(), self.tick
+        self.reset(before["q"][0])
+        self.step(_NO_COMMAND)
+        self.step(None)
+        self.friction_states()
+        self.state[:], self.tick = before, tick
+
     def step(self, command: Array | None) -> None:
         """Hold motor torques for one tick; None takes the torque away and closes the brakes.
 

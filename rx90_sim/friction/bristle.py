@@ -17,7 +17,7 @@ def sliding_torque(element: Any, velocity: float) -> float:
     """Return c0 g(v), equation 19, Nm; `element` is a record of ELEMENT_DTYPE."""
     sign = 1 if velocity >= 0.0 else 0
     coulomb = element.tau_c[sign]
-    ratio = abs(velocity) / element.omega_s
+    ratio = abs(velocity) * element.inverse_omega_s
     if element.delta != 1.0:
         ratio = ratio * ratio if element.delta == 2.0 else ratio**element.delta
     return coulomb + (element.tau_s[sign] - coulomb) * math.exp(-ratio)
@@ -26,9 +26,7 @@ def sliding_torque(element: Any, velocity: float) -> float:
 @kernel
 def damping(element: Any, velocity: float) -> float:
     """Return c1(v), Nm s/rad."""
-    if math.isinf(element.omega_d):
-        return element.c1
-    ratio = velocity / element.omega_d
+    ratio = velocity * element.inverse_omega_d
     return element.c1 * math.exp(-ratio * ratio)
 
 
@@ -51,17 +49,18 @@ def bristle_step(element: Any, z: float, velocity: float, step: float) -> tuple[
 
     Returns:
         The new bristle deflection, rad, and the friction torque (equation 18) averaged over the step, Nm:
-        c0 mean(z) + c1 (z1 - z) / step + c2 v, with mean(z) = z + (v step - x z) (1 - phi) / x.
+        c0 mean(z) + c1 mean(dz/dt) + c2 v, with mean(z) = z + (v step - x z) (1 - phi) / x.
     """
-    x = element.c0 * abs(velocity) / sliding_torque(element, velocity) * step
+    rate = element.c0 * abs(velocity) / sliding_torque(element, velocity)
+    x = rate * step
     if x < _SMALL:
         phi = 1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x / 720))))
         psi = 1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120 - x * (1 / 720 - x / 5040))))
     else:
-        phi = (1.0 - math.exp(-x)) / x
-        psi = (1.0 - phi) / x
-    drive = velocity * step - x * z
-    z_next = z + drive * phi
-    mean = z + drive * psi
-    torque = element.c0 * mean + damping(element, velocity) * drive * phi / step + element.c2 * velocity
-    return z_next, torque
+        inverse = 1.0 / x
+        phi = (1.0 - math.exp(-x)) * inverse
+        psi = (1.0 - phi) * inverse
+    z_dot = velocity - rate * z  # at the start of the step; phi times it is the mean
+    mean = z + step * z_dot * psi
+    torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + element.c2 * velocity
+    return z + step * z_dot * phi, torque

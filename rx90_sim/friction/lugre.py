@@ -15,12 +15,12 @@ ELEMENT_DTYPE = np.dtype(
     [
         ("tau_c", np.float64, 2),  # Coulomb torque, [v < 0, v >= 0]
         ("tau_s", np.float64, 2),  # static torque, [v < 0, v >= 0]
-        ("omega_s", np.float64),
+        ("inverse_omega_s", np.float64),
         ("delta", np.float64),
         ("c0", np.float64),
         ("c1", np.float64),
         ("c2", np.float64),
-        ("omega_d", np.float64),
+        ("inverse_omega_d", np.float64),  # 0 for a constant c1
     ],
     align=True,
 )
@@ -113,6 +113,8 @@ class LuGreElement:
         data = np.zeros((), ELEMENT_DTYPE)
         data["tau_c"] = (self.tau_c_negative, self.tau_c_positive)
         data["tau_s"] = (self.tau_s_negative, self.tau_s_positive)
-        for name in ("omega_s", "delta", "c0", "c1", "c2", "omega_d"):
+        for name in ("delta", "c0", "c1", "c2"):
             data[name] = getattr(self, name)
+        for name in ("omega_s", "omega_d"):
+            data[f"inverse_{name}"] = 1.0 / getattr(self, name)
         return data

@@ -1,0 +1,62 @@
+"""`rx90_demo`: run the reference task with four processes over DDS, compare, and report."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from rx90_common.compiled import announce_compilation
+from rx90_common.errors import ConfigError, Rx90Error
+from rx90_common.share import resolve_config
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0 same and within the limit, 1 otherwise, 130 after Ctrl-C."""
+    options = _parser().parse_args(args)
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        print("\nrx90_demo: stopped; every process has ended", file=sys.stderr)
+        return 130
+    except Rx90Error as error:
+        print(f"rx90_demo: {error}", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="rx90_demo", description=__doc__)
+    parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
+    parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    parser.add_argument(
+        "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
+    )
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    folder = options.output or Path("out/demo") / datetime.now().strftime("%Y%m%d-%H%M%S")
+    try:
+        (folder / "log").mkdir(parents=True)
+    except OSError as error:
+        raise ConfigError(
+            f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
+        ) from error
+    announce_compilation("rx90_demo")
+    # Here, because a wrong option must not wait for them.
+    from rx90_demo.demonstration import Demonstration  # noqa: PLC0415
+
+    demonstration = Demonstration(
+        folder, resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0
+    )
+    return 0 if demonstration.run() else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""`rx90_run`: run a task through the closed loop without ROS and write the bag that the nodes would."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rx90_common.compiled import announce_compilation
+from rx90_common.errors import Rx90Error
+from rx90_common.rates import Rates
+from rx90_common.share import resolve_config
+from rx90_controller.cs7b_parameters import FeedForward
+from rx90_controller.line_task import load_task
+from rx90_loop.run_bag import write_run
+from rx90_loop.setup import Setup, SetupFiles
+from rx90_loop.task_run import path_accuracy, run_task
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code."""
+    options = _parser().parse_args(args)
+    try:
+        _run(options)
+    except Rx90Error as error:
+        print(f"rx90_run: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("rx90_run: stopped; nothing was written", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="rx90_run", description=__doc__)
+    parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    parser.add_argument("--output", type=Path, help="bag folder to write; must not exist")
+    parser.add_argument(
+        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)"
+    )
+    parser.add_argument(
+        "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
+    )
+    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
+    parser.add_argument("--urdf", help="robot (shipped RX90B)")
+    parser.add_argument("--tool", help="tool file (shipped laser head)")
+    parser.add_argument("--drives", help="drives file")
+    parser.add_argument("--friction", help="friction file")
+    parser.add_argument("--controller", help="controller file")
+    parser.add_argument("--no-feed-forward", action="store_true", help="switch the feed-forward block off")
+    parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
+    parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
+    parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    files = {
+        key: resolve_config(getattr(options, key))
+        for key in ("urdf", "tool", "drives", "friction", "controller")
+        if getattr(options, key) is not None
+    }
+    setup = Setup.load(SetupFiles(**files), Rates(options.base_rate, options.position_rate))
+    if options.no_feed_forward:
+        controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
+        setup = dataclasses.replace(setup, controller=controller)
+    for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
+        print(f"rx90_run: warning: {line}", file=sys.stderr)
+    task = load_task(resolve_config(options.task))
+    announce_compilation("rx90_run")
+    began = time.perf_counter()
+    result = run_task(setup, task, substeps=options.substeps, record_fast=not options.slow_only)
+    elapsed = time.perf_counter() - began
+    accuracy = path_accuracy(setup.robot, task, result.times, result.slow.joint_states[:, 0])
+    simulated = result.times[-1] + setup.rates.position_period
+    print(f"simulated {simulated:.3f} s in {elapsed:.2f} s")
+    print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
+    if result.saturated.any():
+        print(f"motors at their limit, ticks: {result.saturated.tolist()}")
+    if options.output is not None:
+        write_run(result, options.output, options.storage, options.decimation)
+        print(f"bag: {options.output}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,281 @@
+"""Straight lines as joint trajectories: exact where it matters, between the knots too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import BPoly
+from scipy.spatial.transform import Rotation
+
+from rx90_common.share import config_path
+from rx90_controller.line import LinePlan, approach_time, plan_line
+from rx90_controller.line_task import LineTask, load_task
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_description.inverse import BRANCHES, Branch, SphericalWristArm
+from rx90_description.kinematics import forward, jacobian, path_error
+from rx90_description.robot import RobotModel, load_robot
+from rx90_loop.setup import Setup, SetupFiles
+
+TURNING = LineTask(
+    start=(0.5, -0.2, 0.4),
+    end=(0.55, 0.15, 0.3),
+    speed=0.25,
+    acceleration=3.0,
+    start_rpy=(0.0, 2.7, 0.1),
+    end_rpy=(0.6, 2.2, -0.4),
+    rest_before=0.1234567,
+    rest_after=0.05,
+)
+
+
+@pytest.fixture(scope="module")
+def task() -> LineTask:
+    """Return the shipped reference task."""
+    return load_task(config_path("task/reference_line.yaml"))
+
+
+@pytest.fixture(scope="module")
+def plan(shipped: Setup, task: LineTask) -> LinePlan:
+    """Return the plan of the shipped reference task."""
+    return plan_line(shipped.robot, task)
+
+
+def _spline(plan: LinePlan) -> BPoly:
+    """Return the quintic interpolation of the knots, made by SciPy."""
+    values = np.stack([plan.position, plan.velocity, plan.acceleration], axis=1)
+    return BPoly.from_derivatives(plan.times, list(values))
+
+
+def _integrated(task: LineTask, times: np.ndarray) -> np.ndarray:
+    """Return the distance along the line, integrated from the speed of a trapezoid coded here."""
+    ramp = task.speed / task.acceleration
+    end = task.length / task.speed + ramp
+    fine = np.linspace(0.0, end, 400_001)
+    speed = np.minimum(task.speed, task.acceleration * np.minimum(fine, end - fine))
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.interp(times - task.rest_before, fine, distance)
+
+
+@pytest.mark.parametrize("which", ["reference", "turning"])
+def test_interpolated_tip_is_on_the_line_at_the_right_time(
+    shipped: Setup, task: LineTask, which: str
+) -> None:
+    """Between all knots the tip is within 0.1 um of the trapezoidal motion along the line."""
+    line = task if which == "reference" else TURNING
+    plan = plan_line(shipped.robot, line)
+    times = np.linspace(0.0, plan.duration, 20_001)
+    tip = forward(shipped.robot.chain, _spline(plan)(times)).position
+    error = path_error(tip, np.array(line.start), np.array(line.end))
+    assert error.perpendicular.max() < 1e-7
+    np.testing.assert_allclose(error.along, _integrated(line, times), atol=1.01e-7)
+    assert plan.tip_error <= 1e-7
+
+
+def test_knots_of_the_reference_task_are_few_and_good(plan: LinePlan) -> None:
+    """The reference task takes less than 100 knots for a tip error below 10 nm."""
+    assert len(plan.times) < 100
+    assert plan.tip_error < 1e-8
+
+
+@pytest.mark.parametrize("which", ["reference", "turning"])
+def test_velocity_and_acceleration_are_derivatives_of_position(
+    shipped: Setup, task: LineTask, which: str
+) -> None:
+    """Away from corners, velocities and accelerations are the finite differences of exact positions."""
+    line = task if which == "reference" else TURNING
+    plan = plan_line(shipped.robot, line)
+    profile = line.profile()
+    corners = line.rest_before + np.array(profile.corners)
+    h = 1e-4
+    inner = np.abs(plan.times[:, None] - corners).min(axis=1) > 2.5 * h
+
+    def exact(times: np.ndarray) -> np.ndarray:
+        return plan.path.at(profile.sample(times - line.rest_before).distance)[0]
+
+    t = plan.times[inner]
+    five = [exact(t + k * h) for k in (-2, -1, 0, 1, 2)]
+    velocity = (five[0] - 8 * five[1] + 8 * five[3] - five[4]) / (12 * h)
+    acceleration = (-five[0] + 16 * five[1] - 30 * five[2] + 16 * five[3] - five[4]) / (12 * h * h)
+    assert inner.sum() > 20
+    np.testing.assert_allclose(plan.velocity[inner], velocity, atol=1e-9)
+    np.testing.assert_allclose(plan.acceleration[inner], acceleration, atol=1e-5)
+
+
+def test_joint_velocity_moves_the_tip_at_the_asked_speed(shipped: Setup, plan: LinePlan) -> None:
+    """J·dq is 100 mm/s along the line, without rotation, at every knot of the cruise."""
+    task = plan.task
+    cruise = (plan.times > 1.11) & (plan.times < 4.99)
+    q, qd = plan.position[cruise], plan.velocity[cruise]
+    twist = (jacobian(shipped.robot.chain, q) @ qd[..., None])[..., 0]
+    direction = np.subtract(task.end, task.start) / task.length
+    np.testing.assert_allclose(twist, np.broadcast_to([*0.1 * direction, 0, 0, 0], twist.shape), atol=1e-12)
+
+
+def test_tool_keeps_pointing_down(shipped: Setup, plan: LinePlan) -> None:
+    """On the reference line the beam points straight down at every time, between knots too."""
+    times = np.linspace(0.0, plan.duration, 2001)
+    rotation = forward(shipped.robot.chain, plan.setpoints(times)[:, 0]).rotation
+    np.testing.assert_allclose(rotation[:, :, 2], np.broadcast_to([0, 0, -1.0], (2001, 3)), atol=1e-8)
+
+
+def test_tool_turns_evenly_from_start_to_end(shipped: Setup) -> None:
+    """A line with two orientations turns from one to the other about one axis, in step with the distance."""
+    plan = plan_line(shipped.robot, TURNING)
+    first, last = (Rotation.from_euler("xyz", rpy) for rpy in (TURNING.start_rpy, TURNING.end_rpy))
+    rotation = Rotation.from_matrix(forward(shipped.robot.chain, plan.position).rotation)
+    assert (rotation[0] * first.inv()).magnitude() < 1e-12
+    assert (rotation[-1] * last.inv()).magnitude() < 1e-12
+    share = _integrated(TURNING, plan.times) / TURNING.length
+    whole = (last * first.inv()).as_rotvec()
+    np.testing.assert_allclose((rotation * first.inv()).as_rotvec(), share[:, None] * whole, atol=1e-8)
+
+
+def test_each_corner_lies_between_two_knots_one_period_apart(plan: LinePlan) -> None:
+    """Half a set-point period before and after each acceleration jump is a knot, none between."""
+    for corner in (1.0, 1.1, 5.0, 5.1):
+        before, after = plan.times[plan.times < corner].max(), plan.times[plan.times > corner].min()
+        assert corner - before == pytest.approx(5e-4, abs=1e-12)
+        assert after - corner == pytest.approx(5e-4, abs=1e-12)
+
+
+def test_rest_is_exactly_still(plan: LinePlan) -> None:
+    """Velocities and accelerations are exactly zero at rest, and those of joint 4 all the way."""
+    rest = (plan.times < 1.0) | (plan.times > 5.1)
+    assert rest.sum() == 4
+    assert not plan.velocity[rest].any()
+    assert not plan.acceleration[rest].any()
+    assert np.array_equal(plan.position[0], plan.position[1])
+    assert not plan.velocity[:, 3].any()
+    assert not np.ptp(plan.position[:, 3])
+
+
+def test_start_pose_puts_the_spot_on_the_start(shipped: Setup, plan: LinePlan) -> None:
+    """The joint angles the plan begins with place the laser spot at the start of the line, tool down."""
+    pose = forward(shipped.robot.chain, plan.start_pose)
+    np.testing.assert_allclose(pose.position, plan.task.start, atol=1e-14)
+
+
+def test_reference_task_shows_friction(shipped: Setup, plan: LinePlan) -> None:
+    """It is 0.4 m at 100 mm/s; joints 2, 3 and 5 reverse once each at full speed; no singularity is near."""
+    assert plan.task.length == pytest.approx(0.4, abs=1e-12)
+    assert plan.task.profile().peak_speed == 0.1
+    assert plan.duration == pytest.approx(5.6)
+    times = np.arange(1.1005, 4.9995, 1e-3)
+    velocity = plan.setpoints(times)[:, 1]
+    reversals = [int(np.sum(velocity[1:, j] * velocity[:-1, j] < 0)) for j in range(6)]
+    assert reversals == [0, 1, 1, 0, 1, 0]
+    assert min(margin for margin, _ in plan.path.margins.values()) > 0.7
+    room = np.minimum(plan.position - shipped.robot.lower, shipped.robot.upper - plan.position)
+    assert np.degrees(room.min()) > 40.0
+
+
+def test_planning_twice_gives_the_same_bits(shipped: Setup, task: LineTask, plan: LinePlan) -> None:
+    """The same robot and task give the same knots, bit for bit."""
+    again = plan_line(shipped.robot, task)
+    assert np.array_equal(again.times, plan.times)
+    assert np.array_equal(again.position, plan.position)
+    assert np.array_equal(again.acceleration, plan.acceleration)
+
+
+@pytest.mark.parametrize("branch", BRANCHES, ids=str)
+def test_the_branch_asked_for_is_kept(shipped: Setup, branch: Branch) -> None:
+    """Where a branch is within limits, the whole line stays in it and runs through the same points."""
+    side = LineTask(
+        (-0.1, 0.5, 0.6), (0.1, 0.45, 0.6), 0.1, 1.0, (0.0, 2.4, 1.2), (0.0, 2.4, 1.2), branch=branch
+    )
+    robot = _wide(shipped.robot)
+    plan = plan_line(robot, side)
+    q = plan.position
+    arm = SphericalWristArm.from_chain(robot.chain)
+    assert arm is not None
+    assert np.all((q[:, 2] > 0) == (branch.elbow == "positive"))
+    assert np.all((np.sin(q[:, 4]) > 0) == (branch.wrist == "positive"))
+    assert np.all((arm.forward_reach(robot.chain, q) > 0) == (branch.shoulder == "front"))
+    np.testing.assert_allclose(forward(robot.chain, q).position, plan.tip(plan.times), atol=1e-12)
+
+
+def _wide(robot: RobotModel) -> RobotModel:
+    return replace(robot, lower=np.full(6, -7.0), upper=np.full(6, 7.0))
+
+
+def test_whole_turns_are_chosen_so_that_the_line_fits(shipped: Setup, task: LineTask) -> None:
+    """A joint that would leave its range by a whole turn's choice starts a turn earlier instead."""
+    shift = np.array([0, 0, 0, 0, 0, 2 * np.pi - 1])
+    robot = replace(shipped.robot, lower=shipped.robot.lower + shift, upper=shipped.robot.upper + shift)
+    shifted, usual = plan_line(robot, task), plan_line(shipped.robot, task)
+    np.testing.assert_allclose(shifted.position[:, 5] - usual.position[:, 5], 2 * np.pi, atol=1e-12)
+
+
+@pytest.mark.parametrize("length", [1e-6, 1e-4, 0.004, 0.01, 0.0100001])
+@pytest.mark.parametrize("rest", [0.0, 1e-4, 0.3])
+def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: float, rest: float) -> None:
+    """Lines too short for the speed or even for a set-point period, and no rest at all, are followed too."""
+    end = (task.start[0], task.start[1] + length, task.start[2])
+    line = replace(task, end=end, rest_before=rest, rest_after=rest)
+    plan = plan_line(shipped.robot, line)
+    assert np.all(np.diff(plan.times) > 0)
+    assert not plan.velocity[-1].any()
+    tip = forward(shipped.robot.chain, _spline(plan)(np.linspace(0, plan.duration, 501))).position
+    error = path_error(tip, np.array(line.start), np.array(end))
+    assert error.perpendicular.max() < 1e-7
+    assert error.beyond.max() < 1e-7
+    np.testing.assert_allclose(forward(shipped.robot.chain, plan.position[-1]).position, end, atol=1e-12)
+
+
+def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(
+    shipped: Setup, plan: LinePlan
+) -> None:
+    """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
+    robot = shipped.robot
+    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity)
+    generator = TrajectoryGenerator(limits, 1e-3, plan.start_pose)
+    points = TrajectoryPoints.create(
+        robot.joint_names,
+        plan.joint_names,
+        plan.times.tolist(),
+        plan.position.tolist(),
+        plan.velocity.tolist(),
+        plan.acceleration.tolist(),
+    )
+    start = generator.accept(points, now=7, start=None)
+    setpoints = generator.setpoints(start, 5601)[:, 0]
+    tip = forward(robot.chain, setpoints).position
+    assert np.linalg.norm(tip - plan.tip(np.arange(5601) * 1e-3), axis=1).max() < 1e-7
+
+
+def test_an_arm_without_spherical_wrist_follows_the_line(
+    shipped_files: SetupFiles, task: LineTask, tmp_path: Path
+) -> None:
+    """With axis 6 moved 30 mm aside there is no closed form, and the tip still keeps to the line."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    old = '<origin xyz="0 0 0.085"/>\n    <parent link="link_5"/>'
+    assert text.count(old) == 1
+    file = tmp_path / "aside.urdf"
+    file.write_text(text.replace(old, old.replace("0 0 0.085", "0.03 0.01 0.085")), encoding="utf-8")
+    robot = load_robot(file, shipped_files.tool)
+    assert SphericalWristArm.from_chain(robot.chain) is None
+    line = replace(task, end=(0.6, -0.2, 0.2))
+    plan = plan_line(robot, line)
+    tip = forward(robot.chain, _spline(plan)(np.linspace(0, plan.duration, 501))).position
+    assert path_error(tip, np.array(line.start), np.array(line.end)).perpendicular.max() < 1e-7
+
+
+@pytest.mark.parametrize("acceleration", [1e9, 0.5])
+def test_approach_uses_its_limits_and_no_more(shipped: Setup, acceleration: float) -> None:
+    """A quintic of that duration reaches but never passes the allowed speed or acceleration."""
+    robot = shipped.robot
+    start, end = np.zeros(6), np.array([0.5, -0.8, 1.2, 0.0, 0.3, -2.0])
+    duration = approach_time(robot, start, end, 0.25, acceleration)
+    rest = np.zeros((2, 6))
+    values = np.stack([[start, end], rest, rest], axis=1)
+    move = BPoly.from_derivatives([0.0, duration], list(values))
+    times = np.linspace(0.0, duration, 10_001)
+    use = max(
+        np.abs(move.derivative(1)(times) / (0.25 * robot.max_velocity)).max(),
+        np.abs(move.derivative(2)(times) / acceleration).max(),
+    )
+    assert use == pytest.approx(1.0, rel=1e-6)

@@ -1,0 +1,307 @@
+"""The command-line tool: its table, its files, its exit status, and its delivery over DDS."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from rx90_common.share import config_path
+from rx90_controller.line import approach_time, plan_line
+from rx90_controller.line_command import main
+from rx90_controller.line_task import load_task
+from rx90_loop.setup import Setup
+
+REFERENCE = "task/reference_line.yaml"
+PATIENCE = 60.0
+
+
+def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    """The table names duration, posture, knots, each margin and each joint, and nothing is sent."""
+    assert main(["--from-file", REFERENCE, "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "5.600 s, moving from 1.000 s to 5.100 s" in out
+    assert "front/positive/positive" in out
+    rows = {line.split()[0]: line.split()[1:] for line in out.splitlines()}
+    assert [float(x) for x in rows["joint_1"][:3]] == pytest.approx([-26.57, -26.57, 7.18])
+    assert {
+        "joint_1",
+        "joint_2",
+        "joint_3",
+        "joint_4",
+        "joint_5",
+        "joint_6",
+        "knots",
+        "margin",
+    } <= rows.keys()
+
+
+def test_options_win_over_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    """A speed and a rest given beside a task file replace those of the file, the rest of it stays."""
+    assert main(["--from-file", REFERENCE, "--speed", "0.2", "--rest-before", "0.25", "--dry-run"]) == 0
+    # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s.
+    out = capsys.readouterr().out
+    assert "2.950 s, moving from 0.250 s to 2.450 s" in out
+
+
+def test_options_alone_make_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """Start and end are enough: the tool points down, 100 mm/s, negative coordinates are no options."""
+    assert (
+        main(
+            [
+                "--start",
+                "0.6",
+                "-0.2",
+                "0.2",
+                "--end",
+                "0.6",
+                "0.2",
+                "0.2",
+                "--wrist",
+                "negative",
+                "--dry-run",
+            ]
+        )
+        == 0
+    )
+    out = capsys.readouterr().out
+    assert "0.4000 m at 0.1 m/s" in out
+    assert "front/positive/negative" in out
+
+
+def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
+    """The written file holds names, points and times as in the plan, to the last bit."""
+    file = tmp_path / "line.yaml"
+    assert main(["--from-file", REFERENCE, "--dry-run", "--output", str(file)]) == 0
+    message = yaml.safe_load(file.read_text(encoding="utf-8"))
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    assert message["joint_names"] == list(shipped.robot.joint_names)
+    points = message["points"]
+    assert np.array_equal([p["positions"] for p in points], plan.position)
+    assert np.array_equal([p["velocities"] for p in points], plan.velocity)
+    assert np.array_equal([p["accelerations"] for p in points], plan.acceleration)
+    times = [p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points]
+    np.testing.assert_allclose(times, plan.times, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "expected"),
+    [
+        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 1, "out of reach"),
+        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 1, "two different points"),
+        ("--from-file nowhere.yaml --dry-run", 1, "no file 'nowhere.yaml'"),
+        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 1, "no file 'nowhere.yaml'"),
+        ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 1, "cannot be written"),
+        ("--from-file task/reference_line.yaml --start-time -1", 1, "start time is -1 s"),
+        ("--from-file task/reference_line.yaml --timeout 0", 1, "timeout is 0 s"),
+    ],
+)
+def test_a_mistake_gives_one_line_and_a_status(
+    capsys: pytest.CaptureFixture[str], arguments: str, status: int, expected: str
+) -> None:
+    """Each mistake leaves one line on standard error, no traceback, and the documented exit status."""
+    assert main(arguments.split()) == status
+    error = capsys.readouterr().err
+    assert expected in error
+    assert error.startswith("rx90_line: ")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", ["", "--start 0.6 0 0.2", "--start a b c --end 0 0 1", "--shoulder up"])
+def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], arguments: str) -> None:
+    """Missing or unreadable options end as argparse ends: usage, one line, status 2."""
+    with pytest.raises(SystemExit) as end:
+        main(arguments.split())
+    assert end.value.code == 2
+    assert "rx90_line: error:" in capsys.readouterr().err
+
+
+class Listener:
+    """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = Node("listener", context=self.context)
+        self.taken: list[JointTrajectory] = []
+        self.states = self.node.create_publisher(JointState, "joint_states", 10)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def listen(self) -> None:
+        """Start taking trajectories."""
+        self.node.create_subscription(
+            JointTrajectory, "rx90_controller/joint_trajectory", self.taken.append, 1
+        )
+
+    def tell(self, names: tuple[str, ...], positions: np.ndarray) -> None:
+        """Publish the joint positions over and over, in reversed order of names."""
+        state = JointState(name=list(names)[::-1], position=positions[::-1].tolist())
+        self.node.create_timer(0.02, lambda: self.states.publish(state))
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        """Wait for a condition, not for a time."""
+        deadline = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+    def _spin(self) -> None:
+        while not self._stop.is_set():
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        """Stop the thread and leave the domain."""
+        self._stop.set()
+        self._thread.join()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """Return a ROS domain of this test process's own, on this machine only."""
+    number = os.getpid() % 101 + 1
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
+    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    return number
+
+
+@pytest.fixture
+def listener(domain: int) -> Iterator[Listener]:
+    """Return a listener in the test's domain."""
+    listener = Listener(domain)
+    yield listener
+    listener.close()
+
+
+@pytest.fixture
+def start_line(domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Return a function that starts `rx90_line` on the reference task; what is left of it is ended."""
+    assert domain
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*arguments: str) -> subprocess.Popen[str]:
+        code = "import sys; from rx90_controller.line_command import main; sys.exit(main())"
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, "--from-file", REFERENCE, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.mark.ros
+def test_a_controller_that_comes_later_gets_the_whole_trajectory(
+    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """The tool announces its wait once, sends when the controller is there, and ends after it has it."""
+    process = start_line("--start-time", "12.5", "--timeout", str(PATIENCE))
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("waiting for a controller on /rx90_controller/joint_trajectory"):
+            break
+    listener.listen()
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, err
+    assert "waiting" not in out
+    assert "sent 72 points to /rx90_controller/joint_trajectory: start at 12.5 s, 5.600 s" in out
+    listener.wait(lambda: bool(listener.taken))
+    (message,) = listener.taken
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 500_000_000)
+    assert tuple(message.joint_names) == plan.joint_names
+    assert np.array_equal([p.positions for p in message.points], plan.position)
+    assert np.array_equal([p.velocities for p in message.points], plan.velocity)
+    assert np.array_equal([p.accelerations for p in message.points], plan.acceleration)
+    last = message.points[-1].time_from_start
+    assert (last.sec, last.nanosec) == (5, 600_000_000)
+
+
+@pytest.mark.ros
+def test_approach_comes_first_where_the_arm_stands_elsewhere(
+    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """From another pose the first point, the start of the line, comes after the time a joint move takes."""
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    here = plan.start_pose + np.array([0.1, -0.2, 0.3, 0.0, 0.1, -0.4])
+    listener.tell(shipped.robot.joint_names, here)
+    listener.listen()
+    process = start_line("--approach", "--timeout", str(PATIENCE))
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, err
+    assert "approach: " in out
+    listener.wait(lambda: bool(listener.taken))
+    first = listener.taken[0].points[0]
+    assert np.array_equal(first.positions, plan.start_pose)
+    assert not np.any(first.velocities)
+    expected = approach_time(shipped.robot, here, plan.start_pose, 0.25, 2.0)
+    delay = first.time_from_start.sec + 1e-9 * first.time_from_start.nanosec
+    assert expected <= delay < expected + 1e-3
+
+
+@pytest.mark.ros
+def test_without_approach_an_arm_elsewhere_is_refused(
+    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """An arm that stands away from the start gets nothing; the line names joint, angles and the way out."""
+    listener.tell(shipped.robot.joint_names, np.zeros(6))
+    listener.listen()
+    process = start_line("--timeout", str(PATIENCE))
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "joint_3 is at 0.0000 rad, the line starts at 1.4490 rad" in err
+    assert "--approach" in err
+    assert err.count("\n") == 1
+    assert not listener.taken
+
+
+@pytest.mark.ros
+def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.Popen[str]]) -> None:
+    """Without a controller the tool gives up with one line and status 3."""
+    process = start_line("--start-time", "1", "--timeout", "1")
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 3
+    assert err == "rx90_line: found no controller on /rx90_controller/joint_trajectory within 1 s\n"
+
+
+@pytest.mark.ros
+def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) -> None:
+    """Ctrl-C ends the wait with one line, no traceback, and status 130."""
+    process = start_line("--timeout", str(PATIENCE))
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("waiting"):
+            break
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert err == "rx90_line: interrupted\n"

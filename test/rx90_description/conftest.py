@@ -1,0 +1,57 @@
+"""Arms for the tests of the description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def _inertial(rng: np.random.Generator) -> str:
+    # Principal moments of a box always keep the triangle inequality.
+    a, b, c = rng.uniform(0.05, 0.4, 3) ** 2
+    mass = float(rng.uniform(0.5, 20.0))
+    xyz, rpy = rng.normal(size=3) * 0.1, rng.uniform(-3, 3, 3)
+    ixx, iyy, izz = (mass * float(sides) / 12 for sides in (b + c, a + c, a + b))
+    return (
+        f'<inertial><origin xyz="{_t(xyz)}" rpy="{_t(rpy)}"/><mass value="{mass!r}"/>'
+        f'<inertia ixx="{ixx!r}" iyy="{iyy!r}" izz="{izz!r}" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def _t(values: np.ndarray) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+@pytest.fixture
+def random_arm(tmp_path: Path) -> Callable[[int], Path]:
+    """Return a function that writes a serial 6R arm with random frames, axes and inertias."""
+
+    def write(seed: int) -> Path:
+        rng = np.random.default_rng(seed)
+        parts = ['<robot name="random"><link name="ground"/>']
+        above = "ground"
+        # The names descend, so that only the tree gives the order of the chain.
+        for i in range(6):
+            name = f"part_{9 - i}"
+            axis = rng.normal(size=3)
+            parts.append(
+                f'<link name="{name}">{_inertial(rng)}</link><joint name="turn_{9 - i}" type="revolute">'
+                f'<origin xyz="{_t(rng.normal(size=3) * 0.3)}" rpy="{_t(rng.uniform(-3, 3, 3))}"/>'
+                f'<parent link="{above}"/><child link="{name}"/><axis xyz="{_t(axis)}"/>'
+                f'<limit lower="-2" upper="{1.5 + 0.1 * i}" velocity="{2 + i}" effort="{10 + i}"/></joint>'
+            )
+            above = name
+        for name, parent in (("cover", "part_7"), ("tool0", above)):
+            parts.append(
+                f'<link name="{name}">{_inertial(rng)}</link><joint name="{name}_fixed" type="fixed">'
+                f'<origin xyz="{_t(rng.normal(size=3) * 0.1)}" rpy="{_t(rng.uniform(-3, 3, 3))}"/>'
+                f'<parent link="{parent}"/><child link="{name}"/></joint>'
+            )
+        file = tmp_path / f"random_{seed}.urdf"
+        file.write_text("\n".join([*parts, "</robot>"]), encoding="utf-8")
+        return file
+
+    return write
