@@ -13,7 +13,7 @@ def data_files() -> list[tuple[str, list[str]]]:
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ]
-    for root in ("config", "launch"):
+    for root in ("config", "launch", "firmware"):
         folders = [Path(root), *sorted(p for p in Path(root).rglob("*") if p.is_dir())]
         for folder in folders:
             files = sorted(str(p) for p in folder.iterdir() if p.is_file())
@@ -70,6 +70,9 @@ setup(
             "rx90_run = rx90_loop.run_command:main",
             "rx90_bag = rx90_bag.command:main",
             "rx90_demo = rx90_demo.command:main",
+            "friction_bench = friction_bench.node:main",
+            "friction_ramp = friction_bench.ramp_command:main",
+            "friction_rig_emulator = friction_bench.emulator_command:main",
         ],
     },
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -90,6 +91,8 @@ class RigClient:
     Attributes:
         hello: what the firmware says of itself, None before `connect`.
         last: the latest reading.
+        stops: urgent stops so far.
+        permitted: how many of them the command under way has been told of.
         beating: heartbeats are sent; without them an armed rig switches itself off.
     """
 
@@ -100,6 +103,9 @@ class RigClient:
         self.last: Sample | None = None
         self.beating = True
         self.lost_reports = 0
+        self.stops = 0
+        self.permitted = 0
+        self._stop_lock = threading.Lock()
         self._decoder = FrameDecoder()
         self._sequence = 0
         self._beat_at = -1.0
@@ -117,10 +123,26 @@ class RigClient:
         self.last = None
 
     def _send(self, command: Command, payload: bytes = b"") -> int:
-        self._sequence = (self._sequence + 1) & 0xFF
+        self._sequence = self._sequence % 255 + 1  # 0 is the urgent stop's
         self.port.write(encode(Frame(command, self._sequence, payload)))
         self._beat_at = self.port.now()
         return self._sequence
+
+    def urgent_stop(self) -> None:
+        """Take the torque away now; the only method for other threads than the one that owns the client.
+
+        A command that is under way is given up: its repetition after the stop would undo it.
+        """
+        with self._stop_lock:
+            self.stops += 1
+            self.port.write(encode(Frame(Command.STOP, 0, b"")))
+
+    def _write_unless_stopped(self, message: bytes, name: str) -> None:
+        with self._stop_lock:
+            if self.stops != self.permitted:
+                self.permitted = self.stops
+                raise RigRefusedError(f"{name}: overtaken by a stop")
+            self.port.write(message)
 
     def _frames(self, timeout: float) -> list[Frame]:
         frames = self._decoder.feed(self.port.read(timeout))
@@ -196,13 +218,14 @@ class RigClient:
             RigLostError, RigResetError: as `pump`.
         """
         samples: list[Sample] = []
-        sequence = self._send(command, payload)
+        sequence = self._sequence = self._sequence % 255 + 1
         message = encode(Frame(command, sequence, payload))
+        self._write_unless_stopped(message, command.name)
         end = self.port.now() + COMMAND_TIMEOUT
         retry_at = self.port.now() + RETRY_PERIOD
         while self.port.now() < end:
             if self.port.now() >= retry_at:
-                self.port.write(message)
+                self._write_unless_stopped(message, command.name)
                 retry_at = self.port.now() + RETRY_PERIOD
             frames = self._frames(HEARTBEAT)
             for report in filter(None, map(parse_report, frames)):

@@ -60,7 +60,7 @@ def run_ramp(
     except RigError:
         raise
     except BaseException:  # Ctrl-C or an error of the caller's: never leave with the torque on
-        client.stop()
+        client.urgent_stop()
         raise
     return _record(samples, rig, rig.slope_of_step(step), loaded, label)
 
