@@ -10,10 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from rx90_common.compiled import kernel
+from rx90_sim.friction.bristle import bristle_step
+from rx90_sim.friction.lugre import LuGreElement
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class PlantParameters:
         adc_noise: standard deviation of a torque reading, Nm.
         load_inertia, joint_inertia: at the load, kg m².
         coulomb, viscous: friction of motor, brushes, gear and bearings.
-        joint: friction of the revolute joint, at the load.
+        joint: friction of the revolute joint, at the load: Coulomb and viscous, or LuGre.
     """
 
     gear_ratio: float
@@ -50,7 +53,7 @@ class PlantParameters:
     joint_inertia: float
     coulomb: float
     viscous: float
-    joint: JointFriction
+    joint: JointFriction | LuGreElement
 
     def inertia(self, loaded: bool) -> float:
         """Return the inertia at the motor, kg m²."""
@@ -58,14 +61,15 @@ class PlantParameters:
         return self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
 
     def friction(self, loaded: bool) -> tuple[float, float]:
-        """Return the Coulomb torque, Nm, and the viscous coefficient, Nm s/rad, at the motor."""
+        """Return the Coulomb torque, Nm, and the viscous coefficient, Nm s/rad, at the motor, sliding forward."""
         if not loaded:
             return self.coulomb, self.viscous
         scale = self.gear_ratio * self.gear_efficiency
-        return (
-            self.coulomb + self.joint.coulomb / scale,
-            self.viscous + self.joint.viscous / (scale * self.gear_ratio),
-        )
+        if isinstance(self.joint, LuGreElement):
+            coulomb, viscous = self.joint.tau_c_positive, self.joint.c2
+        else:
+            coulomb, viscous = self.joint.coulomb, self.joint.viscous
+        return self.coulomb + coulomb / scale, self.viscous + viscous / (scale * self.gear_ratio)
 
     def noiseless(self) -> PlantParameters:
         """Return the same rig with perfect electronics."""
@@ -103,6 +107,34 @@ def slide(
     return angle, speed
 
 
+_BRISTLE_STEPS = 20
+"""Substeps of a slice with LuGre friction: 50 µs, 1/60 of the period of the stiffest joint worth emulating."""
+
+
+@kernel
+def slide_with_bristles(
+    angle: float,
+    speed: float,
+    z: float,
+    torque: float,
+    inertia: float,
+    coulomb: float,
+    viscous: float,
+    ratio: float,
+    efficiency: float,
+    element: Any,
+    dt: float,
+) -> tuple[float, float, float]:
+    """Advance as `slide`, with a LuGre joint behind the gear; return angle, speed and bristle deflection."""
+    step = dt / _BRISTLE_STEPS
+    for _ in range(_BRISTLE_STEPS):
+        z, joint = bristle_step(element, z, speed / ratio, step)
+        angle, speed = slide(
+            angle, speed, torque - joint / (ratio * efficiency), inertia, coulomb, viscous, step
+        )
+    return angle, speed, z
+
+
 class Plant:
     """The mechanics of one rig in motion; seeded, so that a run can be repeated bit for bit.
 
@@ -118,6 +150,8 @@ class Plant:
         self.angle = 0.0
         self.speed = 0.0
         self.torque = 0.0
+        self.bristle = 0.0
+        self._element = parameters.joint.record()[()] if isinstance(parameters.joint, LuGreElement) else None
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()
@@ -129,6 +163,7 @@ class Plant:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
         self.loaded = loaded
         self.speed = 0.0
+        self.bristle = 0.0
 
     def _normal(self) -> float:
         for value in self._noise:
@@ -152,14 +187,32 @@ class Plant:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time."""
         p = self.parameters
         self.torque = self.motor_torque(command, dt)
-        coulomb, viscous = p.friction(self.loaded)
-        self.angle, self.speed = slide(
-            self.angle, self.speed, self.torque, p.inertia(self.loaded), coulomb, viscous, dt
-        )
+        self._move(dt)
         count = math.floor(self.angle * self._scale + self._phase)
         edges = abs(count - self._last_count)
         self._last_count = count
         return edges
+
+    def _move(self, dt: float) -> None:
+        p = self.parameters
+        inertia = p.inertia(self.loaded)
+        if self.loaded and self._element is not None:
+            self.angle, self.speed, self.bristle = slide_with_bristles(
+                self.angle,
+                self.speed,
+                self.bristle,
+                self.torque,
+                inertia,
+                p.coulomb,
+                p.viscous,
+                p.gear_ratio,
+                p.gear_efficiency,
+                self._element,
+                dt,
+            )
+            return
+        coulomb, viscous = p.friction(self.loaded)
+        self.angle, self.speed = slide(self.angle, self.speed, self.torque, inertia, coulomb, viscous, dt)
 
     def current_reading(self) -> float:
         """Return what the current sense amplifier shows, as motor torque, Nm."""

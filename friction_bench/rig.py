@@ -9,6 +9,8 @@ from friction_bench.errors import RigError
 from friction_bench.messages import HelloReply
 from friction_bench.plant import JointFriction, PlantParameters
 from rx90_common.config import Section, load_yaml
+from rx90_sim.friction.friction_set import load_element
+from rx90_sim.friction.lugre import LuGreElement
 
 CODES = 255
 """Highest code of both converters."""
@@ -108,8 +110,11 @@ class Rig:
                 raise RigError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
-def _friction(section: Section) -> JointFriction:
-    section.text("model", ("coulomb_viscous",))
+def _friction(section: Section) -> JointFriction | LuGreElement:
+    if section.text("model", ("coulomb_viscous", "lugre")) == "lugre":
+        element = load_element(section.section("lugre"))
+        section.finish()
+        return element
     friction = JointFriction(section.number("coulomb", 0.0), section.number("viscous", 0.0))
     section.finish()
     return friction
