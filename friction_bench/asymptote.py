@@ -24,11 +24,15 @@ from friction_bench.record import RampRecord
 Array = NDArray[np.float64]
 
 MOVED_COUNTS = 2.0
-"""A shaft has broken away when it has moved so many counts; one may be jitter at an edge."""
+MOVED_SHARE = 1e-3
+"""A shaft has broken away for certain when it has moved two counts, one may be jitter at an edge, and this
+share of the ramp's angle: bristles let it move a little before."""
 SETTLED = 6.0
 """The window starts after so many time constants: 0.25 % of the transient is left."""
 ONSET_TICKS = 10
-"""The first motion is looked at for so many ticks."""
+"""The first certain motion is looked at for so many ticks."""
+ONSET_SHARE = 0.1
+"""Break-away is sought so far back from it, as a share of the motion's time."""
 MIN_POINTS = 30
 MIN_WINDOW = 4.0
 """Shortest window, in time constants."""
@@ -71,12 +75,15 @@ class RampFit:
         return self.b / self.a - self.break_away
 
 
-def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> RampFit:
+def fit_asymptote(
+    record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False
+) -> RampFit:
     """Fit the asymptote of one ramp.
 
     Args:
         record: the ramp.
         time_constant: J / f_v, s, where ramps at two slopes have told it; else this ramp's own b / a - t_b.
+        preliminary: the time constant is still to be found, so a transient that is not over is no fault.
 
     Raises:
         IdentificationError: no break-away, too short a ramp, too few points, saturation.
@@ -105,7 +112,8 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> Ram
         noise=solution.noise,
         points=int(use.sum()),
     )
-    _refuse_curved(fit, time[use], angle[use], T)
+    if not preliminary:
+        _refuse_curved(fit, time[use], angle[use], T)
     return fit
 
 
@@ -140,7 +148,8 @@ def _refuse_saturated_current(record: RampRecord) -> None:
 
 def _first_motion(record: RampRecord, angle: Array) -> int:
     """Return the index of the first reading after which the shaft never is back at its start."""
-    moved = angle >= (MOVED_COUNTS - 0.5) * record.angle_step
+    moved = angle >= max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1])
+    moved[-1] &= angle[-1] >= (MOVED_COUNTS - 0.5) * record.angle_step
     if not moved[-1]:
         reached = record.slope * (record.time[-1] - record.origin)
         raise IdentificationError(
@@ -169,7 +178,8 @@ def _break_away(
         model = RampModel(coulomb=moment * a, viscous=1.0, inertia=inertia, slope=a)
         return float(np.sum((model.angle(time[few]) - angle[few]) ** 2))
 
-    bounds = (latest - ONSET_TICKS * tick, latest)
+    back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
+    bounds = (latest - back, latest)
     return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
 
 

@@ -9,7 +9,7 @@ problem.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,8 +105,13 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
 
 def slopes_of(fits: Sequence[RampFit]) -> list[float]:
     """Return the distinct slopes of some fits, ascending."""
+    return distinct_slopes(fit.slope for fit in fits)
+
+
+def distinct_slopes(slopes: Iterable[float]) -> list[float]:
+    """Return slopes that differ by more than SAME_SLOPE, ascending."""
     distinct: list[float] = []
-    for slope in sorted(fit.slope for fit in fits):
+    for slope in sorted(slopes):
         if not distinct or slope > distinct[-1] * (1 + SAME_SLOPE):
             distinct.append(slope)
     return distinct
@@ -124,8 +129,8 @@ def identify(records: Sequence[RampRecord], scale_uncertainty: float) -> Identif
     """
     if not records:
         raise IdentificationError("no ramp to identify from")
-    fits = [fit_asymptote(record) for record in records]
-    two_slopes = len(slopes_of(fits)) >= 2
+    two_slopes = len(distinct_slopes(record.slope for record in records)) >= 2
+    fits = [fit_asymptote(record, preliminary=two_slopes) for record in records]
     exact = None
     consistency = 1.0
     if two_slopes:
