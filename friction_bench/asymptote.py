@@ -36,7 +36,8 @@ ONSET_SHARE = 0.1
 MIN_POINTS = 30
 MIN_WINDOW = 4.0
 """Shortest window, in time constants."""
-MOST_POINTS = 150
+MOST_POINTS = 100
+ROUGH_POINTS = 30
 """The least squares problem is solved with at most so many readings; its cost grows with their cube."""
 CURVATURE_LIMIT = 0.05
 SATURATION_LIMIT = 0.06
@@ -99,7 +100,8 @@ def fit_asymptote(
     angle = angle - staircase_angle(record, time, break_away, a, T)
     use = time >= break_away + SETTLED * T
     _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
-    solution = _solve(time[use], angle[use], record.angle_step, break_away, T)
+    most = ROUGH_POINTS if preliminary else MOST_POINTS
+    solution = _solve(time[use], angle[use], record.angle_step, break_away, T, most)
     fit = RampFit(
         record=record,
         slope=record.slope,
@@ -263,9 +265,11 @@ def wander_covariance(time: Array, T: float) -> Array:
     )
 
 
-def _solve(time: Array, angle: Array, step: float, break_away: float, T: float) -> _Solution:
+def _solve(
+    time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS
+) -> _Solution:
     """Solve the generalised least squares problem; q by restricted maximum likelihood."""
-    thin = slice(None, None, -(-time.size // MOST_POINTS))  # angles are sums: thinning loses next to nothing
+    thin = slice(None, None, -(-time.size // most))  # angles are sums: thinning loses next to nothing
     time, angle = time[thin], angle[thin]
     middle = float(time.mean())
     half = float(np.ptp(time)) / 2
@@ -309,8 +313,8 @@ def _refuse_curved(fit: RampFit, time: Array, angle: Array, T: float) -> None:
     if half < MIN_POINTS // 2:
         return
     step = fit.record.angle_step
-    early = _solve(time[:half], angle[:half], step, fit.break_away, T)
-    late = _solve(time[half:], angle[half:], step, fit.break_away, T)
+    early = _solve(time[:half], angle[:half], step, fit.break_away, T, ROUGH_POINTS)
+    late = _solve(time[half:], angle[half:], step, fit.break_away, T, ROUGH_POINTS)
     difference = late.a - early.a
     error = math.sqrt(early.covariance[0, 0] + late.covariance[0, 0])
     if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * fit.a:
