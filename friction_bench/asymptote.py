@@ -124,7 +124,9 @@ def _refuse_saturated_command(record: RampRecord, time: Array) -> None:
         return
     middle = time + record.tick / 2
     late = np.abs(record.torque - record.slope * middle)
-    allowed = max(1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick)
+    allowed = max(
+        1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick
+    )
     if late.max() > allowed:
         when = float(time[int(np.argmax(late))])
         raise IdentificationError(
@@ -293,7 +295,11 @@ def _solve(
     _, information, beta, _ = weighted(float(best.x))
     # beta of (1, x, x^2) back to (c, -b, a / 2) of (1, t, t^2)
     back = np.array(
-        [[1.0, -middle / half, (middle / half) ** 2], [0.0, 1 / half, -2 * middle / half**2], [0, 0, half**-2]]
+        [
+            [1.0, -middle / half, (middle / half) ** 2],
+            [0.0, 1 / half, -2 * middle / half**2],
+            [0, 0, half**-2],
+        ]
     )
     c, linear, square = back @ beta
     covariance = back @ np.linalg.inv(information) @ back.T

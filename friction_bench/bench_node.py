@@ -19,11 +19,12 @@ from friction_bench.emulated import EmulatedRig
 from friction_bench.link import RigLink
 from friction_bench.messages import Fault, State, fault_text
 from friction_bench.pty_rig import PtyRig
-from friction_bench.rig import Rig, load_rig
+from friction_bench.rig import load_rig
 from friction_bench.serial_port import SerialPort
 from rx90_common.errors import Rx90Error
 from rx90_common.share import resolve_config
-from rx90_exchange.node_tools import Diagnostics, declare, spin as spin_node
+from rx90_exchange.node_tools import Diagnostics, declare
+from rx90_exchange.node_tools import spin as spin_node
 
 JOINT = "rig_motor"
 EMULATED = "emulated"
@@ -48,9 +49,13 @@ class BenchNode:
         if port == EMULATED:
             self._emulated = PtyRig(EmulatedRig(self.rig, seed))
             port = self._emulated.path
-        log = self.node.get_logger()
+        log = self.node.get_logger()  # type: ignore[no-untyped-call]
         self._link = RigLink(
-            lambda: _open(port, baud), self.rig, self._publish, log.error, lambda text: log.info(f"{port}: {text}")
+            lambda: _open(port, baud),
+            self.rig,
+            self._publish,
+            log.error,
+            lambda text: log.info(f"{port}: {text}"),
         )
         self._states = self.node.create_publisher(JointState, "~/joint_states", 10)
         self._commands = self.node.create_publisher(JointState, "~/joint_commands", 10)
@@ -59,8 +64,8 @@ class BenchNode:
         self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(self.node, self._collect)
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
-        waiting = MutuallyExclusiveCallbackGroup()
-        urgent = MutuallyExclusiveCallbackGroup()
+        waiting = MutuallyExclusiveCallbackGroup()  # type: ignore[no-untyped-call]
+        urgent = MutuallyExclusiveCallbackGroup()  # type: ignore[no-untyped-call]
         callbacks = {
             "arm": (self._serve(RigClient.arm, "armed"), waiting),
             "clear": (self._serve(RigClient.clear, "faults cleared, disarmed"), waiting),
@@ -108,7 +113,10 @@ class BenchNode:
             except Rx90Error as error:
                 response.success, response.message = False, str(error)
             except TimeoutError:
-                response.success, response.message = False, f"the rig did not answer in {_SERVICE_TIMEOUT:g} s"
+                response.success, response.message = (
+                    False,
+                    f"the rig did not answer in {_SERVICE_TIMEOUT:g} s",
+                )
             return response
 
         return callback

@@ -82,6 +82,10 @@ def run_series(
     """Run all ramps under one load.
 
     Args:
+        client: greeted.
+        plan: slopes, repeats and end torques.
+        loaded: whether the joint is coupled.
+        readings: takes every reading.
         on_progress: called with seconds of ramp time done since the last call, and what is running.
 
     Raises:

@@ -74,6 +74,11 @@ class Identification:
     consistency: float
 
     @property
+    def break_away_torque(self) -> float:
+        """Return the mean torque at break-away, Nm: the static friction where it exceeds f_c."""
+        return float(np.mean([fit.break_away * fit.slope for fit in self.fits]))
+
+    @property
     def best(self) -> Friction:
         """Return the exact estimate, else the source's.
 
@@ -94,7 +99,11 @@ def interval(value: float, chance: float, freedom: float, scale: float) -> Estim
     systematic = abs(value) * scale
     total = math.hypot(chance, systematic)
     effective = freedom if math.isinf(freedom) or chance == 0.0 else freedom * (total / chance) ** 4
-    factor = float(stats.t.ppf((1 + LEVEL) / 2, effective)) if effective < 1e6 else float(stats.norm.ppf((1 + LEVEL) / 2))
+    factor = (
+        float(stats.t.ppf((1 + LEVEL) / 2, effective))
+        if effective < 1e6
+        else float(stats.norm.ppf((1 + LEVEL) / 2))
+    )
     return Estimate(value, total, value - factor * total, value + factor * total)
 
 
@@ -185,7 +194,7 @@ def _least_squares(fits: Sequence[RampFit]) -> tuple[Array, Array, float]:
     linear = covariance @ right
     square = sum(float((y - X @ linear) @ W @ (y - X @ linear)) for X, W, y in rows)
     freedom = 2 * len(fits) - 3
-    return linear, covariance, float(stats.chi2.sf(square, freedom))
+    return linear, np.asarray(covariance), float(stats.chi2.sf(square, freedom))
 
 
 def _friction_of(linear: Array) -> Array:

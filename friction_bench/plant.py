@@ -9,6 +9,7 @@ with gear ratio n and efficiency eta, the motor driving the load. The joint is t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -61,7 +62,7 @@ class PlantParameters:
         return self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
 
     def friction(self, loaded: bool) -> tuple[float, float]:
-        """Return the Coulomb torque, Nm, and the viscous coefficient, Nm s/rad, at the motor, sliding forward."""
+        """Return Coulomb torque, Nm, and viscous coefficient, Nm s/rad, at the motor, sliding forward."""
         if not loaded:
             return self.coulomb, self.viscous
         scale = self.gear_ratio * self.gear_efficiency
@@ -108,7 +109,7 @@ def slide(
 
 
 _BRISTLE_STEPS = 20
-"""Substeps of a slice with LuGre friction: 50 µs, 1/60 of the period of the stiffest joint worth emulating."""
+"""Substeps of a slice with LuGre friction: 50 µs, a sixtieth of the stiffest joint's period."""
 
 
 @kernel
@@ -157,7 +158,7 @@ class Plant:
         self._phase = self._rng.random()
         self._gain = 1.0 + parameters.gain_error * self._rng.standard_normal()
         self._last_count = math.floor(self._phase)
-        self._noise = iter(())
+        self._noise: Iterator[float] = iter(())
 
     def load(self, loaded: bool) -> None:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
@@ -185,7 +186,6 @@ class Plant:
 
     def advance(self, command: float, dt: float) -> int:
         """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time."""
-        p = self.parameters
         self.torque = self.motor_torque(command, dt)
         self._move(dt)
         count = math.floor(self.angle * self._scale + self._phase)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import yaml
 from tqdm import tqdm
 
 from friction_bench.client import Port, RigClient
@@ -37,7 +38,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s at the motor")
     parser.add_argument("--repeats", type=int, help="ramps of each slope")
     parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")
-    parser.add_argument("--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)")
+    parser.add_argument(
+        "--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--out", type=Path, default=Path("out/friction"), help="folder for bag and report")
@@ -87,8 +90,6 @@ def _run(options: argparse.Namespace) -> None:
 
 def load_friction_document() -> dict[str, dict[str, object]]:
     """Return the shipped friction file's elements, into which an identified one is put."""
-    import yaml
-
     document = yaml.safe_load(config_path("robot/friction.yaml").read_text(encoding="utf-8"))
     return {"elements": document["elements"]}
 
@@ -154,7 +155,9 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tu
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s {postfix}"
 
 
-def _open(options: argparse.Namespace, rig: Rig):  # type: ignore[no-untyped-def]
+def _open(
+    options: argparse.Namespace, rig: Rig
+) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)

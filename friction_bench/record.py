@@ -56,7 +56,9 @@ class RampRecord:
         if not (math.isfinite(self.slope) and self.slope > 0.0):
             raise RecordError(f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0")
         if not self.angle_step > 0.0:
-            raise RecordError(f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0")
+            raise RecordError(
+                f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0"
+            )
 
     @property
     def tick(self) -> float:
@@ -179,11 +181,11 @@ def read_text(
         raise RecordError(f"{path}: {len(rows)} readings; accepted: at least 2")
     table = np.array(rows)
     time = table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1)
-    values = table[:, -1]
+    values = np.asarray(table[:, -1], dtype=np.float64)
     if kind == "counts":
         angle = values * angle_step
     elif kind == "increments":
-        angle = np.cumsum(values) * angle_step
+        angle = np.asarray(np.cumsum(values) * angle_step, dtype=np.float64)
     else:
-        angle = np.cumsum(values * np.diff(time, prepend=time[0] - tick))
+        angle = np.asarray(np.cumsum(values * np.diff(time, prepend=time[0] - tick)), dtype=np.float64)
     return RampRecord(time, angle, slope, angle_step, loaded=loaded, label=path.name)

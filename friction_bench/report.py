@@ -93,12 +93,12 @@ def _interval(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, viscous: float) -> dict[str, float]:
+def _lugre(coulomb: float, static: float, viscous: float) -> dict[str, float]:
     """Return a LuGre element: c0 and c1 give a presliding of 0.1 mrad with critical-like damping, assumed."""
     stiffness = coulomb / STIFFNESS_SHARE
     return {
         "tau_c": float(f"{coulomb:.6g}"),
-        "tau_s": float(f"{coulomb:.6g}"),
+        "tau_s": float(f"{static:.6g}"),
         "omega_s": 0.05,
         "delta": 1.0,
         "c0": float(f"{stiffness:.6g}"),
@@ -106,6 +106,14 @@ def _lugre(coulomb: float, viscous: float) -> dict[str, float]:
         "c2": float(f"{max(viscous, 0.0):.6g}"),
         "omega_d": 1.0,
     }
+
+
+def _static_friction(result: Result, rig: Rig) -> float:
+    """Return the joint's break-away torque on its own side of the gear, Nm, 0 where it was not measured."""
+    if result.loaded is None or result.unloaded is None:
+        return 0.0
+    at_motor = result.loaded.break_away_torque - result.unloaded.best.coulomb.value
+    return at_motor * rig.gear_ratio * rig.gear_efficiency
 
 
 def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: dict[str, Any] | None) -> None:
@@ -123,17 +131,18 @@ def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: dict[st
     """
     document: dict[str, Any] = {
         "provenance": "identified",
-        "source": "ramp test on the friction rig: tau_c and c2 identified, the other parameters assumed",
+        "source": "ramp test on the friction rig: tau_c, tau_s, c2 of the element identified, its rest assumed",
     }
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
     else:
         best = result.parts[0][1].best
         coulomb, viscous = best.coulomb.value, best.viscous.value
+    static = max(coulomb, _static_friction(result, rig))
     if coulomb <= 0.0:
         raise RecordError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
     elements = dict(base["elements"]) if base is not None else {}
-    elements[element] = _lugre(coulomb, viscous)
+    elements[element] = _lugre(coulomb, static, viscous)
     document["elements"] = elements
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
     _write(path, text)

@@ -78,9 +78,7 @@ class Rig:
         unit = self.slope_of_step(1)
         step = round(slope / unit)
         if not 1 <= step <= MAX_RAMP_STEP:
-            raise RigError(
-                f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s"
-            )
+            raise RigError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
         return step
 
     def slope_of_step(self, step: int) -> float:

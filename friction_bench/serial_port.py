@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import termios
 import threading
 import time
@@ -64,10 +65,8 @@ class SerialPort:
 
     def close(self) -> None:
         """Give the port back."""
-        try:
+        with contextlib.suppress(*_FAILURES):  # an unplugged adapter cannot even be closed
             self._serial.close()
-        except _FAILURES:
-            pass  # an unplugged adapter cannot even be closed
 
 
 def _reason(error: Exception) -> str:

@@ -32,7 +32,7 @@ class ResettableBoard(Board, Protocol):
         """Reset the board."""
 
 
-class Mismatch(AssertionError):
+class MismatchError(AssertionError):
     """The board does not do what the transcript says."""
 
 
@@ -69,22 +69,22 @@ class Player:
         """Play a transcript.
 
         Raises:
-            Mismatch: naming file, step and difference.
+            MismatchError: naming file, step and difference.
         """
         script = yaml.safe_load(path.read_text())
         for number, step in enumerate(script["steps"], 1):
             name, value = (step, None) if isinstance(step, str) else next(iter(step.items()))
             try:
                 getattr(self, f"do_{name}")(value)
-            except Mismatch as error:
-                raise Mismatch(f"{path.name}, step {number} ({step}): {error}") from None
+            except MismatchError as error:
+                raise MismatchError(f"{path.name}, step {number} ({step}): {error}") from None
 
     def millisecond(self) -> None:
         """Let a millisecond pass, and hold the board to what must be true at every instant."""
         self.board.run(1000, self.edges, self.adc)
         self.clock += 1
         if self.board.stage_on and self.board.dac > TORQUE_LIMIT_CODE:
-            raise Mismatch(f"the DAC shows {self.board.dac} with the stage on")
+            raise MismatchError(f"the DAC shows {self.board.dac} with the stage on")
         for frame in self.decoder.feed(self.board.read()):
             report = parse_report(frame)
             if report is not None:
@@ -104,18 +104,23 @@ class Player:
         return Frame(kind, self.sequence, payload)
 
     def do_send(self, command: dict[str, Any] | str) -> None:
+        """Send a command."""
         self.transmit(self.next_frame(command))
 
     def do_raw(self, value: dict[str, Any]) -> None:
+        """Send a frame of any type and length."""
         self.transmit(Frame(value["type"], value["sequence"], bytes.fromhex(value.get("payload", ""))))
 
     def do_bytes(self, value: str) -> None:
+        """Put bytes on the line."""
         self.board.write(bytes.fromhex(value))
 
     def do_again(self, _: None) -> None:
+        """Repeat the last frame."""
         self.board.write(self.message)
 
     def do_damaged(self, value: dict[str, Any]) -> None:
+        """Send a command with one byte flipped, lost or doubled, or a wrong checksum."""
         message = bytearray(encode(self.next_frame(value["command"])))
         self.sequence -= 1  # the rig must not have seen it
         middle = len(message) // 2
@@ -131,16 +136,19 @@ class Player:
         self.board.write(bytes(message))
 
     def do_greet(self, _: None) -> None:
+        """Greet the board a few milliseconds after power-up."""
         self.do_run(5)
         self.do_send({"hello": 1})
         self.do_run(60)
         self.do_expect({"greeted": True, "result": "OK"})
 
     def do_run(self, milliseconds: int) -> None:
+        """Let time pass without a sign of life."""
         for _ in range(milliseconds):
             self.millisecond()
 
     def do_beat(self, milliseconds: int) -> None:
+        """Let time pass with heartbeats."""
         for _ in range(milliseconds):
             if self.clock - self.beat_at >= 20:
                 self.beat_at = self.clock
@@ -154,49 +162,57 @@ class Player:
             self.do_beat(1)
 
     def do_adc(self, code: int) -> None:
+        """Set the ADC code from now on."""
         self.adc = code
 
     def do_edges(self, per_millisecond: int) -> None:
+        """Set the encoder edges per millisecond from now on."""
         self.edges = per_millisecond
 
     def do_reset(self, _: None) -> None:
+        """Reset the board."""
         self.board.restart()
 
     def do_forget(self, _: None) -> None:
+        """Look at reports from now on only."""
         self.forgotten = len(self.reports)
 
     def do_silence(self, limits: list[int]) -> None:
+        """Fall silent; the stage must go off between these limits, ms."""
         self.board.write(encode(Frame(Command.BEAT, 0, b"")))
         start = self.clock
         while self.board.stage_on and self.clock - start < 1000:
             self.millisecond()
         took = self.clock - start
         if not limits[0] <= took <= limits[1] or self.board.dac:
-            raise Mismatch(f"the stage went off after {took} ms, DAC {self.board.dac}")
+            raise MismatchError(f"the stage went off after {took} ms, DAC {self.board.dac}")
 
     def do_staircase(self, codes: list[int]) -> None:
+        """The reports must show these DAC codes in a row."""
         shown = [report.dac for report in self.reports[self.forgotten :]]
         for at in range(len(shown)):
             if shown[at : at + len(codes)] == codes:
                 return
-        raise Mismatch(f"reported {shown}")
+        raise MismatchError(f"reported {shown}")
 
     def do_pins(self, value: dict[str, Any]) -> None:
+        """The pins must show this."""
         found = {"dac": self.board.dac, "stage": self.board.stage_on}
         if found != value:
-            raise Mismatch(f"pins {found}")
+            raise MismatchError(f"pins {found}")
 
     def do_expect(self, value: dict[str, Any]) -> None:
+        """The last report, and the pins with it, must show this."""
         if not self.reports:
-            raise Mismatch("the board has not reported")
+            raise MismatchError("the board has not reported")
         found = self.observed(self.reports[-1])
         wrong = {key: found[key] for key, wanted in value.items() if found[key] != wanted}
         if wrong:
-            raise Mismatch(f"found {wrong}")
+            raise MismatchError(f"found {wrong}")
         if found["state"] == "RAMPING":
             return  # the pins are ahead of the report
         if found["dac"] != self.board.dac or found["stage"] != self.board.stage_on:
-            raise Mismatch(f"reported {found}, pins {self.board.dac} {self.board.stage_on}")
+            raise MismatchError(f"reported {found}, pins {self.board.dac} {self.board.stage_on}")
 
     def observed(self, report: Report) -> dict[str, Any]:
         """Return what a transcript can expect."""

@@ -86,9 +86,7 @@ class TestBoard:
 
 
 @pytest.fixture
-def make_board(
-    firmware: Callable[[str], Path], tmp_path: Path
-) -> Iterator[Callable[[str], TestBoard]]:
+def make_board(firmware: Callable[[str], Path], tmp_path: Path) -> Iterator[Callable[[str], TestBoard]]:
     """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conformance import TRANSCRIPTS, Mismatch, Player
+from conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.codec import Frame, encode
 from friction_bench.messages import Command
@@ -35,11 +35,19 @@ MUTANTS = {
     "no_speed": ("core/rig.c", "trip(FAULT_SPEED);", ";"),
     "no_current": ("core/rig.c", "trip(FAULT_CURRENT);", ";"),
     "hasty_current": ("core/rig_config.h", "CURRENT_LIMIT_TICKS 3u", "CURRENT_LIMIT_TICKS 2u"),
-    "sticky_current": ("core/rig.c", "(uint8_t)(over_current + 1u) : 0", "(uint8_t)(over_current + 1u) : over_current"),
+    "sticky_current": (
+        "core/rig.c",
+        "(uint8_t)(over_current + 1u) : 0",
+        "(uint8_t)(over_current + 1u) : over_current",
+    ),
     "twice": ("core/rig.c", "hello_seen && sequence == ack_sequence", "0 && sequence == ack_sequence"),
     "deaf_stop": ("core/rig.c", " && type != HELLO && type != STOP)", " && type != HELLO)"),
     "floor_ramp": ("core/rig.c", "level = 0x80u;", "level = 0u;"),
-    "ramp_stays_on": ("core/rig.c", "        power_off(DISARMED);\n        return;\n    }\n    drive", "        return;\n    }\n    drive"),
+    "ramp_stays_on": (
+        "core/rig.c",
+        "        power_off(DISARMED);\n        return;\n    }\n    drive",
+        "        return;\n    }\n    drive",
+    ),
     "differences": ("core/rig.c", "    counts += moved;", "    counts = moved;"),
     "loose_limits": ("core/rig.c", "distance > MAX_TRAVEL", "0"),
     "loose_speed": ("core/rig.c", "speed > MAX_SPEED", "0"),
@@ -64,14 +72,14 @@ def test_transcripts_catch_the_mutant(name: str, mutant: Callable[..., Any]) -> 
         board.reset(1)
         try:
             Player(board).play(transcript)
-        except Mismatch:
+        except MismatchError:
             return
     pytest.fail(f"no transcript notices the mutant {name}")
 
 
 @pytest.mark.firmware
 def test_8051_clears_the_dac_within_microseconds_of_power_up(make_board: Callable[..., Any]) -> None:
-    """The ports' reset value 0xFF, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
+    """The ports' reset value, a full-scale DAC, lasts less than 20 µs, and the stage is off meanwhile."""
     board = make_board("mcs51").inner
     assert not board.stage_on
     for _ in range(10):

@@ -42,7 +42,9 @@ def rig_with(rig: Rig, fc: float, fv: float, inertia: float, quiet: bool = False
     return replace(rig, plant=plant.noiseless() if quiet else plant)
 
 
-def measure(rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]) -> Identification:
+def measure(
+    rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]
+) -> Identification:
     """Run the whole measurement on an emulated rig with the real firmware, in virtual time."""
     client = RigClient(VirtualPort(EmulatedRig(rig, seed)), rig)
     client.connect()
@@ -214,7 +216,7 @@ def test_one_slope_gives_the_source_formula_alone(rig: Rig) -> None:
 
 
 def test_break_away_torque_is_found(rig: Rig) -> None:
-    """m t_b of each ramp is the Coulomb friction within 3 %."""
+    """Torque m t_b of each ramp is the Coulomb friction within 3 %."""
     found = measure(rig_with(rig, 0.05, 8e-4, 6e-5), 3, 2, 0.15, (0.02, 0.05))
     for fit in found.fits:
         assert fit.break_away * fit.slope == pytest.approx(0.05, rel=0.03)
@@ -305,7 +307,10 @@ def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool,
         "increments": np.diff(counts, prepend=0.0),
         "velocity": np.diff(counts, prepend=0.0) * STEP / TICK,
     }[kind]
-    lines = [f"{t + TICK:.4f}\t{v:.9g}" if with_time else f"{v:.9g}" for t, v in zip(record.time, values, strict=True)]
+    lines = [
+        f"{t + TICK:.4f}\t{v:.9g}" if with_time else f"{v:.9g}"
+        for t, v in zip(record.time, values, strict=True)
+    ]
     path = tmp_path / "old.txt"
     path.write_text("% saved by a Turbo C program\n" + "\r\n".join(lines) + "\n")
     a, b = MODEL.asymptote()

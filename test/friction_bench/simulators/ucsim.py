@@ -109,8 +109,18 @@ class UcsimBoard:
         self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
         lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
         for _ in range(edges):
-            lines += [f"step {max(1, steps // (edges + 1))}", "set hw port[3] 0xfb", "step 4", "set hw port[3] 0xff"]
-        lines += [f"step {max(1, steps // (edges + 1))}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+            lines += [
+                f"step {max(1, steps // (edges + 1))}",
+                "set hw port[3] 0xfb",
+                "step 4",
+                "set hw port[3] 0xff",
+            ]
+        lines += [
+            f"step {max(1, steps // (edges + 1))}",
+            "expr sim_ticks",
+            "expr port1_odr",
+            "expr port3_odr",
+        ]
         *_, self._clock, self._dac, self._port3 = self._console(lines)
 
     def reset(self) -> None:
