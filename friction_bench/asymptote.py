@@ -76,9 +76,7 @@ class RampFit:
         return self.b / self.a - self.break_away
 
 
-def fit_asymptote(
-    record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False
-) -> RampFit:
+def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False) -> RampFit:
     """Fit the asymptote of one ramp.
 
     Args:
@@ -124,9 +122,7 @@ def _refuse_saturated_command(record: RampRecord, time: Array) -> None:
         return
     middle = time + record.tick / 2
     late = np.abs(record.torque - record.slope * middle)
-    allowed = max(
-        1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick
-    )
+    allowed = max(1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick)
     if late.max() > allowed:
         when = float(time[int(np.argmax(late))])
         raise IdentificationError(
@@ -156,20 +152,14 @@ def _first_motion(record: RampRecord, angle: Array) -> int:
     moved[-1] &= angle[-1] >= (MOVED_COUNTS - 0.5) * record.angle_step
     if not moved[-1]:
         reached = record.slope * (record.time[-1] - record.origin)
-        raise IdentificationError(
-            f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque"
-        )
+        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
     first = int(np.argmax(np.logical_and.accumulate(moved[::-1])[::-1]))
     if first == 0:
-        raise IdentificationError(
-            f"{record.label}: the shaft moves at the first reading; a ramp starts from rest"
-        )
+        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
     return first
 
 
-def _break_away(
-    time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None
-) -> float:
+def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
     """Return the time of break-away, s: the closed form through the first readings of the motion.
 
     Without a known time constant the asymptote a t - b gives it for each t_b, T = b / a - t_b.
@@ -237,8 +227,8 @@ def _check_length(record: RampRecord, points: int, length: float, T: float) -> N
         )
     if length < MIN_WINDOW * T:
         raise IdentificationError(
-            f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant of "
-            f"{T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
+            f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant "
+            f"of {T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
         )
 
 
@@ -260,16 +250,11 @@ def wander_covariance(time: Array, T: float) -> Array:
     gap = np.abs(np.subtract.outer(time, time))
     far = np.exp(-gap / T)
     return np.asarray(
-        s
-        + T * np.expm1(-s / T)
-        - T * (far - np.exp(-(s + gap) / T))
-        + T / 2 * (far - np.exp(-(2 * s + gap) / T))
+        s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
     )
 
 
-def _solve(
-    time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS
-) -> _Solution:
+def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS) -> _Solution:
     """Solve the generalised least squares problem; q by restricted maximum likelihood."""
     thin = slice(None, None, -(-time.size // most))  # angles are sums: thinning loses next to nothing
     time, angle = time[thin], angle[thin]

@@ -49,7 +49,7 @@ class BenchNode:
         if port == EMULATED:
             self._emulated = PtyRig(EmulatedRig(self.rig, seed))
             port = self._emulated.path
-        log = self.node.get_logger()  # type: ignore[no-untyped-call]
+        log = self.node.get_logger()
         self._link = RigLink(
             lambda: _open(port, baud),
             self.rig,
@@ -64,8 +64,8 @@ class BenchNode:
         self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(self.node, self._collect)
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
-        waiting = MutuallyExclusiveCallbackGroup()  # type: ignore[no-untyped-call]
-        urgent = MutuallyExclusiveCallbackGroup()  # type: ignore[no-untyped-call]
+        waiting = MutuallyExclusiveCallbackGroup()
+        urgent = MutuallyExclusiveCallbackGroup()
         callbacks = {
             "arm": (self._serve(RigClient.arm, "armed"), waiting),
             "clear": (self._serve(RigClient.clear, "faults cleared, disarmed"), waiting),

@@ -178,9 +178,7 @@ class RigClient:
 
     def _accept(self, hello: HelloReply) -> None:
         if hello.version != PROTOCOL_VERSION:
-            raise RigRefusedError(
-                f"the rig speaks protocol version {hello.version}; accepted: {PROTOCOL_VERSION}"
-            )
+            raise RigRefusedError(f"the rig speaks protocol version {hello.version}; accepted: {PROTOCOL_VERSION}")
         self.rig.check(hello)
         self.hello = hello
 

@@ -100,9 +100,7 @@ def interval(value: float, chance: float, freedom: float, scale: float) -> Estim
     total = math.hypot(chance, systematic)
     effective = freedom if math.isinf(freedom) or chance == 0.0 else freedom * (total / chance) ** 4
     factor = (
-        float(stats.t.ppf((1 + LEVEL) / 2, effective))
-        if effective < 1e6
-        else float(stats.norm.ppf((1 + LEVEL) / 2))
+        float(stats.t.ppf((1 + LEVEL) / 2, effective)) if effective < 1e6 else float(stats.norm.ppf((1 + LEVEL) / 2))
     )
     return Estimate(value, total, value - factor * total, value + factor * total)
 

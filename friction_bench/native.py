@@ -36,9 +36,7 @@ def compile_core(sources: Path, library: Path) -> None:
     """
     compiler = os.environ.get("CC") or shutil.which("cc") or shutil.which("gcc")
     if not compiler:
-        raise RigError(
-            "the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc"
-        )
+        raise RigError("the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc")
     command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -130,9 +130,7 @@ def slide_with_bristles(
     step = dt / _BRISTLE_STEPS
     for _ in range(_BRISTLE_STEPS):
         z, joint = bristle_step(element, z, speed / ratio, step)
-        angle, speed = slide(
-            angle, speed, torque - joint / (ratio * efficiency), inertia, coulomb, viscous, step
-        )
+        angle, speed = slide(angle, speed, torque - joint / (ratio * efficiency), inertia, coulomb, viscous, step)
     return angle, speed, z
 
 

@@ -56,9 +56,7 @@ def velocity_plot(part: Identification) -> str:
             axes.plot(ends, [fit.a * t - fit.b for t in ends], **_FIT)
             settled = time >= fit.window[0]
             deviation = velocity[settled] - (fit.a * time[settled] - fit.b)
-            panels[-1].plot(
-                time[settled], deviation, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.7
-            )
+            panels[-1].plot(time[settled], deviation, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.7)
             axes.axvline(fit.break_away, color=COLOURS[k % len(COLOURS)], linewidth=0.5, linestyle=":")
         axes.set_xlabel("time since the torque's zero, s")
         axes.set_ylabel("motor velocity, rad/s")
@@ -67,9 +65,7 @@ def velocity_plot(part: Identification) -> str:
     panels[0].plot([], [], color="grey", linestyle=":", linewidth=0.8, label="break-away")
     panels[0].legend(frameon=False, loc="upper left")
     panels[-1].set(xlabel="time since the torque's zero, s", ylabel="less asymptote, rad/s")
-    panels[-1].set_title(
-        "all repeats where the transient is over, one colour a slope", fontsize=9, loc="left"
-    )
+    panels[-1].set_title("all repeats where the transient is over, one colour a slope", fontsize=9, loc="left")
     return _svg(figure)
 
 

@@ -38,9 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s at the motor")
     parser.add_argument("--repeats", type=int, help="ramps of each slope")
     parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")
-    parser.add_argument(
-        "--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)"
-    )
+    parser.add_argument("--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--out", type=Path, default=Path("out/friction"), help="folder for bag and report")
@@ -155,9 +153,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tu
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s {postfix}"
 
 
-def _open(
-    options: argparse.Namespace, rig: Rig
-) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
+def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)

@@ -56,9 +56,7 @@ class RampRecord:
         if not (math.isfinite(self.slope) and self.slope > 0.0):
             raise RecordError(f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0")
         if not self.angle_step > 0.0:
-            raise RecordError(
-                f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0"
-            )
+            raise RecordError(f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0")
 
     @property
     def tick(self) -> float:
@@ -104,8 +102,7 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     missing = [name for name in CSV_COLUMNS[:2] if name not in header]
     if missing:
         raise RecordError(
-            f"{path}: column '{missing[0]}' is missing, found {', '.join(header)}; "
-            f"accepted: {', '.join(CSV_COLUMNS)}"
+            f"{path}: column '{missing[0]}' is missing, found {', '.join(header)}; accepted: {', '.join(CSV_COLUMNS)}"
         )
     data: dict[str, Array] = {}
     for name in CSV_COLUMNS:
@@ -146,9 +143,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
             writer.writerow(row)
 
 
-def read_text(
-    path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False
-) -> RampRecord:
+def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
     """Read the plain text of the source's program: one reading per line, every 20 ms.
 
     A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.

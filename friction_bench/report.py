@@ -131,7 +131,7 @@ def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: dict[st
     """
     document: dict[str, Any] = {
         "provenance": "identified",
-        "source": "ramp test on the friction rig: tau_c, tau_s, c2 of the element identified, its rest assumed",
+        "source": "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed",
     }
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value

@@ -29,9 +29,7 @@ class CS7B:
         state: compiled state, shape (1,), LAW_STATE_DTYPE.
     """
 
-    def __init__(
-        self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates
-    ) -> None:
+    def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
         self.joint_names = robot.joint_names
         self.rates = rates
         self.law = parameters.record(drives, rates)

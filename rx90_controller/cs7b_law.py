@@ -76,9 +76,7 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         # The sign function, made continuous: a set-point that crosses zero must not switch the torque back
         # and forth.
         sign = min(1.0, max(-1.0, speed / law.coulomb_velocity[i]))
-        state.feed_forward[i] = (
-            law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign + law.viscous[i] * speed
-        )
+        state.feed_forward[i] = law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign + law.viscous[i] * speed
 
 
 @kernel

@@ -106,9 +106,7 @@ def stamped_points(plan: LinePlan, delay: float = 0.0) -> list[StampedPoint]:
     """Return the knots for a message, `delay` s later than in the plan."""
     rows = zip(plan.times + delay, plan.position, plan.velocity, plan.acceleration, strict=True)
     return [
-        StampedPoint(
-            *divmod(round(float(t) * NANOSECONDS), NANOSECONDS), q.tolist(), qd.tolist(), qdd.tolist()
-        )
+        StampedPoint(*divmod(round(float(t) * NANOSECONDS), NANOSECONDS), q.tolist(), qd.tolist(), qdd.tolist())
         for t, q, qd, qdd in rows
     ]
 

@@ -67,16 +67,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     robot = parser.add_argument_group("robot")
     robot.add_argument("--urdf", default="robot/rx90b.urdf", help="URDF (the shipped one)")
-    robot.add_argument(
-        "--tool", default="robot/tool_laser_head.yaml", help="tool file (laser head), or 'none'"
-    )
+    robot.add_argument("--tool", default="robot/tool_laser_head.yaml", help="tool file (laser head), or 'none'")
     robot.add_argument("--set-point-rate", type=float, default=1000.0, metavar="HZ", help="Hz (1000)")
     send = parser.add_argument_group("sending")
     send.add_argument("--controller", default="rx90_controller", help="name of the node (rx90_controller)")
     send.add_argument("--start-time", type=float, default=0.0, metavar="S", help="start time, s; 0: now")
-    send.add_argument(
-        "--approach", action="store_true", help="first move to the start, straight in the joints"
-    )
+    send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--approach-speed", type=float, default=0.25, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=float, default=2.0, help="rad/s^2 (2)")
     send.add_argument("--timeout", type=float, default=30.0, metavar="S", help="s to wait for the nodes (30)")
@@ -188,6 +184,9 @@ def _without_ros_arguments(argv: list[str]) -> list[str]:
 
 
 def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
+    from rx90_exchange.environment import prepare  # noqa: PLC0415
+
+    prepare()
     # Here, because planning alone needs no ROS.
     import rclpy  # noqa: PLC0415
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
@@ -220,3 +219,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except Rx90Error as error:
         print(f"rx90_line: {error}", file=sys.stderr)
         return NOT_DELIVERED if isinstance(error, ExchangeError) else REFUSED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

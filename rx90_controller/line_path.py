@@ -164,9 +164,7 @@ def _first(faults: list[_Fault], count: int) -> int:
 
 def _refuse(task: LineTask, distance: Array, fault: _Fault) -> NoReturn:
     at = float(distance[fault.at])
-    raise LineError(
-        f"the line cannot be travelled at {at:.3f} m from its start ({at / task.length:.0%}): {fault.text}"
-    )
+    raise LineError(f"the line cannot be travelled at {at:.3f} m from its start ({at / task.length:.0%}): {fault.text}")
 
 
 def _reach_faults(q: Array) -> list[_Fault]:
@@ -190,9 +188,7 @@ def _singularity_faults(task: LineTask, margins: dict[str, Array]) -> list[_Faul
     for kind, values in margins.items():
         bad = np.flatnonzero(values < task.singularity_margin)
         if bad.size:
-            text = (
-                f"{kind} singularity, margin {values[bad[0]]:.4f}; accepted: >= {task.singularity_margin:g}"
-            )
+            text = f"{kind} singularity, margin {values[bad[0]]:.4f}; accepted: >= {task.singularity_margin:g}"
             faults.append(_Fault(int(bad[0]), text))
     return faults
 

@@ -94,9 +94,14 @@ def deliver(plan: LinePlan, delivery: Delivery, say: Callable[[str], None]) -> N
     try:
         topic = node.resolve_topic_name(f"{delivery.controller}/joint_trajectory")
         publisher = node.create_publisher(JointTrajectory, topic, 1)
-        _wait(
-            node, lambda: bool(publisher.get_subscription_count()), f"a controller on {topic}", delivery, say
-        )
+
+        def matched() -> bool:
+            # The controller must be among them, and a recorder that is in the graph gets the trajectory too.
+            subscribers = node.get_subscriptions_info_by_topic(topic)
+            there = any(info.node_name == delivery.controller.split("/")[-1] for info in subscribers)
+            return there and len(subscribers) <= publisher.get_subscription_count()
+
+        _wait(node, matched, f"a controller on {topic}", delivery, say)
         delay = _delay(node, plan, delivery, say)
         message = trajectory_message(plan, delivery.start_time, delay)
         publisher.publish(message)
@@ -104,7 +109,7 @@ def deliver(plan: LinePlan, delivery: Delivery, say: Callable[[str], None]) -> N
         start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
         say(f"sent {len(message.points)} points to {topic}: start {start}, {plan.duration + delay:.3f} s")
     finally:
-        node.destroy_node()  # type: ignore[no-untyped-call]
+        node.destroy_node()
 
 
 def _confirm(publisher: Publisher, topic: str, timeout: float) -> None:
@@ -115,9 +120,7 @@ def _confirm(publisher: Publisher, topic: str, timeout: float) -> None:
             raise ExchangeError(f"the controller on {topic} did not confirm the trajectory in {timeout:g} s")
 
 
-def _wait(
-    node: Node, ready: Callable[[], bool], what: str, delivery: Delivery, say: Callable[[str], None]
-) -> None:
+def _wait(node: Node, ready: Callable[[], bool], what: str, delivery: Delivery, say: Callable[[str], None]) -> None:
     """Spin until `ready`; say once what is waited for."""
     deadline = time.monotonic() + delivery.timeout
     announced = False
@@ -152,9 +155,7 @@ def _delay(node: Node, plan: LinePlan, delivery: Delivery, say: Callable[[str], 
     return duration
 
 
-def _joint_positions(
-    node: Node, names: tuple[str, ...], delivery: Delivery, say: Callable[[str], None]
-) -> Array:
+def _joint_positions(node: Node, names: tuple[str, ...], delivery: Delivery, say: Callable[[str], None]) -> Array:
     found: list[Array] = []
 
     def take(message: JointState) -> None:

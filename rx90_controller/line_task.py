@@ -64,9 +64,7 @@ class LineTask:
                 raise LineError(f"{name} is {value:g} s; accepted: a number in [0, {LONGEST_REST:g}]")
         low, high = MARGIN_RANGE
         if not low <= self.singularity_margin <= high:
-            raise LineError(
-                f"singularity_margin is {self.singularity_margin:g}; accepted: in [{low:g}, {high:g}]"
-            )
+            raise LineError(f"singularity_margin is {self.singularity_margin:g}; accepted: in [{low:g}, {high:g}]")
 
     @property
     def length(self) -> float:
@@ -89,9 +87,7 @@ def load_task(file: Path) -> LineTask:
     line = root.section("line")
     posture = root.section("posture") if "posture" in root else None
     rpy = _radians(line, "tool_rpy_degrees")
-    options = {
-        key: line.number(key) for key in ("rest_before", "rest_after", "singularity_margin") if key in line
-    }
+    options = {key: line.number(key) for key in ("rest_before", "rest_after", "singularity_margin") if key in line}
     try:
         task = LineTask(
             start=line.numbers("start", 3),
@@ -111,9 +107,7 @@ def load_task(file: Path) -> LineTask:
 
 
 def _branch(posture: Section) -> Branch:
-    branch = Branch(
-        posture.text("shoulder", SHOULDERS), posture.text("elbow", SIGNS), posture.text("wrist", SIGNS)
-    )
+    branch = Branch(posture.text("shoulder", SHOULDERS), posture.text("elbow", SIGNS), posture.text("wrist", SIGNS))
     posture.finish()
     return branch
 

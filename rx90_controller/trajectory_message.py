@@ -35,8 +35,9 @@ def start_tick(message: Any, position_hz: int) -> int | None:
     nanoseconds = stamp.sec * NANOSECONDS + stamp.nanosec
     if nanoseconds == 0:
         return None
-    return -(-nanoseconds * position_hz // NANOSECONDS)
+    return int(-(-nanoseconds * position_hz // NANOSECONDS))
 
 
 def _seconds(duration: Any) -> float:
-    return float(duration.sec + duration.nanosec / NANOSECONDS)
+    # One division: the nearest number to the whole nanoseconds, as the planner has it.
+    return float((duration.sec * NANOSECONDS + duration.nanosec) / NANOSECONDS)

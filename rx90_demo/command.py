@@ -12,6 +12,7 @@ from pathlib import Path
 from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ConfigError, Rx90Error
 from rx90_common.share import resolve_config
+from rx90_exchange.environment import prepare
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -45,16 +46,13 @@ def _run(options: argparse.Namespace) -> int:
     try:
         (folder / "log").mkdir(parents=True)
     except OSError as error:
-        raise ConfigError(
-            f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
-        ) from error
+        raise ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made") from error
+    prepare()
     announce_compilation("rx90_demo")
     # Here, because a wrong option must not wait for them.
     from rx90_demo.demonstration import Demonstration  # noqa: PLC0415
 
-    demonstration = Demonstration(
-        folder, resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0
-    )
+    demonstration = Demonstration(folder, resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
     return 0 if demonstration.run() else 1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -12,7 +13,8 @@ from rx90_demo.analysis import RunAnalysis, field
 
 # Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
-_STYLE = {
+# Any: matplotlib types the keys one by one.
+_STYLE: Any = {
     "font.size": 9.0,
     "axes.grid": True,
     "grid.alpha": 0.3,
@@ -42,9 +44,7 @@ def tracking_plot(run: RunAnalysis) -> str:
     """Draw joint velocities and position errors against time."""
     figure, (upper, lower) = _figure(2, height=4.6)
     for k, name in enumerate(run.joints.names):
-        upper.plot(
-            run.joints.time, field(run.joints, "velocity")[:, k], color=COLOURS[k], label=name, linewidth=1
-        )
+        upper.plot(run.joints.time, field(run.joints, "velocity")[:, k], color=COLOURS[k], label=name, linewidth=1)
         lower.plot(run.error.time, field(run.error, "position")[:, k] * 1e3, color=COLOURS[k], linewidth=0.8)
     upper.set(ylabel="joint velocity, rad/s")
     lower.set(xlabel="time, s", ylabel="position error, mrad")
@@ -69,9 +69,7 @@ def effort_plot(run: RunAnalysis) -> str:
     """Draw the drive torques at the joints against time."""
     figure, (axes,) = _figure(1, height=2.8)
     for k, name in enumerate(run.joints.names):
-        axes.plot(
-            run.joints.time, field(run.joints, "effort")[:, k], color=COLOURS[k], label=name, linewidth=0.8
-        )
+        axes.plot(run.joints.time, field(run.joints, "effort")[:, k], color=COLOURS[k], label=name, linewidth=0.8)
     axes.set(xlabel="time, s", ylabel="drive torque, Nm")
     axes.legend(ncol=6, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
     return _svg(figure)

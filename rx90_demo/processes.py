@@ -92,9 +92,7 @@ class ManagedProcess:
         try:
             code = self.process.wait(timeout)
         except subprocess.TimeoutExpired as error:
-            raise ProcessError(
-                f"the {self.name} did not end within {timeout:g} s (see {self.log})"
-            ) from error
+            raise ProcessError(f"the {self.name} did not end within {timeout:g} s (see {self.log})") from error
         self._reader.join(timeout)
         return code
 

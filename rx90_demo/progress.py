@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 import time
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -40,7 +42,7 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
         _resume(node, executor)
         _show(simulation, executor, now, duration)
         executor.shutdown()
-        node.destroy_node()  # type: ignore[no-untyped-call]
+        node.destroy_node()
     finally:
         context.try_shutdown()
 
@@ -48,26 +50,23 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
 def _resume(node: Node, executor: SingleThreadedExecutor) -> None:
     client = node.create_client(SetBool, "rx90_sim/pause")
     if not client.wait_for_service(_SERVICE_TIMEOUT):
-        raise ProcessError(
-            f"the simulation offered no service {client.srv_name} within {_SERVICE_TIMEOUT:g} s"
-        )
+        raise ProcessError(f"the simulation offered no service {client.srv_name} within {_SERVICE_TIMEOUT:g} s")
     answer = client.call_async(SetBool.Request(data=False))
     executor.spin_until_future_complete(answer, _SERVICE_TIMEOUT)
-    if not answer.done() or not answer.result().success:
+    result: Any = answer.result() if answer.done() else None
+    if result is None or not result.success:
         raise ProcessError("the simulation did not let time run")
 
 
-def _show(
-    simulation: ManagedProcess, executor: SingleThreadedExecutor, now: list[float], duration: float
-) -> None:
-    layout = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}, {postfix}]"
+def _show(simulation: ManagedProcess, executor: SingleThreadedExecutor, now: list[float], duration: float) -> None:
+    layout = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
     began = time.monotonic()
-    with tqdm(total=duration, bar_format=layout, desc="reference task", postfix="starting") as bar:
+    # In a log file a line every few seconds is enough.
+    interval = 0.2 if sys.stderr.isatty() else 3.0
+    with tqdm(total=duration, bar_format=layout, desc="reference task", mininterval=interval, miniters=0) as bar:
         while simulation.process.poll() is None:
             executor.spin_once(timeout_sec=0.1)
-            bar.n = min(now[0], duration)
-            bar.set_postfix_str(f"{bar.n / (time.monotonic() - began):.2f} x real time", refresh=False)
-            bar.refresh()
+            bar.set_postfix_str(f"{now[0] / (time.monotonic() - began):.2f} x real time", refresh=False)
+            bar.update(min(now[0], duration) - bar.n)
         if simulation.process.returncode == 0:
-            bar.n = duration
-            bar.refresh()
+            bar.update(duration - bar.n)

@@ -173,9 +173,7 @@ def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries,
     rows = -(-ticks // ratio)
     fast_rows = ticks if record_fast else 0
     fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-    slow = SlowSeries(
-        np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6))
-    )
+    slow = SlowSeries(np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6)))
     return fast, slow
 
 

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from rx90_bag.joint_series import JointSeries
 from rx90_bag.writing import string_message, write_joint_states
+from rx90_exchange.topics import MOTOR_NAMES
 from rx90_loop.closed_loop import RunResult
 from rx90_sim.friction.friction_set import element_names
 
 Array = NDArray[np.float64]
-
-MOTOR_NAMES = tuple(f"motor_{i}" for i in range(1, 7))
 
 
 def run_series(result: RunResult, decimation: int = 1) -> list[JointSeries]:

@@ -38,9 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="rx90_run", description=__doc__)
     parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
     parser.add_argument("--output", type=Path, help="bag folder to write; must not exist")
-    parser.add_argument(
-        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)"
-    )
+    parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
     parser.add_argument(
         "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
     )

@@ -165,15 +165,9 @@ def _forward(arm: Any, body: Any, q: NDArray[np.float64], v: NDArray[np.float64]
         sx = jxx * wx + jxy * wy + jxz * wz + hy * uz - hz * uy
         sy = jxy * wx + jyy * wy + jyz * wz + hz * ux - hx * uz
         sz = jxz * wx + jyz * wy + jzz * wz + hx * uy - hy * ux
-        body.force[i, 0] = (
-            jxx * bx + jxy * by + jxz * bz + hy * dz - hz * dy + wy * sz - wz * sy + uy * lz - uz * ly
-        )
-        body.force[i, 1] = (
-            jxy * bx + jyy * by + jyz * bz + hz * dx - hx * dz + wz * sx - wx * sz + uz * lx - ux * lz
-        )
-        body.force[i, 2] = (
-            jxz * bx + jyz * by + jzz * bz + hx * dy - hy * dx + wx * sy - wy * sx + ux * ly - uy * lx
-        )
+        body.force[i, 0] = jxx * bx + jxy * by + jxz * bz + hy * dz - hz * dy + wy * sz - wz * sy + uy * lz - uz * ly
+        body.force[i, 1] = jxy * bx + jyy * by + jyz * bz + hz * dx - hx * dz + wz * sx - wx * sz + uz * lx - ux * lz
+        body.force[i, 2] = jxz * bx + jyz * by + jzz * bz + hx * dy - hy * dx + wx * sy - wy * sx + ux * ly - uy * lx
         body.force[i, 3] = mass * dx + by * hz - bz * hy + wy * lz - wz * ly
         body.force[i, 4] = mass * dy + bz * hx - bx * hz + wz * lx - wx * lz
         body.force[i, 5] = mass * dz + bx * hy - by * hx + wx * ly - wy * lx

@@ -59,9 +59,7 @@ class Plant:
             raise ConfigError(f"initial position has shape {target.shape}; accepted: (6,)")
         for name, value, low, high in zip(self.joint_names, target, self._lower, self._upper, strict=True):
             if not low <= value <= high:
-                raise ConfigError(
-                    f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]"
-                )
+                raise ConfigError(f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]")
         plant_reset(self.constants, self.state, target)
         self.tick = 0
 

@@ -57,7 +57,7 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
         powered: false takes the torque away and closes the brakes.
 
     Returns:
-        -1, or the index of the joint whose state is no longer finite or beyond its speed limit.
+        -1, or the index of the joint that left its speed limit furthest behind, or whose command is NaN.
     """
     plant, state = plants[0], states[0]
     _actuate(plant, state, command, powered)
@@ -67,16 +67,29 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     for i in range(6):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
-            return i
+            return _worst_joint(plant, state)
     _read_encoders(plant, state)
     _observe_velocity(plant, state)
     return -1
 
 
 @kernel
-def friction_states(
-    plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]
-) -> None:
+def _worst_joint(plant: Any, state: Any) -> int:
+    """Return the joint to blame: within a tick a diverging joint throws its neighbours off, too."""
+    worst, most = 0, -1.0
+    for i in range(6):
+        if math.isnan(state.motor_torque[i]):
+            return i
+        excess = abs(state.v[i]) / plant.speed_limit[i]
+        if math.isnan(excess):
+            excess = math.inf
+        if excess > most:
+            worst, most = i, excess
+    return worst
+
+
+@kernel
+def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
     for i in range(7):
@@ -152,13 +165,9 @@ def _add_stops(plant: Any, state: Any) -> None:
     for i in range(6):
         q, push = state.q_mid[i], 0.0
         if q > plant.upper[i]:
-            push = min(
-                0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i]
-            )
+            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
         elif q < plant.lower[i]:
-            push = max(
-                0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i]
-            )
+            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
         state.rhs[i] += push
 
 

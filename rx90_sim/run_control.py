@@ -43,6 +43,10 @@ class RunControl:
         """Return whether the run is over."""
         return self._stopped
 
+    def interrupting(self) -> bool:
+        """Return whether the ticking thread should come back from a wait: for a reset or the end."""
+        return self._stopped or self._reset
+
     def next_turn(self, tick: int, timeout: float) -> Turn:
         """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
         with self._changed:

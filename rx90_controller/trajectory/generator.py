@@ -14,6 +14,8 @@ from rx90_controller.trajectory.spline import Spline, interpolate
 
 Array = NDArray[np.float64]
 
+_CHECK_BLOCK = 4096
+
 
 class TrajectoryGenerator:
     """Set-points q, dq/dt and d2q/dt2 on the ticks of the position loop.
@@ -70,15 +72,22 @@ class TrajectoryGenerator:
                 f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
             )
         spline = self._connect(points, begin)
-        ticks = np.arange(math.ceil(spline.duration / self.period) + 1)
-        times = np.asarray(ticks * self.period, dtype=np.float64)
-        self.limits.check(spline.sample(times), times)
+        self._check(spline, points.times)
         self._next = (begin, spline)
         return begin
 
     def _sample(self, tick: int, count: int) -> Array:
         ticks = np.arange(tick - self._start, tick - self._start + count)
         return self._current.sample(np.asarray(ticks * self.period, dtype=np.float64))
+
+    def _check(self, spline: Spline, knots: Array) -> None:
+        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+        last = math.ceil(spline.duration / self.period)
+        for first in range(0, last, _CHECK_BLOCK):
+            # The blocks share a set-point, so that the step from one to the next is checked, too.
+            ticks = np.arange(first, min(first + _CHECK_BLOCK, last) + 1)
+            times = np.asarray(ticks * self.period, dtype=np.float64)
+            self.limits.check(spline.sample(times), times, knots)
 
     def _connect(self, points: TrajectoryPoints, begin: int) -> Spline:
         """Return the spline through the points, begun at the set-point the arm will have at tick `begin`."""

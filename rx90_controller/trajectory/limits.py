@@ -33,38 +33,47 @@ class JointLimits:
                 "accepted: lower < upper, velocity > 0"
             )
 
-    def check(self, setpoints: Array, times: Array) -> None:
-        """Check every set-point that will be sent.
+    def check(self, setpoints: Array, times: Array, knots: Array) -> None:
+        """Check every set-point that will be sent, and the steps from one to the next.
+
+        Points closer to each other than two set-points can hide a jump from every sampled velocity.
 
         Args:
             setpoints: position, velocity, acceleration, shape (m, 3, 6).
             times: their times from the start of the trajectory, s, shape (m,).
+            knots: times of the trajectory's points, s, shape (n,), to say which one is meant.
 
         Raises:
-            TrajectoryError: naming joint, time, amount and limit of the first one outside.
+            TrajectoryError: naming joint, point, time, amount and limit of the first one outside.
         """
         position, velocity = setpoints[:, 0], setpoints[:, 1]
-        # A spline that should end exactly on a limit may miss it by rounding.
-        slack = 1e-9
-        outside = (position < self.lower - slack) | (position > self.upper + slack)
-        self._refuse(outside, position, times, "position", "rad", self.lower, self.upper)
-        too_fast = np.abs(velocity) > self.velocity + slack
-        self._refuse(too_fast, velocity, times, "velocity", "rad/s", -self.velocity, self.velocity)
+        mean = np.diff(position, axis=0) / np.diff(times)[:, None]
+        limit = self.velocity
+        last = knots.size - 1
+        point = np.minimum(np.searchsorted(knots, times), last)
+        self._refuse(position, times, point, "position", "rad", self.lower, self.upper)
+        # At a knot the velocity is already that of the way to the next point.
+        after = np.minimum(np.searchsorted(knots, times, side="right"), last)
+        self._refuse(velocity, times, after, "velocity", "rad/s", -limit, limit)
+        self._refuse(mean, times[1:], point[1:], "step of", "rad/s", -limit, limit)
 
     def _refuse(
         self,
-        bad: NDArray[np.bool_],
         values: Array,
         times: Array,
+        points: NDArray[np.intp],
         what: str,
         unit: str,
         low: Array,
         high: Array,
     ) -> None:
+        # A spline that should end exactly on a limit may miss it by rounding.
+        slack = 1e-9
+        bad = (values < low - slack) | (values > high + slack)
         if not bad.any():
             return
         row, joint = np.argwhere(bad)[0]
         raise TrajectoryError(
-            f"{self.names[joint]}: set-point {what} {values[row, joint]:.6g} {unit} at {times[row]:.3f} s; "
-            f"accepted: [{low[joint]:.6g}, {high[joint]:.6g}]"
+            f"point {points[row]}: {self.names[joint]} gets a set-point {what} {values[row, joint]:.6g} {unit} "
+            f"on the way there, at {times[row]:.3f} s; accepted: [{low[joint]:.6g}, {high[joint]:.6g}]"
         )

@@ -12,6 +12,9 @@ from rx90_common.errors import TrajectoryError
 
 Array = NDArray[np.float64]
 
+LONGEST = 3600.0
+"""The longest trajectory, s: each of its set-points is checked before it may start."""
+
 
 @dataclass(frozen=True)
 class TrajectoryPoints:
@@ -83,13 +86,15 @@ def _joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> lis
 def _check_times(times: Sequence[float]) -> None:
     if not times:
         raise TrajectoryError("no points; accepted: at least one")
+    for i, time in enumerate(times):
+        if not time <= LONGEST:
+            raise TrajectoryError(f"point {i}: time_from_start {time:g} s; accepted: a number up to {LONGEST:g} s")
     if times[0] < 0:
         raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: >= 0")
     for i in range(1, len(times)):
         if not times[i] > times[i - 1]:
             raise TrajectoryError(
-                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: "
-                "increasing times"
+                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: increasing times"
             )
     if len(times) == 1 and times[0] == 0:
         raise TrajectoryError("one point at time_from_start 0; accepted: a point later than the start")
@@ -107,9 +112,7 @@ def _table(what: str, rows: Sequence[Sequence[float]], order: list[int], names: 
     table = np.array(rows, dtype=np.float64)[:, order]
     if not np.isfinite(table).all():
         i, joint = np.argwhere(~np.isfinite(table))[0]
-        raise TrajectoryError(
-            f"point {i}: {what} of {names[joint]} is {table[i, joint]}; accepted: a finite number"
-        )
+        raise TrajectoryError(f"point {i}: {what} of {names[joint]} is {table[i, joint]}; accepted: a finite number")
     return table
 
 

@@ -27,10 +27,12 @@ class FrictionSet:
     Attributes:
         names: names of the elements, the joints' own and `joint_5_6`.
         elements: their parameters.
+        file: where they were read, if they were.
     """
 
     names: tuple[str, ...]
     elements: tuple[LuGreElement, ...]
+    file: Path | None = None
 
     def __post_init__(self) -> None:
         if len(self.names) != ELEMENT_COUNT or len(self.elements) != ELEMENT_COUNT:
@@ -46,14 +48,16 @@ class FrictionSet:
     def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""
         reach = [*max_velocity, max_velocity[4] + max_velocity[5]]
+        where = "" if self.file is None else f"{self.file}: "
         lines = []
         for name, element, speed in zip(self.names, self.elements, reach, strict=True):
             limit = element.passivity_limit(speed)
             if math.isfinite(limit):
+                accepted = element.passive_damping(speed)
                 lines.append(
-                    f"friction element {name}: c1 = {element.c1:g} Nm s/rad is not passive above "
-                    f"{limit:.3g} rad/s (c1 < 4 c0 g / |v|, joint speed up to {speed:.3g} rad/s); "
-                    "lower c1 or let it fade with omega_d"
+                    f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, "
+                    f"not passive from {limit:.3g} rad/s on; accepted: below {accepted:.3g} "
+                    f"(c1 < 4 c0 g / |v| up to {speed:.3g} rad/s), or a c1 that fades with omega_d"
                 )
         return lines
 
@@ -80,7 +84,7 @@ def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
     elements = tuple(load_element(section.section(name)) for name in names)
     section.finish()
     root.finish()
-    return FrictionSet(names, elements)
+    return FrictionSet(names, elements, path)
 
 
 def load_element(section: Section) -> LuGreElement:

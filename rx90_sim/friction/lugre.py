@@ -76,9 +76,7 @@ class LuGreElement:
         for sign in ("positive", "negative"):
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
-                raise ConfigError(
-                    f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm"
-                )
+                raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
 
     def sliding_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
@@ -103,10 +101,19 @@ class LuGreElement:
         The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000).
         """
         speed = np.geomspace(1e-4, max_velocity, 4000)
-        broken = np.zeros(speed.size, dtype=bool)
-        for sign in (1.0, -1.0):
-            broken |= self.damping(speed) * speed >= 4.0 * self.sliding_torque(sign * speed)
+        broken = self.damping(speed) * speed >= self._least_dissipation(speed)
         return float(speed[broken][0]) if broken.any() else math.inf
+
+    def passive_damping(self, max_velocity: float) -> float:
+        """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
+        speed = np.geomspace(1e-4, max_velocity, 4000)
+        fading = np.exp(-((speed / self.omega_d) ** 2))
+        with np.errstate(divide="ignore"):
+            return float(np.min(self._least_dissipation(speed) / (speed * fading)))
+
+    def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return 4 c0 g of the sign of the velocity that has less of it, Nm."""
+        return 4.0 * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
 
     def record(self) -> np.ndarray[Any, Any]:
         """Return the element as a scalar of ELEMENT_DTYPE, for compiled code."""

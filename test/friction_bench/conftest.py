@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from simulators import simavr, ucsim
+from rig_simulators import simavr, ucsim
 
 from friction_bench.messages import ResetCause
 from friction_bench.native import NativeBoard, compile_core, firmware_directory

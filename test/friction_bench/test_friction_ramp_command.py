@@ -74,9 +74,7 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
     again = yaml.safe_load((tmp_path / "estimates.yaml").read_text())
     before = yaml.safe_load((measured / "estimates.yaml").read_text())
     key = "exact, by covariance"
-    assert again["loaded"][key]["coulomb"]["value"] == pytest.approx(
-        before["loaded"][key]["coulomb"]["value"]
-    )
+    assert again["loaded"][key]["coulomb"]["value"] == pytest.approx(before["loaded"][key]["coulomb"]["value"])
 
 
 @pytest.mark.parametrize(

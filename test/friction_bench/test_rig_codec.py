@@ -140,9 +140,7 @@ def test_firmware_and_python_decode_100000_frames_alike(tmp_path: Path) -> None:
     for _ in range(100):
         stream = bytearray()
         for _ in range(1000):
-            frame = Frame(
-                random_.randrange(256), random_.randrange(256), random_.randbytes(random_.randrange(5))
-            )
+            frame = Frame(random_.randrange(256), random_.randrange(256), random_.randbytes(random_.randrange(5)))
             sent.add(frame)
             stream += encode(frame)
         for _ in range(len(stream) // 100):

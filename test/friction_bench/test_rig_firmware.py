@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conformance import TRANSCRIPTS, MismatchError, Player
+from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
 from friction_bench.codec import Frame, encode
 from friction_bench.messages import Command
@@ -56,9 +56,7 @@ MUTANTS = {
 
 @pytest.mark.parametrize("target", ALL)
 @pytest.mark.parametrize("transcript", TRANSCRIPTS, ids=lambda path: path.stem)
-def test_every_target_follows_the_transcript(
-    target: str, transcript: Path, make_board: Callable[..., Any]
-) -> None:
+def test_every_target_follows_the_transcript(target: str, transcript: Path, make_board: Callable[..., Any]) -> None:
     """Native, 8051 and AVR firmware give the same answers, pins and timing in every scripted situation."""
     Player(make_board(target)).play(transcript)
 

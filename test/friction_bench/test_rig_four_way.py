@@ -41,7 +41,7 @@ def test_models_and_closed_form_agree_to_a_tenth_of_a_per_cent(model: RampModel)
 
 @pytest.mark.parametrize("model", MODELS)
 def test_closed_form_solves_equation_3(model: RampModel) -> None:
-    """The closed form's finite differences satisfy J w' = m t - f_v w - f_c, and its integral is the angle."""
+    """The closed form satisfies J w' = m t - f_v w - f_c, and its integral is the angle."""
     time = model.break_away_time + np.linspace(0.01, 5, 200)
     h = 1e-5
     slope = (model.velocity(time + h) - model.velocity(time - h)) / (2 * h)
@@ -51,9 +51,7 @@ def test_closed_form_solves_equation_3(model: RampModel) -> None:
     assert speed == pytest.approx(model.velocity(time), rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)]
-)
+@pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])
 def test_emulated_slide_is_the_solution_of_equation_3(speed: float, torque: float) -> None:
     """One exact slice equals a stiff solver with a smoothed sign, through a stop and a reversal."""
     inertia, coulomb, viscous, dt = 6e-5, 0.05, 8e-4, 0.02

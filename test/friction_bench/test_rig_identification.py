@@ -42,15 +42,11 @@ def rig_with(rig: Rig, fc: float, fv: float, inertia: float, quiet: bool = False
     return replace(rig, plant=plant.noiseless() if quiet else plant)
 
 
-def measure(
-    rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]
-) -> Identification:
+def measure(rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]) -> Identification:
     """Run the whole measurement on an emulated rig with the real firmware, in virtual time."""
     client = RigClient(VirtualPort(EmulatedRig(rig, seed)), rig)
     client.connect()
-    records = [
-        run_ramp(client, slope, end_torque, False, f"{slope}") for _ in range(repeats) for slope in slopes
-    ]
+    records = [run_ramp(client, slope, end_torque, False, f"{slope}") for _ in range(repeats) for slope in slopes]
     return identify(records, rig.scale_uncertainty)
 
 
@@ -74,9 +70,7 @@ def test_source_joint_friction_comes_out() -> None:
 
 
 @pytest.mark.parametrize(("m", "a", "b", "by_source"), [(0.02, 1.0, 2.65, 0.053), (0.05, 2.5, 2.875, 0.0575)])
-def test_closed_form_has_the_asymptote_of_the_hand_calculation(
-    m: float, a: float, b: float, by_source: float
-) -> None:
+def test_closed_form_has_the_asymptote_of_the_hand_calculation(m: float, a: float, b: float, by_source: float) -> None:
     """J = 3e-3, f_v = 0.02, f_c = 0.05: a, b, the source's f_c, and m b / a - J a = 0.05 exactly."""
     model = RampModel(coulomb=0.05, viscous=0.02, inertia=3e-3, slope=m)
     assert model.asymptote() == pytest.approx((a, b), rel=1e-12)
@@ -307,10 +301,7 @@ def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool,
         "increments": np.diff(counts, prepend=0.0),
         "velocity": np.diff(counts, prepend=0.0) * STEP / TICK,
     }[kind]
-    lines = [
-        f"{t + TICK:.4f}\t{v:.9g}" if with_time else f"{v:.9g}"
-        for t, v in zip(record.time, values, strict=True)
-    ]
+    lines = [f"{t + TICK:.4f}\t{v:.9g}" if with_time else f"{v:.9g}" for t, v in zip(record.time, values, strict=True)]
     path = tmp_path / "old.txt"
     path.write_text("% saved by a Turbo C program\n" + "\r\n".join(lines) + "\n")
     a, b = MODEL.asymptote()

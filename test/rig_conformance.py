@@ -21,7 +21,7 @@ from friction_bench.messages import (
     torque_payload,
 )
 
-TRANSCRIPTS = sorted(Path(__file__).with_name("transcripts").glob("*.yaml"))
+TRANSCRIPTS = sorted((Path(__file__).parent / "friction_bench" / "transcripts").glob("*.yaml"))
 TORQUE_LIMIT_CODE = 229
 
 

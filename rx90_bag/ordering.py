@@ -1,0 +1,145 @@
+"""Give recorded messages their log time and their order, both of simulated time alone.
+
+Topics arrive interleaved as the machine's load has it. Held back for a moment and sorted by stamp, equal runs
+make equal bags.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from enum import Enum, auto
+from typing import Final, NamedTuple
+
+_HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
+_MAX_UNDATED_BYTES = 16 << 20
+_HEAD_BYTES = 12  # encapsulation, seconds, nanoseconds
+_NS_PER_S = 1_000_000_000
+
+
+class TimeSource(Enum):
+    """Where the messages of a topic have their log time from."""
+
+    CLOCK = auto()
+    """Their stamp, which is the sample time and tells the others what time it is."""
+    STAMP = auto()
+    """Their stamp; where that is 0 ("now"), the newest one of a clock topic."""
+    NEWEST = auto()
+    """The newest stamp of a clock topic, as they have none."""
+
+
+class Entry(NamedTuple):
+    """A message with its log time in ns; sorts by time, topic, arrival."""
+
+    log_ns: int
+    topic: int
+    arrival: int
+    cdr: bytes
+
+
+class _Undated(NamedTuple):
+    topic: int
+    arrival: int
+    cdr: bytes
+    received_ns: int
+
+
+class LogOrder:
+    """Dates messages and releases them in the order of log time.
+
+    Messages without a stamp that come before the first one with a stamp get that first stamp. Where no topic
+    gives the time, log time is the wall clock's time of reception.
+    """
+
+    def __init__(self) -> None:
+        self._by_reception = False
+        self._newest: int | None = None
+        self._arrivals = 0
+        self._entries: list[Entry] = []
+        self._undated: list[_Undated] = []
+        self._undated_bytes = 0
+        self._next_release = 0
+        self._set_back = False
+        self.held_bytes = 0
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Return the newest stamp seen, None before the first."""
+        return self._newest
+
+    def expect_no_clock(self) -> None:
+        """Date by reception: none of the topics will give the time."""
+        self._by_reception = True
+
+    def add(self, topic: int, source: TimeSource, cdr: bytes, received_ns: int) -> None:
+        """Take a message; `received_ns` is the wall clock's time of reception."""
+        self._arrivals += 1
+        self.held_bytes += len(cdr)
+        log_ns = self._newest
+        if source is not TimeSource.NEWEST:
+            stamp = stamp_ns(cdr)
+            if source is TimeSource.CLOCK:
+                log_ns = stamp
+                self._advance(stamp)
+            elif stamp:
+                log_ns = stamp
+        if log_ns is None and self._by_reception:
+            log_ns = received_ns
+        if log_ns is None:
+            self._undated.append(_Undated(topic, self._arrivals, cdr, received_ns))
+            self._undated_bytes += len(cdr)
+            if self._undated_bytes > _MAX_UNDATED_BYTES:
+                self._date(None)
+        else:
+            self._entries.append(Entry(log_ns, topic, self._arrivals, cdr))
+
+    def release(self) -> list[Entry]:
+        """Return what is old enough that nothing older can be expected."""
+        newest = self._newest
+        if self._set_back:
+            self._set_back = False
+            return self.release_all()
+        if newest is None:
+            return self.release_all() if self._by_reception else []
+        if newest < self._next_release:
+            return []
+        self._next_release = newest + _HOLD_NS // 2
+        self._entries.sort()
+        end = bisect_right(self._entries, newest - _HOLD_NS, key=lambda entry: entry.log_ns)
+        return self._cut(end)
+
+    def release_all(self) -> list[Entry]:
+        """Return all that is held."""
+        self._date(self._newest)
+        self._entries.sort()
+        return self._cut(len(self._entries))
+
+    def _cut(self, end: int) -> list[Entry]:
+        released, self._entries = self._entries[:end], self._entries[end:]
+        self.held_bytes -= sum(len(entry.cdr) for entry in released)
+        return released
+
+    def _advance(self, stamp: int) -> None:
+        newest = self._newest
+        if newest is None:
+            self._newest = self._next_release = stamp
+            self._date(stamp)
+        elif stamp > newest:
+            self._newest = stamp
+        elif stamp < newest - _HOLD_NS:  # do not wait until time has passed the old one again
+            self._newest = self._next_release = stamp
+            self._set_back = True
+
+    def _date(self, log_ns: int | None) -> None:
+        """Date what is undated, by its time of reception when `log_ns` is None."""
+        undated, self._undated, self._undated_bytes = self._undated, [], 0
+        for topic, arrival, cdr, received_ns in undated:
+            self._entries.append(Entry(received_ns if log_ns is None else log_ns, topic, arrival, cdr))
+
+
+def stamp_ns(cdr: bytes) -> int:
+    """Return the time in ns that stands first in a CDR message; 0 if it lies before 0 or is cut off."""
+    if len(cdr) < _HEAD_BYTES:
+        return 0
+    order: Final = "little" if cdr[1] & 1 else "big"
+    seconds = int.from_bytes(cdr[4:8], order, signed=True)
+    return max(0, seconds * _NS_PER_S + int.from_bytes(cdr[8:12], order))

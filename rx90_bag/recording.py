@@ -1,0 +1,205 @@
+"""The run of a recorder: find the topics, take, order and write their messages, and account for every one."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Event
+from typing import Final
+
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rosbags.interfaces import Connection
+
+from rx90_bag.ordering import Entry, LogOrder, TimeSource
+from rx90_bag.sequence import WriterCount
+from rx90_bag.stream import Stream
+from rx90_bag.taking import Taker
+from rx90_bag.writing import BagWriter
+from rx90_common.errors import BagError
+
+READY: Final = "ready: all"
+"""How the line begins that says that every topic is matched."""
+
+_CYCLE_S = 0.02
+_ANNOUNCE_WAIT_S = 1.0
+_SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
+_MAX_HELD_BYTES = 64 << 20  # while topics are still missing
+
+
+@dataclass(frozen=True)
+class TopicCount:
+    """What was recorded of a topic."""
+
+    topic: str
+    received: int
+    lost: int
+    refused: int
+    writers: tuple[WriterCount, ...]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a recording stands."""
+
+    received: int
+    newest_ns: int | None
+
+
+class Recorder:
+    """Records topics to a new bag until it is told to stop.
+
+    Args:
+        topics: names, relative or absolute, each once.
+        ros_args: arguments after --ros-args (namespace, remappings).
+        say: prints a line for the user.
+        show: shows the progress, called some times per second.
+    """
+
+    def __init__(
+        self,
+        topics: Sequence[str],
+        ros_args: Sequence[str],
+        say: Callable[[str], None],
+        show: Callable[[Progress], None],
+    ) -> None:
+        self._names = topics
+        self._topics: list[str] = []
+        self._ros_args = ros_args
+        self._say = say
+        self._show = show
+        self._streams: dict[str, Stream] = {}
+        self._connections: dict[int, Connection] = {}
+        self._order = LogOrder()
+        self._received = 0
+
+    def run(self, make_writer: Callable[[], BagWriter], stop: Event) -> list[TopicCount]:
+        """Record until `stop` is set; the bag is made once the topics' names are known to be good.
+
+        Raises:
+            BagError: if a topic cannot be recorded or the bag cannot be written.
+        """
+        context = Context()
+        try:
+            node = self._make_node(context)
+            taker = Taker(context)
+            taker.start()
+            try:
+                with make_writer() as writer:
+                    self._record(node, taker, writer, stop)
+                return self._count()
+            finally:
+                taker.finish()
+                self._streams.clear()
+                node.destroy_node()
+        finally:
+            context.try_shutdown()
+
+    def _make_node(self, context: Context) -> Node:
+        try:
+            rclpy.init(
+                args=["--ros-args", *self._ros_args] if self._ros_args else [],
+                context=context,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            node = rclpy.create_node(
+                "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
+            )
+        except RuntimeError as error:  # what rclpy raises for arguments it cannot parse
+            raise BagError(f"--ros-args {' '.join(self._ros_args)}: refused by ROS ({error})") from error
+        for topic in self._names:
+            try:
+                self._topics.append(node.resolve_topic_name(topic))
+            except RuntimeError as error:
+                raise BagError(f"topic {topic!r}: no name that ROS accepts ({error})") from error
+        repeated = [topic for topic in self._topics if self._topics.count(topic) > 1]
+        if repeated:
+            raise BagError(f"topic {repeated[0]} stands twice; accepted: each topic once")
+        return node
+
+    def _record(self, node: Node, taker: Taker, writer: BagWriter, stop: Event) -> None:
+        start = time.monotonic()
+        matched_at = math.inf
+        ready = said = False
+        while not stop.is_set():
+            now = time.monotonic()
+            if math.isinf(matched_at) and self._discover(node, taker):
+                matched_at = now
+            if not ready and now > matched_at + _SETTLE_S:
+                ready = True
+                self._announce(writer)
+            if not said and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
+                said = True
+                self._say(f"waiting for {', '.join(self._missing(node))}")
+            self._order_all(taker)
+            if ready or self._order.held_bytes > _MAX_HELD_BYTES:
+                self._write(writer, self._order.release())
+            self._show(Progress(self._received, self._order.newest_ns))
+            stop.wait(_CYCLE_S)
+        taker.finish()
+        self._order_all(taker)
+        self._connect(writer)
+        self._write(writer, self._order.release_all())
+
+    def _discover(self, node: Node, taker: Taker) -> bool:
+        """Subscribe to the topics that have appeared; return whether all are matched."""
+        for index, topic in enumerate(self._topics):
+            if topic in self._streams:
+                continue
+            # A topic that is only listened to, such as a controller's trajectories, has a type too; its
+            # publishers come and go, and the first message must not be missed.
+            endpoints = node.get_publishers_info_by_topic(topic) or node.get_subscriptions_info_by_topic(topic)
+            if endpoints:
+                self._streams[topic] = Stream(node, topic, index, endpoints)
+                taker.add(self._streams[topic])
+        return not self._missing(node)
+
+    def _missing(self, node: Node) -> list[str]:
+        """Return the topics that are not there, or whose publishers are not there or not matched yet."""
+        streams = {topic: self._streams.get(topic) for topic in self._topics}
+        return [
+            topic
+            for topic, stream in streams.items()
+            if stream is None or (not stream.matched() and (stream.needs_publisher or node.count_publishers(topic) > 0))
+        ]
+
+    def _announce(self, writer: BagWriter) -> None:
+        for stream in self._streams.values():
+            stream.counter.start()
+        if all(stream.time_source is not TimeSource.CLOCK for stream in self._streams.values()):
+            self._order.expect_no_clock()
+        self._say(f"{READY} {len(self._topics)} topics are matched, recording to {writer.path}")
+
+    def _order_all(self, taker: Taker) -> None:
+        taken = taker.collect()
+        self._received += len(taken)
+        for stream, cdr, received_ns in taken:
+            self._order.add(stream.index, stream.time_source, cdr, received_ns)
+
+    def _connect(self, writer: BagWriter) -> None:
+        """Announce to the bag the topics found since the last call, in their order."""
+        for stream in sorted(self._streams.values(), key=lambda stream: stream.index):
+            if stream.index not in self._connections:
+                self._connections[stream.index] = writer.add_topic(stream.topic, stream.msgtype, [stream.qos])
+
+    def _write(self, writer: BagWriter, entries: Sequence[Entry]) -> None:
+        if len(self._connections) < len(self._streams) and entries:
+            self._connect(writer)
+        for log_ns, index, _, cdr in entries:
+            writer.write(self._connections[index], log_ns, cdr)
+
+    def _count(self) -> list[TopicCount]:
+        return [
+            TopicCount(
+                stream.topic,
+                stream.counter.received,
+                stream.lost(),
+                stream.refused(),
+                tuple(stream.counter.writers),
+            )
+            for stream in self._streams.values()
+        ]

@@ -1,0 +1,27 @@
+"""The names, types and units of what a bag of the suite holds."""
+
+from __future__ import annotations
+
+from typing import Final
+
+JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+STRING: Final = "std_msgs/msg/String"
+
+FIELDS: Final = ("position", "velocity", "effort")
+UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+
+SUITE_TOPICS: Final = (
+    "joint_states",
+    "friction_states",
+    "motor_states",
+    "motor_commands",
+    "rx90_controller/joint_trajectory",
+    "rx90_controller/reference",
+    "rx90_controller/tracking_error",
+    "robot_description",
+)
+
+
+def absolute(topic: str) -> str:
+    """Return the topic's name as bags hold it, with the leading slash."""
+    return topic if topic.startswith("/") else f"/{topic}"

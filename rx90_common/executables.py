@@ -1,0 +1,27 @@
+"""The command-line tools' entry points: nothing slow is imported before Ctrl-C is handled."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+
+
+def _executable(program: str, module: str) -> Callable[[], int]:
+    def main() -> int:
+        try:
+            return int(importlib.import_module(module).main())
+        except KeyboardInterrupt:
+            print(f"{program}: interrupted", file=sys.stderr)
+            return 130
+
+    return main
+
+
+rx90_line = _executable("rx90_line", "rx90_controller.line_command")
+rx90_run = _executable("rx90_run", "rx90_loop.run_command")
+rx90_bag = _executable("rx90_bag", "rx90_bag.command")
+rx90_demo = _executable("rx90_demo", "rx90_demo.command")
+rx90_sweep = _executable("rx90_sweep", "rx90_sweep.command")
+friction_ramp = _executable("friction_ramp", "friction_bench.ramp_command")
+friction_rig_emulator = _executable("friction_rig_emulator", "friction_bench.emulator_command")

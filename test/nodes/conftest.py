@@ -1,0 +1,18 @@
+"""A ROS client in the test process, on the test's own domain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from ros_client import Client
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
+    """Give a client on the test's domain."""
+    started = Client()
+    try:
+        yield started
+    finally:
+        started.close()

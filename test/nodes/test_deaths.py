@@ -1,0 +1,53 @@
+"""Either node may die at any moment and come back."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from processes import Processes
+from ros_client import Client, seconds
+
+UNPACED = ("--ros-args", "-p", "real_time_factor:=0.0")
+
+
+@pytest.mark.ros
+def test_a_killed_controller_pauses_time_until_another_is_there(processes: Processes, client: Client) -> None:
+    """After SIGKILL of the controller time stands still, announced once, and runs on with the next controller."""
+    simulation = processes.start("rx90_sim", *UNPACED)
+    first = processes.start("rx90_controller")
+    heard = client.listen("joint_states")
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
+    first.signal(signal.SIGKILL)
+    simulation.wait_for("time stands still")
+    client.spin_until(lambda: _drained(client, heard), "the last messages")
+    stopped = seconds(heard[-1])
+    processes.start("rx90_controller")
+    simulation.wait_for("time runs on")
+    client.spin_until(lambda: seconds(heard[-1]) > stopped + 0.2, "time to run on")
+    stamps = [seconds(message) for message in heard]
+    assert all(b - a == pytest.approx(1e-3) for a, b in zip(stamps, stamps[1:], strict=False))
+    assert sum("time stands still" in line for line in simulation.lines) <= 2
+
+
+@pytest.mark.ros
+def test_a_killed_simulation_begins_again_with_the_same_controller(processes: Processes, client: Client) -> None:
+    """After SIGKILL of the simulation the controller waits, says so once, and serves the next one from tick 0."""
+    first = processes.start("rx90_sim", *UNPACED)
+    controller = processes.start("rx90_controller")
+    heard = client.listen("rx90_controller/reference")
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
+    first.signal(signal.SIGKILL)
+    controller.wait_for("waiting for a simulation")
+    heard.clear()
+    processes.start("rx90_sim", *UNPACED)
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run again")
+    assert seconds(heard[0]) < 0.2
+    assert sum("waiting for a simulation" in line for line in controller.lines) <= 2
+
+
+def _drained(client: Client, heard: list[object]) -> bool:
+    """Return whether nothing more arrives within a look."""
+    before = len(heard)
+    client._executor.spin_once(timeout_sec=0.3)
+    return len(heard) == before

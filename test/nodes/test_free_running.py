@@ -1,0 +1,28 @@
+"""Free-running: the wall clock drives, commands are held, stale ones close the brakes."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from processes import Processes
+from ros_client import Client, seconds
+
+
+@pytest.mark.ros
+def test_a_silent_controller_closes_the_brakes_and_a_late_one_opens_them(
+    processes: Processes, client: Client
+) -> None:
+    """Time runs on without the controller; the brakes close when it is stopped and open when it goes on."""
+    simulation = processes.start(
+        "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_timeout:=0.05"
+    )
+    controller = processes.start("rx90_controller")
+    joints = client.listen("joint_states")
+    simulation.wait_for("the brakes open")
+    controller.signal(signal.SIGSTOP)
+    simulation.wait_for("torque off, brakes closed")
+    stopped = seconds(joints[-1]) if joints else 0.0
+    client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > stopped + 0.5, "time to run on")
+    controller.signal(signal.SIGCONT)
+    simulation.wait_for("the brakes open")

@@ -1,0 +1,50 @@
+"""Bad parameters and a diverging state: one line, a non-zero exit, no traceback."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from processes import Processes
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("name", "arguments", "told"),
+    [
+        ("rx90_sim", ["joint_state_rate:=333"], ["333", "4000"]),
+        ("rx90_sim", ["time_mode:=sometimes"], ["sometimes", "lock_step"]),
+        ("rx90_sim", ["initial_position:=[0.0, 9.0, 0.0, 0.0, 0.0, 0.0]"], ["joint_2", "9"]),
+        ("rx90_sim", ["initial_position:=[0.0]"], ["initial_position", "six"]),
+        ("rx90_sim", ["real_time_factor:=-1.0"], ["real_time_factor", "-1"]),
+        ("rx90_sim", ["real_time_factor:=fast"], ["real_time_factor", "fast"]),
+        ("rx90_sim", ["friction:=nowhere.yaml"], ["nowhere.yaml"]),
+        ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
+        ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
+    ],
+)
+def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments: list[str], told: list[str]) -> None:
+    """The line names the program, the offending value and what is accepted; the exit code is 1."""
+    parameters = [word for argument in arguments for word in ("-p", argument)]
+    done = processes.run(name, "--ros-args", *parameters)
+    assert done.returncode == 1
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith(f"{name}: ")
+    assert all(word in lines[0] for word in told), lines[0]
+
+
+@pytest.mark.ros
+def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
+    processes: Processes, edited_yaml: Any, shipped_files: Any
+) -> None:
+    """A micro-viscous damping beyond what any step can carry ends the node with one line, not with NaN."""
+    file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "c1"), 1.0e9)
+    simulation = processes.start(
+        "rx90_sim", "--ros-args", "-p", f"friction:={file}", "-p", "real_time_factor:=0.0"
+    )
+    processes.start("rx90_controller")
+    simulation.wait_for(r"rx90_sim: the state of joint_\d diverged in tick \d+")
+    assert simulation.wait() == 1
+    assert "Traceback" not in simulation.output

@@ -1,0 +1,66 @@
+"""Pause, single steps, reset and enable, over the real services."""
+
+from __future__ import annotations
+
+import pytest
+from processes import Processes
+from ros_client import Client, seconds
+
+PAUSED = ("--ros-args", "-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", "step_ticks:=8")
+
+
+@pytest.mark.ros
+def test_step_runs_exactly_the_ticks_asked_for_and_reset_begins_again(processes: Processes, client: Client) -> None:
+    """Two calls of step with 8 ticks publish 16 motor states; after a reset the stamps begin at 0 again."""
+    processes.start("rx90_sim", *PAUSED)
+    processes.start("rx90_controller")
+    states = client.listen("motor_states")
+    for _ in range(2):
+        assert client.call("rx90_sim/step").success
+    client.spin_until(lambda: len({seconds(m) for m in states}) == 16, "16 ticks")
+    assert seconds(states[-1]) == pytest.approx(15 * 250e-6)
+    assert client.call("rx90_sim/reset").success
+    states.clear()
+    assert client.call("rx90_sim/step").success
+    client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
+    assert seconds(states[0]) == 0.0
+
+
+@pytest.mark.ros
+def test_a_disabled_controller_closes_the_brakes_and_holds_the_arm(processes: Processes, client: Client) -> None:
+    """With enable false the commands carry no torque, the drives give none and the arm does not fall."""
+    processes.start(
+        "rx90_sim",
+        *("--ros-args", "-p", "real_time_factor:=0.0", "-p", "initial_position:=[0.0, 0.8, 0.8, 0.0, 0.5, 0.0]"),
+    )
+    processes.start("rx90_controller")
+    joints, commands = client.listen("joint_states"), client.listen("motor_commands")
+    client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > 0.5, "the arm to be held by its drives")
+    assert max(abs(torque) for torque in joints[-1].effort) > 10.0
+    assert client.call("rx90_controller/enable", data=False).success
+    client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
+    closed = seconds(commands[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > closed + 1.0, "a second with closed brakes")
+    assert list(joints[-1].effort) == [0.0] * 6
+    # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
+    assert joints[-1].position[1] == pytest.approx(0.8, abs=2e-4)
+    assert client.call("rx90_controller/enable", data=True).success
+    client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
+
+
+@pytest.mark.ros
+def test_a_refused_trajectory_leaves_the_running_motion_alone(processes: Processes, client: Client) -> None:
+    """A trajectory beyond a joint limit is refused with joint and limit; the one that runs reaches its end."""
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    controller = processes.start("rx90_controller")
+    reference = client.listen("rx90_controller/reference")
+    client.spin_until(lambda: bool(reference), "the controller to hold")
+    target = [0.1, 0.2, -0.1, 0.1, 0.2, 0.1]
+    client.send([(2.0, list(reversed(target)))], [f"joint_{i}" for i in range(6, 0, -1)])
+    controller.wait_for("trajectory accepted")
+    client.send([(1.0, [0.0, 9.0, 0.0, 0.0, 0.0, 0.0])])
+    assert "joint_2" in controller.wait_for(r"trajectory rejected: .*").group()
+    begun = seconds(reference[-1])
+    client.spin_until(lambda: seconds(reference[-1]) > begun + 2.5, "the end of the motion")
+    assert list(reference[-1].position) == pytest.approx(target, abs=1e-12)
+    assert list(reference[-1].velocity) == [0.0] * 6
