@@ -175,7 +175,8 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     if len(rows) < 2:
         raise RecordError(f"{path}: {len(rows)} readings; accepted: at least 2")
     table = np.array(rows)
-    time = table[:, 0] if table.shape[1] == 2 else tick * np.arange(1, len(rows) + 1)
+    regular = tick * np.arange(1, len(rows) + 1, dtype=np.float64)
+    time: Array = table[:, 0] if table.shape[1] == 2 else regular
     values = np.asarray(table[:, -1], dtype=np.float64)
     if kind == "counts":
         angle = values * angle_step

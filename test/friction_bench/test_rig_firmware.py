@@ -10,8 +10,12 @@ from typing import Any
 import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
+from friction_bench.client import RigClient
 from friction_bench.codec import Frame, encode
+from friction_bench.emulated import EmulatedRig, VirtualPort
 from friction_bench.messages import Command
+from friction_bench.ramp import run_ramp
+from friction_bench.rig import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]
@@ -143,3 +147,21 @@ def test_random_damage_never_moves_the_rig(target: str, make_board: Callable[...
         assert player.board.dac == 0
     player.do_beat(55)
     player.do_expect({"state": "ARMED", "fault": 0})
+
+
+@pytest.mark.firmware
+@pytest.mark.parametrize("target", ["mcs51", "avr"])
+def test_closed_loop_with_the_real_binary_equals_the_native_one(
+    target: str, make_board: Callable[..., Any], rig: Rig
+) -> None:
+    """The emulated rig, run by the real binary, turns in a ramp as far as by the native core, but for 2 ms."""
+    angles = []
+    for board in ("native", target):
+        emulated = EmulatedRig(rig, 3, make_board(board))
+        client = RigClient(VirtualPort(emulated), rig)
+        client.connect()
+        record = run_ramp(client, 0.3, 0.08, False, board)
+        assert client.lost_reports == 0
+        angles.append(record.angle[-1])
+        speed = (record.angle[-1] - record.angle[-2]) / record.tick
+    assert angles[1] == pytest.approx(angles[0], abs=2e-3 * speed)
