@@ -8,7 +8,7 @@ NAME = "rx90_emulator"
 
 
 def data_files() -> list[tuple[str, list[str]]]:
-    """List config/ and launch/ folder by folder, for `share/rx90_emulator`."""
+    """List config/, launch/ and firmware/ folder by folder, for `share/rx90_emulator`."""
     entries = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

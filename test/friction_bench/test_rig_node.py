@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +106,7 @@ def test_ramp_runs_and_stops_by_service(session: Session) -> None:
     assert answer.success
     session.until(lambda: not session.pty.emulated.board.stage_on)
     stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in session.states]
-    steps = {b - a for a, b in zip(stamps, stamps[1:], strict=False)}
+    steps = {b - a for a, b in pairwise(stamps)}
     assert all(step % 20_000_000 == 0 for step in steps)
     assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
 
