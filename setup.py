@@ -8,12 +8,12 @@ NAME = "rx90_emulator"
 
 
 def data_files() -> list[tuple[str, list[str]]]:
-    """List config/ and launch/ folder by folder, for `share/rx90_emulator`."""
+    """List config/, launch/ and firmware/ folder by folder, for `share/rx90_emulator`."""
     entries = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
     ]
-    for root in ("config", "launch"):
+    for root in ("config", "launch", "firmware"):
         folders = [Path(root), *sorted(p for p in Path(root).rglob("*") if p.is_dir())]
         for folder in folders:
             files = sorted(str(p) for p in folder.iterdir() if p.is_file())
@@ -65,6 +65,9 @@ setup(
         "console_scripts": [
             "rx90_sim = rx90_sim.sim_node:main",
             "rx90_controller = rx90_controller.controller_node:main",
+            "friction_bench = friction_bench.node:main",
+            "friction_ramp = rx90_common.executables:friction_ramp",
+            "friction_rig_emulator = rx90_common.executables:friction_rig_emulator",
             "rx90_line = rx90_common.executables:rx90_line",
             "rx90_run = rx90_common.executables:rx90_run",
             "rx90_bag = rx90_common.executables:rx90_bag",

@@ -14,7 +14,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
@@ -99,8 +99,14 @@ class TickingNode(Protocol):
         """End `tick_loop` soon; callable from every thread."""
 
 
-def spin(make: Callable[[], TickingNode], args: Sequence[str]) -> None:
+def spin(
+    make: Callable[[], TickingNode],
+    args: Sequence[str],
+    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+) -> None:
     """Run a ticking node: ticks on a thread of their own, everything slow on an executor in this one.
+
+    A node whose services wait for something brings an executor with threads of its own.
 
     Raises:
         Rx90Error: what the node's constructor or its ticks raise.
@@ -109,7 +115,7 @@ def spin(make: Callable[[], TickingNode], args: Sequence[str]) -> None:
         ticking = make()
         failures: list[BaseException] = []
         thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
-        executor = SingleThreadedExecutor()
+        executor = make_executor()
         executor.add_node(ticking.node)
         # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
         # everything that was imported in the middle of a tick.

@@ -81,13 +81,18 @@ def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
         raise ConfigError(
             f"{section.where(missing[0])} is missing; accepted: one element for each of {', '.join(names)}"
         )
-    elements = tuple(_load_element(section.section(name)) for name in names)
+    elements = tuple(load_element(section.section(name)) for name in names)
     section.finish()
     root.finish()
     return FrictionSet(names, elements, path)
 
 
-def _load_element(section: Section) -> LuGreElement:
+def load_element(section: Section) -> LuGreElement:
+    """Read one element.
+
+    Raises:
+        ConfigError: naming file, element, value and accepted range.
+    """
     coulomb = _signed(section, "tau_c")
     static = _signed(section, "tau_s")
     values = {key: section.number(key) for key in ("omega_s", "delta", "c0", "c1", "c2")}

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from ros_client import Client
 from processes import Processes
+from ros_client import Client
 
 from rx90_bag.comparison import Scope, Verdict, compare_bags
 from rx90_bag.comparison_report import as_text

@@ -5,8 +5,8 @@ from __future__ import annotations
 import signal
 
 import pytest
-from ros_client import Client, seconds
 from processes import Processes
+from ros_client import Client, seconds
 
 
 @pytest.mark.ros

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from ros_client import Client, seconds
 from processes import Processes
+from ros_client import Client, seconds
 
 PAUSED = ("--ros-args", "-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", "step_ticks:=8")
 

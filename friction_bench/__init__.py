@@ -1,0 +1,1 @@
+"""The friction rig: protocol, emulated rig, ramp experiment, identification, node and commands."""

@@ -1,0 +1,196 @@
+"""The command `friction_ramp`: run ramps on a rig, or read old ones, and identify friction."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import yaml
+from tqdm import tqdm
+
+from friction_bench.client import Port, RigClient
+from friction_bench.emulated import EmulatedRig, VirtualPort
+from friction_bench.errors import RecordError
+from friction_bench.experiment import Plan, Readings, evaluate, run_series
+from friction_bench.pty_rig import PtyRig
+from friction_bench.record import TEXT_KINDS, RampRecord, read_csv, read_text, write_csv
+from friction_bench.report import as_text, write_estimates, write_html, write_yaml
+from friction_bench.rig import Rig, load_rig
+from friction_bench.serial_port import SerialPort
+from rx90_bag.writing import write_joint_states
+from rx90_common.errors import ConfigError, Rx90Error
+from rx90_common.share import config_path, resolve_config
+
+_LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="friction_ramp",
+        description="Measure Coulomb and viscous friction with torque ramps on a friction rig.",
+    )
+    parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
+    parser.add_argument("--baud", type=int, help="line rate (default: the rig file's)")
+    parser.add_argument("--rig", default="rig/gm8224.yaml", help="rig file (default: %(default)s)")
+    parser.add_argument("--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s at the motor")
+    parser.add_argument("--repeats", type=int, help="ramps of each slope")
+    parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")
+    parser.add_argument("--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
+    parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
+    parser.add_argument("--out", type=Path, default=Path("out/friction"), help="folder for bag and report")
+    parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
+    files = parser.add_argument_group("old data instead of a rig")
+    files.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
+    files.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")
+    files.add_argument("--text", choices=TEXT_KINDS, help="files are plain text of this kind, not CSV")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command; return 0, or 1 with one line that says why not."""
+    options = _parser().parse_args(argv)
+    try:
+        _run(options)
+    except Rx90Error as error:
+        print(f"friction_ramp: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("friction_ramp: interrupted, the rig is switched off", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _run(options: argparse.Namespace) -> None:
+    rig = load_rig(resolve_config(options.rig))
+    out: Path = options.out
+    if options.no_load_file or options.loaded_file:
+        records = _read(options, rig)
+        origin = f"{len(records)} recorded ramps"
+    else:
+        plan = _plan(options, rig)
+        records, origin = _measure(options, rig, plan, out)
+    result = evaluate(records, rig)
+    _folder(out)
+    write_html(out / "report.html", result, rig, origin)
+    write_estimates(out / "estimates.yaml", result)
+    base = load_friction_document()
+    if options.element not in base["elements"]:
+        known = ", ".join(base["elements"])
+        raise ConfigError(f"element is '{options.element}'; accepted: {known}")
+    write_yaml(out / "friction.yaml", result, rig, options.element, base)
+    print(as_text(result))
+    print(f"report: {out / 'report.html'}\nparameters for rx90_sim: {out / 'friction.yaml'}")
+
+
+def load_friction_document() -> dict[str, dict[str, object]]:
+    """Return the shipped friction file's elements, into which an identified one is put."""
+    document = yaml.safe_load(config_path("robot/friction.yaml").read_text(encoding="utf-8"))
+    return {"elements": document["elements"]}
+
+
+def _folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordError(f"{out}: cannot be made ({error.strerror})") from error
+
+
+def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
+    slopes = tuple(options.slopes or rig.ramps.slopes)
+    repeats = rig.ramps.repeats if options.repeats is None else options.repeats
+    if repeats < 1:
+        raise ConfigError(f"--repeats is {repeats}; accepted: at least 1")
+    for torque in (options.end_torque,):
+        if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
+            raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
+    for slope in slopes:
+        rig.ramp_step(slope)
+    return Plan(
+        slopes=slopes,
+        repeats=repeats,
+        end_torque=options.end_torque or rig.ramps.end_torque,
+        end_torque_loaded=options.end_torque or rig.ramps.end_torque_loaded,
+    )
+
+
+def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tuple[list[RampRecord], str]:
+    bag = out / "bag"
+    if bag.exists():
+        raise RecordError(f"{bag} exists; accepted: a folder without a bag, for example --out {out}_2")
+    port, couple, close = _open(options, rig)
+    readings = Readings(rig)
+    records: list[RampRecord] = []
+    loads = _LOADS[options.load]
+    total = sum(plan.duration(loaded) for loaded in loads)
+    try:
+        with tqdm(total=round(total, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR) as bar:
+            client = RigClient(port, rig)
+            client.connect()
+
+            def progress(seconds: float, label: str) -> None:
+                bar.set_postfix_str(label, refresh=False)
+                bar.update(seconds)
+
+            for loaded in loads:
+                couple(loaded, client)
+                records += run_series(client, plan, loaded, readings, progress)
+    finally:
+        port.close()
+        close()
+        if readings.samples:
+            _folder(out)
+            write_joint_states(bag, readings.series())
+            for k, record in enumerate(records):
+                write_csv(record, out / f"ramp_{k + 1:02d}.csv")
+    kind = "emulated rig" if options.port == "emulated" else f"rig at {options.port}"
+    return records, f"{len(records)} ramps on the {kind}"
+
+
+_BAR = "{desc} {bar} {n:.0f}/{total:.0f} s {postfix}"
+
+
+def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
+    """Return the port, what couples the joint, and what ends an emulated rig."""
+    if options.port != "emulated":
+        port: Port = SerialPort(options.port, options.baud or rig.baud)
+        return port, _ask, lambda: None
+    emulated = EmulatedRig(rig, options.seed)
+    if not options.real_time:
+        return VirtualPort(emulated), lambda loaded, _: emulated.plant.load(loaded), lambda: None
+    pty_rig = PtyRig(emulated)
+    return SerialPort(pty_rig.path, rig.baud), lambda loaded, _: pty_rig.load(loaded), pty_rig.close
+
+
+def _ask(loaded: bool, client: RigClient) -> None:
+    """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
+    print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
+    try:
+        input()
+    except EOFError:
+        raise RecordError("nobody there to couple the joint; use --load none or --load joint") from None
+    client.connect()
+
+
+def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
+    step = math.tau / rig.counts_per_revolution
+    records = []
+    for loaded, entries in ((False, options.no_load_file), (True, options.loaded_file)):
+        for entry in entries:
+            slope, file = _split(entry)
+            if options.text:
+                records.append(read_text(file, options.text, slope, step, rig.tick, loaded))
+            else:
+                records.append(read_csv(file, slope, step, loaded))
+    return records
+
+
+def _split(entry: str) -> tuple[float, Path]:
+    slope, _, file = entry.partition(":")
+    try:
+        return float(slope), Path(file)
+    except ValueError:
+        raise ConfigError(f"file is '{entry}'; accepted: slope:file, for example 0.05:ramp_01.csv") from None

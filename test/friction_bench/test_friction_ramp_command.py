@@ -1,0 +1,108 @@
+"""The command friction_ramp, from its arguments to the files it leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from friction_bench.ramp_command import main
+from rx90_bag.reading import read_joint_states
+from rx90_common.share import config_path
+from rx90_sim.friction import load_friction
+
+JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
+QUICK = ["--repeats", "2", "--slopes", "0.03", "0.06"]
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one complete measurement, no-load and loaded."""
+    out = tmp_path_factory.mktemp("friction") / "run"
+    assert main([*QUICK, "--out", str(out)]) == 0
+    return out
+
+
+def test_report_page_is_complete(measured: Path) -> None:
+    """The page holds plots for both loads, the overlay and the comparison, and the source's bands."""
+    page = (measured / "report.html").read_text()
+    assert page.count("<svg") == 4
+    for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
+        assert text in page
+
+
+def test_friction_file_is_one_that_the_simulation_reads(measured: Path) -> None:
+    """rx90_sim loads the YAML; the joint's element is the identified one, all others the shipped ones."""
+    found = load_friction(measured / "friction.yaml", JOINTS)
+    shipped = load_friction(config_path("robot/friction.yaml"), JOINTS)
+    index = found.names.index("joint_6")
+    assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
+    assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
+    assert found.elements[:index] == shipped.elements[:index]
+
+
+def test_estimates_carry_their_intervals(measured: Path) -> None:
+    """The YAML of estimates has value, uncertainty and interval for both loads and the joint."""
+    estimates = yaml.safe_load((measured / "estimates.yaml").read_text())
+    low, high = estimates["loaded"]["exact, by covariance"]["coulomb"]["interval_95"]
+    assert low < 0.0698 < high
+    assert estimates["joint"]["joint_side"]["coulomb"]["standard_uncertainty"] > 0.0
+
+
+def test_bag_holds_every_reading(measured: Path) -> None:
+    """The bag's stamps are the firmware's 20 ms ticks, and states and commands go together."""
+    states = read_joint_states(measured / "bag", "friction_bench/joint_states")
+    commands = read_joint_states(measured / "bag", "friction_bench/joint_commands")
+    assert states.stamp_ns.tolist() == commands.stamp_ns.tolist()
+    assert set((states.stamp_ns % 20_000_000).tolist()) == {0}
+    assert commands.effort is not None
+    assert commands.effort.max() <= 0.18
+
+
+def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> None:
+    """The CSV files that a measurement leaves give the same f_c as the measurement."""
+    slopes = {}
+    for file in sorted(measured.glob("ramp_*.csv")):
+        label, _, slope = file.read_text().splitlines()[0][2:].rpartition(", slope ")
+        slopes[file] = (label, float(slope.removesuffix(" Nm/s")))
+    arguments = []
+    for file, (label, slope) in slopes.items():
+        option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
+        arguments += [option, f"{slope!r}:{file}"]
+    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    again = yaml.safe_load((tmp_path / "estimates.yaml").read_text())
+    before = yaml.safe_load((measured / "estimates.yaml").read_text())
+    key = "exact, by covariance"
+    assert again["loaded"][key]["coulomb"]["value"] == pytest.approx(before["loaded"][key]["coulomb"]["value"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--slopes", "99"], "slope 99 Nm/s; accepted"),
+        (["--repeats", "0"], "--repeats is 0"),
+        (["--end-torque", "0.5"], "--end-torque is 0.5"),
+        (["--rig", "nothing.yaml"], "no file 'nothing.yaml'"),
+        (["--port", "/dev/nothing"], "/dev/nothing: cannot be opened"),
+        (["--end-torque", "0.19"], "RAMP: a value is outside the firmware's limits"),
+        (["--end-torque", "0.02", "--load", "none"], "no break-away"),
+        (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
+        (["--no-load-file", "nothing.csv"], "accepted: slope:file"),
+        (["--element", "joint_9", *QUICK, "--load", "none"], "element is 'joint_9'"),
+    ],
+)
+def test_mistakes_get_one_line(
+    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A user's mistake is answered by one line and exit code 1."""
+    assert main([*arguments, "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message in error
+    assert error.startswith("friction_ramp: ")
+
+
+def test_existing_bag_is_not_overwritten(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A second run into the same folder is refused before the rig moves."""
+    assert main([*QUICK, "--out", str(measured)]) == 1
+    assert "bag exists" in capsys.readouterr().err

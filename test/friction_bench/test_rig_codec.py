@@ -1,0 +1,169 @@
+"""The codec: COBS and CRC against independent definitions, fuzzing, and the firmware's decoder beside it."""
+
+from __future__ import annotations
+
+import ctypes
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_bench.codec import (
+    MAX_DECODED,
+    Frame,
+    FrameDecoder,
+    cobs_decode,
+    cobs_encode,
+    crc16,
+    decode,
+    encode,
+)
+from friction_bench.messages import parse_hello, parse_report
+from friction_bench.native import native_library
+
+BYTE = st.integers(0, 255)
+FRAMES = st.builds(Frame, BYTE, BYTE, st.binary(max_size=MAX_DECODED - 4))
+
+
+def crc_by_division(data: bytes) -> int:
+    """Return the CRC by bitwise polynomial division, as the standard defines it."""
+    register = 0xFFFF
+    for byte in data:
+        for bit in range(7, -1, -1):
+            carry = (register >> 15) ^ (byte >> bit & 1)
+            register = (register << 1 & 0xFFFF) ^ (0x1021 if carry else 0)
+    return register
+
+
+def test_crc_has_the_published_check_value() -> None:
+    """CRC-16/CCITT-FALSE of "123456789" is 0x29B1."""
+    assert crc16(b"123456789") == 0x29B1
+
+
+@given(st.binary(max_size=40))
+def test_crc_is_the_remainder_of_the_division(data: bytes) -> None:
+    """The library's CRC equals bitwise polynomial division."""
+    assert crc16(data) == crc_by_division(data)
+
+
+@pytest.mark.parametrize(
+    ("plain", "coded"),
+    [("", "01"), ("00", "0101"), ("0000", "010101"), ("11220033", "0311220233"), ("11000000", "0211010101")],
+)
+def test_cobs_gives_the_published_examples(plain: str, coded: str) -> None:
+    """Cheshire and Baker's examples come out in both directions."""
+    assert cobs_encode(bytes.fromhex(plain)).hex() == coded
+    assert cobs_decode(bytes.fromhex(coded)) == bytes.fromhex(plain)
+
+
+@given(FRAMES)
+def test_every_frame_comes_back(frame: Frame) -> None:
+    """Encoding holds one zero, at the end, and decoding inverts it."""
+    line = encode(frame)
+    assert line.count(0) == 1
+    assert line[-1] == 0
+    assert FrameDecoder().feed(line) == [frame]
+
+
+@settings(max_examples=500)
+@given(st.lists(st.binary(max_size=60), max_size=8))
+def test_no_bytes_raise_and_what_is_accepted_is_intact(chunks: list[bytes]) -> None:
+    """Arbitrary bytes in any portions never raise, and each accepted frame stands whole in the stream."""
+    decoder = FrameDecoder()
+    stream = b"".join(chunks)
+    for chunk in chunks:
+        for frame in decoder.feed(chunk):
+            assert encode(frame) in b"\0" + stream
+            parse_report(frame)
+            parse_hello(frame)
+
+
+@given(FRAMES, FRAMES, st.binary(max_size=80).filter(lambda noise: 0 not in noise))
+def test_noise_costs_one_frame_at_most(first: Frame, second: Frame, noise: bytes) -> None:
+    """The frame after a delimiter is understood whatever came before it."""
+    frames = FrameDecoder().feed(encode(first) + noise + b"\0" + encode(second))
+    assert frames[0] == first
+    assert frames[-1] == second
+
+
+@settings(max_examples=300)
+@given(FRAMES, st.data())
+def test_one_or_two_flipped_bits_are_never_accepted(frame: Frame, data: st.DataObject) -> None:
+    """Any two flipped bits that leave the COBS framing alone are caught by the CRC (Hamming distance 4)."""
+    body = bytes([frame.type, frame.sequence]) + frame.payload
+    sealed = bytearray(body + crc16(body).to_bytes(2, "little"))
+    for at in data.draw(st.sets(st.integers(0, 8 * len(sealed) - 1), min_size=1, max_size=2)):
+        sealed[at // 8] ^= 1 << at % 8
+    assert decode(cobs_encode(bytes(sealed))) is None
+
+
+class NativeFrames:
+    """The firmware's frame functions, called one by one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.library = ctypes.CDLL(shutil.copy(native_library(), folder))
+        self.library.frame_receive.argtypes = (ctypes.c_uint8,)
+        self.library.frame_receive.restype = ctypes.c_bool
+        self.buffer = (ctypes.c_uint8 * 8).in_dll(self.library, "frame_rx")
+        self.length = ctypes.c_uint8.in_dll(self.library, "frame_rx_length")
+        self.sent = (ctypes.c_uint8 * 19).in_dll(self.library, "frame_tx")
+        self.sent_length = ctypes.c_uint8.in_dll(self.library, "frame_tx_length")
+        self.library.frame_reset()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Return the frames that the firmware accepts."""
+        frames = []
+        for byte in data:
+            if self.library.frame_receive(byte):
+                raw = bytes(self.buffer)[: self.length.value]
+                frames.append(Frame(raw[0], raw[1], raw[2:]))
+        return frames
+
+    def encode(self, body: bytes) -> bytes:
+        """Return the bytes that the firmware sends for a raw frame."""
+        for at, byte in enumerate(body, 1):
+            self.sent[at] = byte
+        self.library.frame_send(len(body))
+        return bytes(self.sent)[: self.sent_length.value]
+
+
+def test_firmware_and_python_decode_100000_frames_alike(tmp_path: Path) -> None:
+    """With 1 % of the bytes hit, both sides accept the same frames, all of which had been sent."""
+    random_ = random.Random(1)
+    native = NativeFrames(tmp_path)
+    decoder = FrameDecoder()
+    sent = set()
+    accepted = 0
+    for _ in range(100):
+        stream = bytearray()
+        for _ in range(1000):
+            frame = Frame(random_.randrange(256), random_.randrange(256), random_.randbytes(random_.randrange(5)))
+            sent.add(frame)
+            stream += encode(frame)
+        for _ in range(len(stream) // 100):
+            at = random_.randrange(len(stream))
+            how = random_.randrange(3)
+            if how == 0:
+                stream[at] ^= 1 << random_.randrange(8)
+            elif how == 1:
+                del stream[at]
+            else:
+                stream.insert(at, stream[at])
+        ours = [frame for frame in decoder.feed(bytes(stream)) if len(frame.payload) <= 4]
+        theirs = native.feed(bytes(stream))
+        assert ours == theirs
+        assert sent.issuperset(theirs)
+        accepted += len(theirs)
+    assert accepted > 85_000
+
+
+def test_firmware_and_python_encode_alike(tmp_path: Path) -> None:
+    """Both sides give the same bytes for 5,000 random frames of all lengths the rig sends."""
+    random_ = random.Random(2)
+    native = NativeFrames(tmp_path)
+    for _ in range(5000):
+        body = bytes(random_.choice((0, random_.randrange(256))) for _ in range(random_.randrange(2, 16)))
+        assert native.encode(body) == encode(Frame(body[0], body[1], body[2:]))

@@ -1,0 +1,77 @@
+"""The ATmega328P binary in simavr, in this process, exact to the cycle."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import weakref
+from pathlib import Path
+
+SHIM = Path(__file__).with_name("simavr_board.c")
+
+
+def build_shim(library: Path) -> None:
+    """Compile the ctypes shim against libsimavr."""
+    command = ["cc", "-O2", "-fPIC", "-shared", str(SHIM), "-lsimavr", "-o", str(library)]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+def read_intel_hex(path: Path) -> bytes:
+    """Return the flash image of an Intel hex file that starts at address 0."""
+    image = bytearray()
+    for line in path.read_text().splitlines():
+        record = bytes.fromhex(line[1:])
+        if record[3] == 0:
+            start = record[1] << 8 | record[2]
+            image.extend(b"\xff" * (start + record[0] - len(image)))
+            image[start : start + record[0]] = record[4 : 4 + record[0]]
+    return bytes(image)
+
+
+class SimavrBoard:
+    """The Board interface around simavr."""
+
+    def __init__(self, library: Path, firmware: Path) -> None:
+        self._lib = ctypes.CDLL(str(library))
+        self._lib.board_new.restype = ctypes.c_void_p
+        for name in ("board_dac", "board_worst_dac", "board_stage"):
+            getattr(self._lib, name).restype = ctypes.c_uint8
+        flash = read_intel_hex(firmware)
+        self._board = ctypes.c_void_p(self._lib.board_new(flash, len(flash)))
+        self._buffer = ctypes.create_string_buffer(4096)
+        self._finalizer = weakref.finalize(self, self._lib.board_free, self._board)
+
+    def reset(self) -> None:
+        """Pull the reset pin."""
+        self._lib.board_reset(self._board)
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the line to the board."""
+        self._lib.board_write(self._board, data, len(data))
+
+    def read(self) -> bytes:
+        """Return what the board has sent."""
+        count = self._lib.board_read(self._board, self._buffer, 4096)
+        return self._buffer.raw[:count]
+
+    def run(self, slice_us: int, edges: int, adc: int) -> None:
+        """Let time pass with these encoder edges and this ADC code."""
+        self._lib.board_run(self._board, slice_us, edges, adc)
+
+    @property
+    def dac(self) -> int:
+        """Return the code on the DAC."""
+        return int(self._lib.board_dac(self._board))
+
+    @property
+    def stage_on(self) -> bool:
+        """Return whether the power stage is enabled."""
+        return bool(self._lib.board_stage(self._board))
+
+    def worst_dac(self) -> int:
+        """Return the highest DAC code seen with the stage on since the last call."""
+        return int(self._lib.board_worst_dac(self._board))
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._finalizer()

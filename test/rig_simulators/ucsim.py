@@ -1,0 +1,160 @@
+"""The 8051 binary in uCsim (s51), in lock-step over its console."""
+
+from __future__ import annotations
+
+import array
+import contextlib
+import fcntl
+import os
+import shutil
+import subprocess
+import tempfile
+import termios
+from pathlib import Path
+
+SHIM = Path(__file__).with_name("ucsim_poll.c")
+CRYSTAL_MHZ = 11.0592
+CLOCKS_PER_INSTRUCTION = 16.0
+"""Rough mean for this firmware (12 clocks a cycle); the error of one slice is made up for in the next."""
+LISTEN_SLICES = 20
+"""The simulator may hold a byte of its own after the line to it has run empty."""
+MARKER = "918273645"
+MARK = "expr 918273644+1"
+"""The console echoes its input in the midst of its output: the echo must not look like the answer."""
+
+
+def build_shim(library: Path) -> None:
+    """Compile the preloaded poll."""
+    command = ["cc", "-O2", "-fPIC", "-shared", str(SHIM), "-o", str(library)]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+
+
+def simulator() -> str | None:
+    """Return the path of uCsim's 8051, under its old or its new name."""
+    return shutil.which("s51") or shutil.which("ucsim_51")
+
+
+class UcsimBoard:
+    """The Board interface around s51.
+
+    Args:
+        seed: of the RAM's random contents at power-up.
+    """
+
+    def __init__(self, library: Path, firmware: Path, seed: int = 1) -> None:
+        program = simulator()
+        if program is None:
+            raise RuntimeError("neither s51 nor ucsim_51 is installed")
+        self._folder = tempfile.mkdtemp(prefix="ucsim")
+        to_rig, from_rig = Path(self._folder, "in"), Path(self._folder, "out")
+        for fifo in (to_rig, from_rig):
+            os.mkfifo(fifo)
+        # Both ends open here too, so that the simulator's own open does not block.
+        self._to_rig = os.open(to_rig, os.O_RDWR | os.O_NONBLOCK)
+        self._from_rig = os.open(from_rig, os.O_RDWR | os.O_NONBLOCK)
+        command = [program, "-b", "-q", "-R", str(seed), "-t", "C51", "-X", f"{CRYSTAL_MHZ}M"]
+        command += ["-S", f"uart=0,in={to_rig},out={from_rig}", str(firmware)]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, "LD_PRELOAD": str(library)},
+            text=True,
+        )
+        self._target = 0.0
+        self._clock = 0
+        self._dac = 0
+        self._port3 = 0xFF
+        self._listen = 0
+        self._console([])
+
+    def _console(self, lines: list[str]) -> list[int]:
+        """Run console commands; return the numbers that they print, in order."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write("\n".join([*lines, MARK, ""]))
+        self._process.stdin.flush()
+        numbers = []
+        for line in self._process.stdout:
+            text = line.strip()
+            if text == MARKER:
+                return numbers
+            with contextlib.suppress(ValueError):
+                numbers.append(int(text))
+        raise RuntimeError("the simulator ended by itself")
+
+    def _pending(self) -> int:
+        count = array.array("i", [0])
+        fcntl.ioctl(self._to_rig, termios.FIONREAD, count)
+        return count[0]
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the line to the board."""
+        if data:
+            os.write(self._to_rig, data)
+
+    def read(self) -> bytes:
+        """Return what the board has sent."""
+        try:
+            return os.read(self._from_rig, 4096)
+        except BlockingIOError:
+            return b""
+
+    def run(self, slice_us: int, edges: int, adc: int) -> None:
+        """Let time pass with these encoder edges and this ADC code."""
+        self._target += slice_us * CRYSTAL_MHZ
+        steps = max(1, round((self._target - self._clock) / CLOCKS_PER_INSTRUCTION))
+        # The simulator looks for input every million instructions, unless told.
+        self._listen = LISTEN_SLICES if self._pending() else max(0, self._listen - 1)
+        lines = [f"expr uart0_check_often={min(self._listen, 1)}", f"set hw port[2] {adc}"]
+        for _ in range(edges):
+            lines += [
+                f"step {max(1, steps // (edges + 1))}",
+                "set hw port[3] 0xfb",
+                "step 4",
+                "set hw port[3] 0xff",
+            ]
+        lines += [
+            f"step {max(1, steps // (edges + 1))}",
+            "expr sim_ticks",
+            "expr port1_odr",
+            "expr port3_odr",
+        ]
+        *_, self._clock, self._dac, self._port3 = self._console(lines)
+
+    def reset(self) -> None:
+        """Pull the reset pin; uCsim's reset leaves the clock running."""
+        *_, self._clock, self._dac, self._port3 = self._console(
+            ["reset", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        )
+        self._target = float(self._clock)
+
+    def instructions(self, count: int) -> None:
+        """Execute single instructions, for a look at what happens within microseconds of power-up."""
+        lines = [f"step {count}", "expr sim_ticks", "expr port1_odr", "expr port3_odr"]
+        *_, self._clock, self._dac, self._port3 = self._console(lines)
+        self._target = float(self._clock)
+
+    @property
+    def time(self) -> float:
+        """Return simulated time, s."""
+        return self._clock / (CRYSTAL_MHZ * 1e6)
+
+    @property
+    def dac(self) -> int:
+        """Return the code on the DAC."""
+        return self._dac & 0xFF
+
+    @property
+    def stage_on(self) -> bool:
+        """Return whether the power stage is enabled: P3.4 low."""
+        return not self._port3 & 0x10
+
+    def close(self) -> None:
+        """End the simulator: one that is left behind takes a whole core."""
+        self._process.kill()
+        self._process.wait()
+        for descriptor in (self._to_rig, self._from_rig):
+            os.close(descriptor)
+        shutil.rmtree(self._folder)
