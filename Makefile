@@ -6,12 +6,13 @@ BIN := .venv/bin
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_IMPLEMENTATION
 
-.PHONY: help demo test bench lint clean environment-run environment-dev suitable
+.PHONY: help demo test bench firmware lint clean environment-run environment-dev suitable
 
 help:
 	@echo "make demo    run the emulated robot along the reference line and write the report"
 	@echo "make test    run all tests"
 	@echo "make bench   measure speed and accuracy into out/bench.json"
+	@echo "make firmware  build the friction rig's firmware: 8051, ATmega328P, native"
 	@echo "make lint    ruff and mypy"
 	@echo "make clean   remove the environment and what was built; results in out/ stay"
 	@echo "ARGS='...' is handed on: make test ARGS='-k lugre'; PYTHON=python3.12 chooses the interpreter"
@@ -20,7 +21,10 @@ demo: environment-run
 	@$(BIN)/rx90_demo $(ARGS)
 
 test: environment-dev
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+firmware:
+	@$(MAKE) --no-print-directory -C firmware
 
 bench: environment-dev
 	@$(BIN)/python -m benchmarks $(ARGS)

@@ -51,6 +51,7 @@ setup(
         ],
         "dev": [
             "pytest>=8.3,<10",
+            "pytest-xdist>=3.6,<4",
             "hypothesis>=6.120,<7",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",

@@ -21,6 +21,14 @@ TIMEOUT = 120.0
 END_TIMEOUT = 30.0
 LAST_DOMAIN = 101  # the ports of higher ones reach into the range for outgoing connections
 PORTS = 20  # that the first ten participants of a domain take, two each
+
+def _own_domains() -> range:
+    """Return the domains of this worker: those that run beside it have others."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    share = LAST_DOMAIN // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    return range(1 + worker * share, 1 + (worker + 1) * share)
+
+
 _domains = itertools.count(os.getpid())
 
 
@@ -34,11 +42,12 @@ def executable(name: str) -> str:
 
 def free_domain() -> int:
     """Return a DDS domain that no participant on this machine uses."""
-    for number in itertools.islice(_domains, LAST_DOMAIN):
-        domain = number % LAST_DOMAIN + 1
+    own = _own_domains()
+    for number in itertools.islice(_domains, len(own)):
+        domain = own[number % len(own)]
         if all(_is_free(7410 + 250 * domain + port) for port in range(PORTS)):
             return domain
-    raise RuntimeError(f"all DDS domains from 1 to {LAST_DOMAIN} are in use on this machine")
+    raise RuntimeError(f"all DDS domains from {own[0]} to {own[-1]} are in use on this machine")
 
 
 def _is_free(port: int) -> bool:
