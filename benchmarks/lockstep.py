@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from benchmarks.ping_pong import measure as measure_ping_pong
+from benchmarks.report import merge, print_table
 from rx90_common.errors import ExchangeError
 from rx90_common.rates import Rates
 
@@ -119,11 +120,12 @@ def _clock_until(done) -> list[tuple[float, float]]:  # type: ignore[no-untyped-
 
 
 def main() -> int:
-    """Print the figures."""
+    """Print the figures and merge them."""
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    for key, value in measure().items():
-        print(f"{key:32s} {value:12.3f}")
+    figures = measure()
+    print_table(("figure", "value"), [(key, f"{value:.3f}") for key, value in figures.items()])
+    merge(figures)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,9 +74,7 @@ class Section:
             self.refuse(key, value, "a mapping")
         return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
 
-    def number(
-        self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False
-    ) -> float:
+    def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
         """Return a finite number in [low, high], or in (low, high] with `above`."""
         accepted = _range_text(low, high, above)
         return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
@@ -88,9 +87,7 @@ class Section:
         values = self._get(key, accepted)
         if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
             self.refuse(key, values, accepted)
-        return tuple(
-            self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values)
-        )
+        return tuple(self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values))
 
     def integer(self, key: str, low: int, high: int) -> int:
         """Return an integer in [low, high]."""
@@ -121,12 +118,15 @@ class Section:
             known = ", ".join(sorted(self._used - {"source", "provenance", "note"}))
             raise ConfigError(f"{self.where(unknown[0])} is not a known key; accepted: {known}")
 
-    def _check_number(
-        self, key: str, value: Any, low: float, high: float, above: bool, accepted: str
-    ) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    def _check_number(self, key: str, value: Any, low: float, high: float, above: bool, accepted: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
             self.refuse(key, value, accepted)
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            self.refuse(key, value, accepted)
         if number > high or number < low or (above and number == low):
             self.refuse(key, value, accepted)
         return number
@@ -140,23 +140,40 @@ def _range_text(low: float, high: float, above: bool) -> str:
     return f"a number in {'(' if above else '['}{low:g}, {high:g}]"
 
 
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """SafeLoader that refuses a key written twice: the first value would be lost silently."""
+class _Loader(yaml.SafeLoader):
+    """SafeLoader for mappings of names, with the numbers of YAML 1.2.
+
+    A key written twice is refused: the first value would be lost silently. YAML 1.1, which PyYAML follows,
+    reads 1e5 as a text, 1:30 as 90, 010 as 8 and 2001-01-01 as a date.
+    """
 
 
-def _construct_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+_NOT_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NOT_NUMBERS]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(0|[1-9][0-9]*)$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
+    list("-+.0123456789"),
+)
+
+
+def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     mapping: dict[Any, Any] = {}
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str):
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} is not a name", key_node.start_mark)
         if key in mapping:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"the key {key!r} stands twice", key_node.start_mark
-            )
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
         mapping[key] = loader.construct_object(value_node, deep=True)
     return mapping
 
 
-_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
 def load_yaml(path: Path) -> Section:
@@ -167,10 +184,11 @@ def load_yaml(path: Path) -> Section:
     """
     try:
         with path.open(encoding="utf-8") as stream:
-            data = yaml.load(stream, Loader=_UniqueKeyLoader)
+            data = yaml.load(stream, Loader=_Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
+        # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: a mapping of keys to values")

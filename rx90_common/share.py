@@ -30,14 +30,13 @@ def share_directory() -> Path:
     else:
         try:
             return Path(get_package_share_directory(PACKAGE))
-        except (PackageNotFoundError, LookupError):
+        except (PackageNotFoundError, LookupError, OSError):
+            # OSError: a pip environment does not set AMENT_PREFIX_PATH.
             pass
     prefix = Path(sys.prefix) / "share" / PACKAGE
     if prefix.is_dir():
         return prefix
-    raise ConfigError(
-        f"the data folder of {PACKAGE} was not found in {source}, AMENT_PREFIX_PATH or {prefix}"
-    )
+    raise ConfigError(f"the data folder of {PACKAGE} was not found in {source}, AMENT_PREFIX_PATH or {prefix}")
 
 
 def config_path(relative: str) -> Path:
@@ -51,7 +50,10 @@ def resolve_config(name: str) -> Path:
     Raises:
         ConfigError: if neither exists.
     """
-    own = Path(name).expanduser()
+    try:
+        own = Path(name).expanduser()
+    except RuntimeError as error:
+        raise ConfigError(f"no file '{name}': its home folder does not exist") from error
     if own.is_file():
         return own
     shipped = config_path(name)

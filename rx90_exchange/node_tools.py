@@ -15,6 +15,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.logging import set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
@@ -155,9 +157,13 @@ def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
 def _rclpy(args: Sequence[str]) -> Iterator[None]:
     try:
         # `spin` handles Ctrl-C and ends everything in order; rclpy would pull the context away first.
+        # rcl would print a refusal itself, beside the line that the error becomes.
+        set_logger_level("rcl", LoggingSeverity.FATAL)
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
-        raise ConfigError(f"ROS arguments {' '.join(args)}: refused ({' '.join(str(error).split())})") from error
+        reason = " ".join(str(error).split(", at /")[0].split())
+        raise ConfigError(f"ROS arguments {' '.join(args)}: refused ({reason})") from error
+    set_logger_level("rcl", LoggingSeverity.UNSET)
     try:
         yield
     finally:

@@ -53,7 +53,7 @@ class RunResult:
         setup: what ran.
         fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
         slow: series on position ticks 0, 1, ...
-        saturated: ticks in which each motor was at its limit, shape (6,).
+        saturated: ticks in which each amplifier was at its limit, shape (6,).
     """
 
     setup: Setup
@@ -80,7 +80,7 @@ def run_ticks(
     ticks: int,
     fast: FastSeries,
     slow: SlowSeries,
-) -> int:
+) -> tuple[int, int]:
     """Run base ticks `first` to `first + ticks - 1`.
 
     Args:
@@ -96,7 +96,7 @@ def run_ticks(
         slow: series to write.
 
     Returns:
-        -1, or the joint that diverged.
+        How many ticks were run, and -1 or the joint that diverged in the last of them.
     """
     state, law = plant_states[0], law_states[0]
     gear = laws[0].gear
@@ -125,8 +125,8 @@ def run_ticks(
             fast.motor_commands[k] = law.command
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
-            return joint
-    return -1
+            return k + 1 - first, joint
+    return ticks, -1
 
 
 def simulate(
@@ -165,7 +165,7 @@ def simulate(
     ticks = round(duration * rates.base_hz)
     fast, slow = empty_series(ticks, rates.ratio, record_fast)
     _run(plant, controller, ticks, fast, slow)
-    return RunResult(setup, fast if record_fast else None, slow, plant.saturated)
+    return RunResult(setup, fast if record_fast else None, slow, controller.saturated)
 
 
 def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
@@ -180,8 +180,9 @@ def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries,
 def _run(plant: Plant, controller: CS7B, ticks: int, fast: FastSeries, slow: SlowSeries) -> None:
     ratio = controller.rates.ratio
     setpoints = controller.trajectory.setpoints(0, len(slow.joint_states))
-    joint = run_ticks(
+    done, joint = run_ticks(
         plant.constants, plant.state, controller.law, controller.state, setpoints, ratio, 0, ticks, fast, slow
     )
+    plant.tick = controller.tick = done
     if joint >= 0:
         plant.raise_divergence(joint)

@@ -9,7 +9,6 @@ with the link's x axis turned to make the product of inertia about the axis vani
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +50,7 @@ def base_parameters(chain: RigidChain) -> BaseParameters:
         second[i - 1] += along * (np.outer(origin, z) + np.outer(z, origin))
         mass[i - 1] += mass[i]
     # What lies along the axis itself has been handed on; in these frames it is not looked at again.
-    at_zero = np.array([_link_frame(z, moment) for z, moment in zip(chain.axis, second, strict=True)])
+    at_zero = _link_frames(chain.axis, second)
     before = np.concatenate([np.eye(3)[None], at_zero[:-1]])
     following = np.concatenate([chain.origin[1:], np.zeros((1, 3))])
     local = np.transpose(at_zero, (0, 2, 1)) @ second @ at_zero
@@ -72,11 +71,12 @@ def _second_moments(chain: RigidChain) -> Array:
     return np.asarray(central + chain.mass[:, None, None] * chain.com[:, :, None] * chain.com[:, None, :])
 
 
-def _link_frame(z: Array, moment: Array) -> Array:
-    """Return axes (columns) with the given z, turned such that x and y are principal directions."""
-    side = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x = side / np.linalg.norm(side)
+def _link_frames(z: Array, moment: Array) -> Array:
+    """Return axes (columns) with the given z, turned such that x and y are principal directions, (6, 3, 3)."""
+    side = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
+    x = side / np.linalg.norm(side, axis=1, keepdims=True)
     y = np.cross(z, x)
-    turn = 0.5 * math.atan2(2.0 * (x @ moment @ y), x @ moment @ x - y @ moment @ y)
-    c, s = math.cos(turn), math.sin(turn)
-    return np.column_stack([c * x + s * y, c * y - s * x, z])
+    xx, yy, xy = (np.einsum("ik,ikl,il->i", a, moment, b) for a, b in ((x, x), (y, y), (x, y)))
+    turn = 0.5 * np.arctan2(2.0 * xy, xx - yy)[:, None]
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([c * x + s * y, c * y - s * x, z], axis=2)

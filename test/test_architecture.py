@@ -47,6 +47,7 @@ LIBRARIES_OF_MODELS = PURE | {
     "__future__",
     "hashlib",
     "importlib",
+    "llvmlite",
     "numba",
     "numpy",
     "os",

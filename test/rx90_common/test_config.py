@@ -51,6 +51,14 @@ BROKEN: list[tuple[str | bytes, str]] = [
     (b"a: \x00", "not valid YAML"),
     ("a: !!python/object:os.system 1", "not valid YAML"),
     ("a: &x [*x]", "not valid YAML"),
+    ("a: 1\n2: 3", "the key 2 is not a name"),
+    ("? [a]\n: 1", "the key ['a'] is not a name"),
+    ("? ~\n: 1", "the key None is not a name"),
+    ("a: " + "1" * 5000, "not valid YAML"),
+    ("a: !!int foo", "not valid YAML"),
+    ("a: !!float foo", "not valid YAML"),
+    ("a: !!timestamp foo", "not valid YAML"),
+    ("a: " + "[" * 5000, "not valid YAML"),
     ("provenance: guessed", "provenance is 'guessed'; accepted: one of published, derived"),
 ]
 
@@ -103,6 +111,21 @@ def test_a_bad_entry_of_a_list_is_named(write: Write) -> None:
     path = write("x: [1, 2, .nan]")
     assert "x[2] is nan; accepted: 3 numbers" in refusal(lambda: load_yaml(path).numbers("x", 3), path)
     assert load_yaml(write("x: [1, 2, 3.5]")).numbers("x", 3) == (1.0, 2.0, 3.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e5", 1e5), ("1.0e5", 1e5), ("-2E-3", -2e-3), ("1e+5", 1e5), (".5", 0.5), ("010", 10.0)]
+)
+def test_numbers_are_what_they_look_like(write: Write, text: str, number: float) -> None:
+    """Every usual way to write a number is one, with or without point and sign of the exponent."""
+    assert load_yaml(write(f"x: {text}")).number("x") == number
+
+
+@pytest.mark.parametrize("text", ["1:30", "2001-13-45", "2001-01-01", "0x", "0b_", "1_0", "1e", "1" * 400, "1e999"])
+def test_what_only_resembles_a_number_is_refused(write: Write, text: str) -> None:
+    """Times, dates and numbers beyond the range of a double are refused, not turned into other numbers."""
+    path = write(f"x: {text}")
+    assert "x is " in refusal(lambda: load_yaml(path).number("x"), path)
 
 
 def test_integers_switches_and_texts(write: Write) -> None:

@@ -26,7 +26,7 @@ def test_an_installed_package_finds_the_environment_s_folder(tmp_path: Path, mon
     shutil.copy(share.__file__, module)
     monkeypatch.setattr(share, "__file__", str(module))
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     with pytest.raises(ConfigError, match="data folder of rx90_emulator was not found"):
         share.share_directory()
     folder = tmp_path / "share" / share.PACKAGE
@@ -42,5 +42,7 @@ def test_a_file_of_the_user_s_own_comes_first(tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     assert share.resolve_config("friction.yaml") == Path("friction.yaml")
     assert share.resolve_config("robot/drives.yaml") == share.config_path("robot/drives.yaml")
+    with pytest.raises(ConfigError, match="no file '~nobody_of_this_name/x'"):
+        share.resolve_config("~nobody_of_this_name/x")
     with pytest.raises(ConfigError, match=r"no file .robot/nothing\.yaml."):
         share.resolve_config("robot/nothing.yaml")

@@ -202,7 +202,7 @@ def test_a_controller_that_appears_gets_the_states_at_once(channel: FakeChannel)
     said: list[str] = []
     simulation = lockstep.LockstepSimulation(channel, said.append)
     channel.peers = Matches(0, 0)
-    appears = channel.clock.now + 3.0
+    appears = channel.clock.now + 0.3
     at: list[float] = []
 
     def appear() -> None:

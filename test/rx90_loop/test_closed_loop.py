@@ -176,9 +176,25 @@ def diverging(setup: Setup) -> Setup:
 
 
 def test_a_diverging_run_is_an_error(shipped: Setup) -> None:
-    """A run whose plant diverges ends with an error that names the joint."""
-    with pytest.raises(DivergenceError, match=r"joint_4 diverged in tick \d+"):
-        simulate(diverging(shipped), there_and_back(), HOME, 0.5)
+    """A run whose plant diverges ends with an error that names the joint, and the tick of stepping one by one."""
+    setup = diverging(shipped)
+    with pytest.raises(DivergenceError, match=r"joint_4 diverged in tick [1-9]\d*") as caught:
+        simulate(setup, there_and_back(), HOME, 0.5)
+    with pytest.raises(DivergenceError) as one_by_one:
+        step_by_step(setup, 0.5, 0, 1)
+    assert str(caught.value) == str(one_by_one.value)
+
+
+def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
+    """A motion beyond the amplifiers counts as many ticks as the controller limits when stepped one by one."""
+    weak = dataclasses.replace(shipped.drives, peak_current=shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
+    setup = dataclasses.replace(shipped, drives=weak)
+    result = simulate(setup, there_and_back(), HOME, 0.6, record_fast=True)
+    assert result.fast is not None
+    at_peak = np.abs(result.fast.motor_commands) > 0.999 * weak.peak_torque
+    assert result.saturated[1] > 20
+    assert result.saturated[1] == pytest.approx(np.count_nonzero(at_peak[:, 1]), rel=0.2)
+    assert result.saturated[3:].tolist() == [0, 0, 0]
 
 
 def test_a_setup_is_frozen(shipped: Setup) -> None:

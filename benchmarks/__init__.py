@@ -1,0 +1,1 @@
+"""What prints figures; `python -m benchmarks` runs all of it and writes out/bench.json."""
