@@ -36,13 +36,12 @@ def test_a_killed_simulation_begins_again_with_the_same_controller(processes: Pr
     first = processes.start("rx90_sim", *UNPACED)
     controller = processes.start("rx90_controller")
     heard = client.listen("rx90_controller/reference")
-    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 1.0, "time to run")
     first.signal(signal.SIGKILL)
     controller.wait_for("waiting for a simulation")
-    heard.clear()
     processes.start("rx90_sim", *UNPACED)
-    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run again")
-    assert seconds(heard[0]) < 0.2
+    client.spin_until(lambda: seconds(heard[-1]) < 0.5, "time to begin again")
+    client.spin_until(lambda: seconds(heard[-1]) > 1.0, "time to run again")
     assert sum("waiting for a simulation" in line for line in controller.lines) <= 2
 
 

@@ -137,7 +137,7 @@ class Listener:
     def __init__(self, domain: int) -> None:
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node("listener", context=self.context)
+        self.node = Node("rx90_controller", context=self.context)
         self.taken: list[JointTrajectory] = []
         self.states = self.node.create_publisher(JointState, "joint_states", 10)
         self._executor = SingleThreadedExecutor(context=self.context)

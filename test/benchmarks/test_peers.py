@@ -1,0 +1,118 @@
+"""The closed loop's peers in the benchmark do the same work: the same arm, the same drives, the same law."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks import closed_loop
+from benchmarks.closed_loop import Work, check_same_arm, ratios
+from benchmarks.mujoco_arm import mujoco_arm
+from benchmarks.pinocchio_arm import PinocchioArm
+from benchmarks.python_law import PythonDrives, PythonLaw
+from benchmarks.report import merge
+from rx90_description.wrist import to_joint_torque
+from rx90_loop.setup import Setup
+
+
+def test_the_peers_have_the_same_arm(shipped: Setup) -> None:
+    """Mass matrix and bias of MuJoCo's and Pinocchio's arms equal the plant's at random states."""
+    check_same_arm(shipped, samples=20)
+
+
+def test_another_arm_is_noticed(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rotor of other inertia on the coupled axis of the wrist stops the benchmark."""
+    other = shipped.drives.rotor_inertia + np.array([0, 0, 0, 0, 0, 1e-3])
+    wrong = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, rotor_inertia=other))
+    monkeypatch.setattr(closed_loop, "mujoco_arm", lambda _: mujoco_arm(wrong))
+    with pytest.raises(RuntimeError, match="the arm in MuJoCo is another: its mass matrix"):
+        check_same_arm(shipped, samples=1)
+
+
+def test_motor_torques_reach_the_same_joints(shipped: Setup) -> None:
+    """MuJoCo's motors make the joint torques of gears and wrist coupling."""
+    model = mujoco_arm(shipped)
+    data = mujoco.MjData(model)
+    motor = 0.5 * shipped.drives.peak_torque * [1, -1, 1, -1, 1, -1]
+    data.ctrl[:6] = motor
+    mujoco.mj_forward(model, data)
+    joint = np.empty(6)
+    to_joint_torque(shipped.drives.gear, motor, joint)
+    assert data.qfrc_actuator == pytest.approx(joint, rel=1e-12)
+
+
+def test_friction_parameters_reach_mujoco(shipped: Setup) -> None:
+    """Held at constant velocity long enough, element 7 gives its Stribeck torque on both wrist joints."""
+    alone = [
+        dataclasses.replace(e, c0=1e-6, c1=0.0, c2=0.0, tau_c_positive=1e-9, tau_s_positive=1e-9) if i < 6 else e
+        for i, e in enumerate(shipped.friction.elements)
+    ]
+    setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=tuple(alone)))
+    model = mujoco_arm(setup)
+    data = mujoco.MjData(model)
+    last = alone[6]
+    data.qvel[4:] = 5.0, 3.0  # so fast that nothing of the Stribeck effect is left
+    data.act[6] = last.tau_c_positive / last.c0
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[4:] == pytest.approx(-last.tau_c_positive, rel=1e-6)
+    assert data.qfrc_damper[4:] == pytest.approx(-last.c2 * 8.0, rel=1e-9)
+
+
+def test_drives_and_law_in_python_are_those_of_the_plant_and_the_cs7b(shipped: Setup) -> None:
+    """Along the reference line, encoder values, observed velocities and torques equal the compiled ones."""
+    work = Work.load()
+    ticks, ratio = 4800, shipped.rates.ratio
+    rows = work.setpoints(0.0, ticks).tolist()
+    plant, controller = shipped.plant(), shipped.cs7b()
+    plant.reset(work.start)
+    controller.reset(plant.motor_states()[0])
+    controller.trajectory.accept(work.points, 0, 0)
+    drives, law = PythonDrives(shipped, work.start.tolist()), PythonLaw(shipped)
+    for tick in range(ticks):
+        position, velocity, _ = plant.motor_states()
+        assert drives.position == pytest.approx(position, abs=1e-12)
+        assert drives.velocity == pytest.approx(velocity, abs=1e-9)
+        if tick % ratio == 0:
+            law.position_loop(rows[tick // ratio], drives.position)
+        command = controller.step(position, velocity)
+        assert law.velocity_loop(drives.velocity) == pytest.approx(command, abs=1e-9)
+        plant.step(command)
+        drives.sample(plant.joint_states()[0].tolist())
+    assert np.abs(plant.joint_states()[1]).max() > 0.01
+
+
+def test_pinocchio_s_step_follows_the_plant(shipped: Setup) -> None:
+    """Under the same motor torques the first-order peer stays close to the plant."""
+    start = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
+    plant, peer = shipped.plant(), PinocchioArm(shipped, start)
+    plant.reset(start)
+    motor = 0.4 * shipped.drives.peak_torque * [1, -1, 1, -1, 1, -1]
+    for _ in range(400):
+        plant.step(motor)
+        peer.step(motor)
+    q, v, _ = plant.joint_states()
+    assert np.abs(v).max() > 0.5
+    assert np.abs(q - start).max() > 0.3
+    assert peer.q == pytest.approx(q, abs=5e-3)
+    assert peer.z == pytest.approx(plant.friction_states()[0], abs=1e-6)
+
+
+def test_ratios_are_medians_of_rounds() -> None:
+    """A slow round of both leaves the ratio as it is."""
+    times = {"this project": [1.0, 10.0, 1.0], "other": [3.0, 30.0, 3.3]}
+    assert ratios(times) == pytest.approx({"this project": 1.0, "other": 3.0})
+
+
+def test_figures_are_added_to_those_of_others(tmp_path: Path) -> None:
+    """Merging keeps what other benchmarks wrote and replaces what is measured anew."""
+    file = tmp_path / "out" / "bench.json"
+    merge({"a": 1.23456789, "b": 2.0}, file)
+    merge({"b": 3.0}, file)
+    figures: dict[str, Any] = json.loads(file.read_text())
+    assert figures == {"a": 1.235, "b": 3.0}
