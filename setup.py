@@ -49,7 +49,11 @@ setup(
             "ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2",
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
+        "sweep": ["pyarrow>=25,<27", "distributed>=2026.1,<2027"],
         "dev": [
+            "pyarrow>=25,<27",
+            "distributed>=2026.1,<2027",
+            "pandas>=2.2,<4",
             "pytest>=8.3,<10",
             "pytest-xdist>=3.6,<4",
             "hypothesis>=6.120,<7",

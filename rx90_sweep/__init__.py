@@ -1,0 +1,1 @@
+"""Many runs of the closed loop over a plan of parameters, into one Parquet file."""
