@@ -21,6 +21,7 @@ from rx90_description.wrist import to_joint_torque
 from rx90_loop.setup import Setup
 from rx90_sim.manipulator import mass_and_bias
 from rx90_sim.plant import Plant
+from rx90_sim.plant_step import sample_drives
 
 Array = NDArray[np.float64]
 RELATIVE, ABSOLUTE = 1e-11, 1e-13
@@ -76,19 +77,21 @@ def hybrid_reference(
     state = plant.state[0]
     y = np.concatenate([state["q"], state["v"], state["z"]])
     drive = np.empty(6)
+    friction = setup.friction.records()
     for tick in tqdm(range(ticks), desc="stiff reference", unit="tick", disable=quiet, leave=False):
         if tick % rates.ratio == 0:
             rows.append(y.copy())
         position, velocity, _ = plant.motor_states()
         to_joint_torque(setup.drives.gear, controller.step(position, velocity), drive)
-        y = _advance(plant, y, drive, rates.period)
-        _sample(plant, y)
+        y = _advance(plant, friction, y, drive, rates.period)
+        plant.state["q"][0] = y[:6]
+        sample_drives(plant.constants, plant.state)
     table = np.array(rows)
     return ReferenceRun(table[:, :6], table[:, 6:12], table[:, 12:])
 
 
-def _advance(plant: Plant, y: Array, drive: Array, period: float) -> Array:
+def _advance(plant: Plant, friction: NDArray[Any], y: Array, drive: Array, period: float) -> Array:
     constants = plant.constants
-    arguments = (constants["arm"], plant.state["body"], constants["friction"][0], drive)
+    arguments = (constants["arm"], plant.state["body"], friction, drive)
     solution = odeint(_derivative, y, (0.0, period), args=arguments, rtol=RELATIVE, atol=ABSOLUTE, mxstep=20000)
     return np.asarray(solution[1])

@@ -73,6 +73,7 @@ class _Bare(NamedTuple):
 def _ask(exchanges: int, rounds: int) -> PingPong:
     import rclpy  # noqa: PLC0415 - after `prepare`
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    from rclpy.utilities import try_shutdown  # noqa: PLC0415
 
     from rx90_exchange.channel import Channel  # noqa: PLC0415
     from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
@@ -111,7 +112,7 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
         rates = [[_rate(kind, exchanges) for kind in kinds] for _ in range(rounds)]
         return PingPong(*(statistics.median(column) for column in zip(*rates, strict=True)))
     finally:
-        rclpy.try_shutdown()
+        try_shutdown()
 
 
 def _never() -> bool:
@@ -139,6 +140,7 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
 
     import rclpy  # noqa: PLC0415 - the environment is inherited
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    from rclpy.utilities import try_shutdown  # noqa: PLC0415
 
     from rx90_exchange.channel import Channel  # noqa: PLC0415
     from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
@@ -169,7 +171,7 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     while not end.is_set() and os.getppid() == parent:
         controller.serve(0.2)
     thread.join(2.0)
-    rclpy.try_shutdown()
+    try_shutdown()
 
 
 def main() -> int:

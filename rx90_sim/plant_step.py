@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rx90_common.compiled import inlined, kernel
 from rx90_common.lanes import Lanes, append, first, lane, load, store
 from rx90_description.wrist import to_joint_torque, to_motor
+from rx90_sim.drive_model import encoder_reading, observe
 from rx90_sim.friction.bristle import bristle_step, friction_torque, load_elements
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
@@ -71,9 +72,15 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
             return _worst_joint(plant, state)
-    _read_encoders(plant, state)
-    _observe_velocity(plant, state)
+    sample_drives(plants, states)
     return -1
+
+
+@kernel
+def sample_drives(plants: Record, states: Record) -> None:
+    """Read the encoders at the present position and update the velocity observers, once in a tick."""
+    _read_encoders(plants[0], states[0])
+    _observe_velocity(plants[0], states[0])
 
 
 @kernel
@@ -184,16 +191,18 @@ def _add_stops(plant: Any, state: Any) -> None:
 @kernel
 def _read_encoders(plant: Any, state: Any) -> None:
     to_motor(plant.gear, state.q, state.motor_position)
-    for i in range(6):
-        resolution = plant.resolution[i]
-        state.motor_position[i] = np.rint(state.motor_position[i] / resolution) * resolution
+    store(state.motor_position, encoder_reading(load(state.motor_position, 6), load(plant.resolution, 6)))
 
 
 @kernel
 def _observe_velocity(plant: Any, state: Any) -> None:
-    """Track the encoder as a resolver converter does: a critically damped observer of second order."""
-    for i in range(6):
-        predicted = state.observer[i] + plant.period * state.motor_velocity[i]
-        surprise = state.motor_position[i] - predicted
-        state.observer[i] = predicted + plant.observer_position * surprise
-        state.motor_velocity[i] += plant.observer_velocity * surprise
+    position, velocity = observe(
+        load(state.motor_position, 6),
+        load(state.observer, 6),
+        load(state.motor_velocity, 6),
+        plant.period,
+        plant.observer_position,
+        plant.observer_velocity,
+    )
+    store(state.observer, position)
+    store(state.motor_velocity, velocity)

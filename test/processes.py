@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import itertools
 import os
 import re
@@ -9,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,6 +24,7 @@ TIMEOUT = 120.0
 END_TIMEOUT = 30.0
 LAST_DOMAIN = 101  # the ports of higher ones reach into the range for outgoing connections
 PORTS = 20  # that the first ten participants of a domain take, two each
+
 
 def _own_domains() -> range:
     """Return the domains of this worker: those that run beside it have others."""
@@ -40,14 +44,21 @@ def executable(name: str) -> str:
     return str(path)
 
 
-def free_domain() -> int:
-    """Return a DDS domain that no participant on this machine uses."""
-    own = _own_domains()
-    for number in itertools.islice(_domains, len(own)):
-        domain = own[number % len(own)]
-        if all(_is_free(7410 + 250 * domain + port) for port in range(PORTS)):
-            return domain
-    raise RuntimeError(f"all DDS domains from {own[0]} to {own[-1]} are in use on this machine")
+@contextlib.contextmanager
+def own_domain() -> Iterator[int]:
+    """Give a DDS domain in which no participant is, and keep it from other tests on this machine."""
+    for number in itertools.islice(_domains, LAST_DOMAIN):
+        domain = number % LAST_DOMAIN + 1
+        with contextlib.ExitStack() as held:
+            try:
+                lock = held.enter_context((Path(tempfile.gettempdir()) / f"rx90_domain_{domain}.lock").open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            if all(_is_free(7410 + 250 * domain + port) for port in range(PORTS)):
+                yield domain
+                return
+    raise RuntimeError(f"all DDS domains from 1 to {LAST_DOMAIN} are in use on this machine")
 
 
 def _is_free(port: int) -> bool:
@@ -200,18 +211,18 @@ class Processes:
 
 
 @pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> int:
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
     """Put the test and all it starts on a free DDS domain that does not leave the machine."""
-    domain = free_domain()
     for name in ("ROS_STATIC_PEERS", "RMW_IMPLEMENTATION", "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
     monkeypatch.setenv("RCUTILS_COLORIZED_OUTPUT", "0")
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
-    return domain
+    with own_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield domain
 
 
 @pytest.fixture

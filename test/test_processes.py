@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from pathlib import Path
 
 import processes as module
 import pytest
-from processes import Processes, free_domain, wait_until
+from processes import Processes, own_domain, wait_until
 
 STUBBORN = """
 import os, signal, time
@@ -52,4 +53,16 @@ def test_a_domain_in_use_is_not_given(ros_domain: int, processes: Processes) -> 
     node = "import rclpy, time; rclpy.init(); n = rclpy.create_node('n'); print('up'); time.sleep(600)"
     processes.start(sys.executable, "-c", node).wait_for("up")
     assert os.environ["ROS_DOMAIN_ID"] == str(ros_domain)
-    assert ros_domain not in {free_domain() for _ in range(2 * module.LAST_DOMAIN)}
+    given = set()
+    for _ in range(2 * module.LAST_DOMAIN):
+        with own_domain() as domain:
+            given.add(domain)
+    assert len(given) > module.LAST_DOMAIN // 2
+    assert ros_domain not in given
+
+
+def test_two_tests_never_share_a_domain() -> None:
+    """A domain is given to one test at a time, before any participant is in it."""
+    with contextlib.ExitStack() as tests:
+        given = [tests.enter_context(own_domain()) for _ in range(10)]
+    assert len(set(given)) == 10

@@ -10,9 +10,7 @@ from ros_client import Client, seconds
 
 
 @pytest.mark.ros
-def test_a_silent_controller_closes_the_brakes_and_a_late_one_opens_them(
-    processes: Processes, client: Client
-) -> None:
+def test_a_silent_controller_closes_the_brakes_and_a_late_one_opens_them(processes: Processes, client: Client) -> None:
     """Time runs on without the controller; the brakes close when it is stopped and open when it goes on."""
     simulation = processes.start(
         "rx90_sim", "--ros-args", "-p", "time_mode:=free_running", "-p", "command_timeout:=0.05"

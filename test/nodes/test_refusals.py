@@ -41,9 +41,7 @@ def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
 ) -> None:
     """A micro-viscous damping beyond what any step can carry ends the node with one line, not with NaN."""
     file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "c1"), 1.0e9)
-    simulation = processes.start(
-        "rx90_sim", "--ros-args", "-p", f"friction:={file}", "-p", "real_time_factor:=0.0"
-    )
+    simulation = processes.start("rx90_sim", "--ros-args", "-p", f"friction:={file}", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
     simulation.wait_for(r"rx90_sim: the state of joint_\d diverged in tick \d+")
     assert simulation.wait() == 1

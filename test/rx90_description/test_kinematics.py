@@ -47,9 +47,7 @@ def test_jacobian_and_bias_are_those_of_pinocchio(shipped: Setup, random_arm: Ca
             np.testing.assert_allclose(ours[k], oracle, atol=1e-12)
             pin.forwardKinematics(robot.model, data, q[k], v[k], np.zeros(6))
             pin.updateFramePlacements(robot.model, data)
-            acceleration = pin.getFrameClassicalAcceleration(
-                robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED
-            )
+            acceleration = pin.getFrameClassicalAcceleration(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
             np.testing.assert_allclose(bias[k], acceleration.vector, atol=1e-11)
 
 
@@ -73,8 +71,7 @@ def test_one_of_the_eight_solutions_is_where_the_arm_was(shipped: Setup) -> None
     q = _states(robot, 300)
     pose = forward(robot.chain, q)
     hits = sum(
-        np.abs(nearest_turn(arm.solve(robot.chain, pose, branch), q) - q).max(axis=1) < 1e-8
-        for branch in BRANCHES
+        np.abs(nearest_turn(arm.solve(robot.chain, pose, branch), q) - q).max(axis=1) < 1e-8 for branch in BRANCHES
     )
     np.testing.assert_array_equal(hits, np.ones(300))
 
