@@ -140,8 +140,10 @@ class Control:
                 return self._commands.encode(stamp_ns)
             slow = cs7b.on_position_tick
             torques = cs7b.step(position, velocity)
-            if slow:
+            # What nobody listens to is not sent: a message costs the tick more than the law.
+            if slow and self._reference.get_subscription_count():
                 self._reference.publish(self._joints.encode(stamp_ns, *cs7b.reference()))
+            if slow and self._error.get_subscription_count():
                 self._error.publish(self._joints.encode(stamp_ns, *cs7b.tracking_error()))
             return self._commands.encode(stamp_ns, effort=torques)
 

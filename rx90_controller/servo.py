@@ -85,9 +85,7 @@ def position_servo(
     integrator = select(error * limited <= 0.0, advanced, integrator)
     # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
     sign = clip(velocity_setpoint / gains.coulomb_velocity, 1.0)
-    feed_forward = (
-        gains.inertia * acceleration_setpoint + gains.coulomb * sign + gains.viscous * velocity_setpoint
-    )
+    feed_forward = gains.inertia * acceleration_setpoint + gains.coulomb * sign + gains.viscous * velocity_setpoint
     return PositionLoop(error, integrator, gains.proportional * error + integrator, feed_forward)
 
 

@@ -37,6 +37,7 @@ def main(args: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="rx90_run", description=__doc__)
     parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    parser.add_argument("--start-time", type=float, default=0.0, help="start of the trajectory, s (%(default)s)")
     parser.add_argument("--output", type=Path, help="bag folder to write; must not exist")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
     parser.add_argument(
@@ -70,9 +71,15 @@ def _run(options: argparse.Namespace) -> None:
     task = load_task(resolve_config(options.task))
     announce_compilation("rx90_run")
     began = time.perf_counter()
-    result = run_task(setup, task, substeps=options.substeps, record_fast=not options.slow_only)
+    result = run_task(
+        setup,
+        task,
+        start_time=options.start_time,
+        substeps=options.substeps,
+        record_fast=not options.slow_only,
+    )
     elapsed = time.perf_counter() - began
-    accuracy = path_accuracy(setup.robot, task, result.times, result.slow.joint_states[:, 0])
+    accuracy = path_accuracy(setup.robot, task, result.times, result.slow.joint_states[:, 0], options.start_time)
     simulated = result.times[-1] + setup.rates.position_period
     print(f"simulated {simulated:.3f} s in {elapsed:.2f} s")
     print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")

@@ -42,8 +42,11 @@ class Publications:
         tick = self._plant.tick
         stamp = tick * self._period_ns
         if tick % self._state_ticks == 0:
-            self._joints.publish(self._joint_codec.encode(stamp, *self._plant.joint_states()))
-            self._friction.publish(self._friction_codec.encode(stamp, *self._plant.friction_states()))
+            # What nobody listens to is not sent: a message costs the tick more than the plant's step.
+            if self._joints.get_subscription_count():
+                self._joints.publish(self._joint_codec.encode(stamp, *self._plant.joint_states()))
+            if self._friction.get_subscription_count():
+                self._friction.publish(self._friction_codec.encode(stamp, *self._plant.friction_states()))
         if tick % self._clock_ticks == 0:
             message = Clock()
             message.clock.sec, message.clock.nanosec = divmod(stamp, NANOSECONDS)
