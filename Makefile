@@ -9,12 +9,12 @@ unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_I
 .PHONY: help demo test bench firmware lint clean environment-run environment-dev suitable
 
 help:
-	@echo "make demo    run the emulated robot along the reference line and write the report"
-	@echo "make test    run all tests"
-	@echo "make bench   measure speed and accuracy into out/bench.json"
-	@echo "make firmware  build the friction rig's firmware: 8051, ATmega328P, native"
-	@echo "make lint    ruff and mypy"
-	@echo "make clean   remove the environment and what was built; results in out/ stay"
+	@echo "make demo     run the emulated robot along the reference line and write the report"
+	@echo "make test     run all tests"
+	@echo "make bench    measure speed and accuracy into out/bench.json"
+	@echo "make firmware build the friction rig's firmware: 8051, ATmega328P, native"
+	@echo "make lint     ruff and mypy"
+	@echo "make clean    remove the environment and what was built; results in out/ stay"
 	@echo "ARGS='...' is handed on: make test ARGS='-k lugre'; PYTHON=python3.12 chooses the interpreter"
 
 demo: environment-run

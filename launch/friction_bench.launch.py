@@ -1,10 +1,9 @@
 """The friction rig's node, on an emulated rig by default: port:=/dev/ttyUSB0 for a real one."""
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
-from launch import LaunchDescription
 
 
 def generate_launch_description():

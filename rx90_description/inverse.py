@@ -133,9 +133,7 @@ class SphericalWristArm:
         upper, fore = np.linalg.norm(self.upper), np.linalg.norm(self.fore)
         squared = np.sum(d * d, axis=-1)
         # Half-angle form of the law of cosines: exact to rounding also near the stretched arm.
-        elbow = 2.0 * np.arctan2(
-            np.sqrt((upper + fore) ** 2 - squared), np.sqrt(squared - (upper - fore) ** 2)
-        )
+        elbow = 2.0 * np.arctan2(np.sqrt((upper + fore) ** 2 - squared), np.sqrt(squared - (upper - fore) ** 2))
         elbow *= 1.0 if branch.elbow == "positive" else -1.0
         lag = np.arctan2(fore * np.sin(elbow), upper + fore * np.cos(elbow))
         angle_2 = np.arctan2(d[:, 0], d[:, 1]) - np.arctan2(*self.upper) - lag

@@ -111,9 +111,7 @@ def attach(urdf: UrdfFile, tool: Tool) -> None:
     ET.SubElement(inertial, "origin", xyz=_text(tool.center_of_mass), rpy=_text(zero))
     ET.SubElement(inertial, "mass", value=repr(tool.mass))
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    ET.SubElement(
-        inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertia, strict=True)}
-    )
+    ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertia, strict=True)})
     for cylinder in tool.cylinders:
         visual = ET.SubElement(link, "visual")
         middle = (0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)

@@ -204,8 +204,7 @@ class UrdfFile:
         if element is None:
             self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
         lower, upper, velocity, effort = (
-            self._numbers(element, f"{where} limit", key, None)[0]
-            for key in ("lower", "upper", "velocity", "effort")
+            self._numbers(element, f"{where} limit", key, None)[0] for key in ("lower", "upper", "velocity", "effort")
         )
         if not lower < upper:
             self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")

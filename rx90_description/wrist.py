@@ -29,9 +29,7 @@ def to_joint(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArr
 
 
 @kernel
-def to_joint_torque(
-    gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]
-) -> None:
+def to_joint_torque(gear: NDArray[np.float64], motor: NDArray[np.float64], joint: NDArray[np.float64]) -> None:
     """Write the joint torques that motor torques make, all shape (6,), Nm."""
     for i in range(6):
         joint[i] = gear[i] * motor[i]
