@@ -100,7 +100,7 @@ class Demonstration:
         page = self._folder / "report.html"
         run = analyse(recorded, self._setup, self._task, START_TIME)
         messages = {topic.topic: topic.count for topic in summarise(recorded).topics}
-        facts = RunFacts(factor, messages, recorded, baseline)
+        facts = RunFacts(factor, self._factor, messages, recorded, baseline)
         write_report(page, self._setup, self._task, run, comparison, facts)
         within = run.path.worst <= PATH_LIMIT
         print(

@@ -25,12 +25,14 @@ class RunFacts:
 
     Attributes:
         real_time_factor: simulated time over wall time.
+        paced: the real-time factor that was asked for; 0 for none.
         messages: recorded messages by topic.
         bag: the recorded bag.
         baseline: the bag it was compared with.
     """
 
     real_time_factor: float
+    paced: float
     messages: dict[str, int]
     bag: Path
     baseline: Path
