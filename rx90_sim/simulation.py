@@ -83,9 +83,8 @@ class Simulation:
         Raises:
             DivergenceError: naming joint and tick.
         """
-        self._wait_for_subscribers()
         advance = self._lock_step if self._parameters.time_mode == LOCK_STEP else self._free_running
-        moving = True
+        moving = False
         while True:
             turn = self._control.next_turn(self._plant.tick, _WAIT_SLICE)
             if turn is Turn.STOP:
@@ -94,6 +93,8 @@ class Simulation:
                 self._reset()
             elif turn is Turn.STEP:
                 if not moving:
+                    if self._plant.tick == 0:
+                        self._wait_for_subscribers()
                     self._pacer.restart()
                 if advance():
                     self._control.step_done()

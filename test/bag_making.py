@@ -29,9 +29,7 @@ def joint_state(
     store: Any = ROS2,
 ) -> Any:
     """Return a JointState of a rosbags type store."""
-    time = store.types["builtin_interfaces/msg/Time"](
-        sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000
-    )
+    time = store.types["builtin_interfaces/msg/Time"](sec=stamp_ns // 1_000_000_000, nanosec=stamp_ns % 1_000_000_000)
     sequence = {"seq": 0} if store is ROS1 else {}
     header = store.types["std_msgs/msg/Header"](stamp=time, frame_id=frame_id, **sequence)
     arrays = [np.array(values, dtype=np.float64) for values in (position, velocity, effort)]

@@ -9,6 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,13 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
-def _simulate(ticks: int, period: float) -> None:
+def _wait_for_listeners(publisher: Any, count: int) -> None:
+    """Wait until `count` subscriptions are matched: on a busy machine the graph alone may not know of them yet."""
+    while publisher.get_subscription_count() < count:
+        time.sleep(0.01)
+
+
+def _simulate(ticks: int, period: float, listeners: int) -> None:
     import rclpy  # noqa: PLC0415 - the environment is prepared first
 
     from rx90_exchange.channel import Channel  # noqa: PLC0415
@@ -71,6 +78,7 @@ def _simulate(ticks: int, period: float) -> None:
     codec = JointStateCodec(["a"])
     publisher = channel.publisher
     wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+    _wait_for_listeners(publisher, listeners)
     state = 1
     for tick in range(ticks):
         values = np.array([float(state)])
@@ -89,7 +97,7 @@ def _simulate(ticks: int, period: float) -> None:
             break
 
 
-def _control() -> None:
+def _control(listeners: int) -> None:
     import rclpy  # noqa: PLC0415
 
     from rx90_exchange.channel import Channel  # noqa: PLC0415
@@ -111,6 +119,7 @@ def _control() -> None:
 
     def begin(stamp: int, _raw: bytes) -> None:
         wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+        _wait_for_listeners(publisher, listeners)
         law.begin()
         say(f"begin {stamp // PERIOD_NS}")
 
@@ -166,9 +175,9 @@ def main() -> int:
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         if role == "simulate":
-            _simulate(int(numbers[0]), float(numbers[1]))
+            _simulate(int(numbers[0]), float(numbers[1]), int(numbers[2]) if numbers[2:] else 0)
         elif role == "control":
-            _control()
+            _control(int(numbers[0]) if numbers else 0)
         else:
             _record(int(numbers[0]), float(numbers[1]))
     except Rx90Error as error:

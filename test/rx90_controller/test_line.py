@@ -61,9 +61,7 @@ def _integrated(task: LineTask, times: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("which", ["reference", "turning"])
-def test_interpolated_tip_is_on_the_line_at_the_right_time(
-    shipped: Setup, task: LineTask, which: str
-) -> None:
+def test_interpolated_tip_is_on_the_line_at_the_right_time(shipped: Setup, task: LineTask, which: str) -> None:
     """Between all knots the tip is within 0.1 um of the trapezoidal motion along the line."""
     line = task if which == "reference" else TURNING
     plan = plan_line(shipped.robot, line)
@@ -82,9 +80,7 @@ def test_knots_of_the_reference_task_are_few_and_good(plan: LinePlan) -> None:
 
 
 @pytest.mark.parametrize("which", ["reference", "turning"])
-def test_velocity_and_acceleration_are_derivatives_of_position(
-    shipped: Setup, task: LineTask, which: str
-) -> None:
+def test_velocity_and_acceleration_are_derivatives_of_position(shipped: Setup, task: LineTask, which: str) -> None:
     """Away from corners, velocities and accelerations are the finite differences of exact positions."""
     line = task if which == "reference" else TURNING
     plan = plan_line(shipped.robot, line)
@@ -184,9 +180,7 @@ def test_planning_twice_gives_the_same_bits(shipped: Setup, task: LineTask, plan
 @pytest.mark.parametrize("branch", BRANCHES, ids=str)
 def test_the_branch_asked_for_is_kept(shipped: Setup, branch: Branch) -> None:
     """Where a branch is within limits, the whole line stays in it and runs through the same points."""
-    side = LineTask(
-        (-0.1, 0.5, 0.6), (0.1, 0.45, 0.6), 0.1, 1.0, (0.0, 2.4, 1.2), (0.0, 2.4, 1.2), branch=branch
-    )
+    side = LineTask((-0.1, 0.5, 0.6), (0.1, 0.45, 0.6), 0.1, 1.0, (0.0, 2.4, 1.2), (0.0, 2.4, 1.2), branch=branch)
     robot = _wide(shipped.robot)
     plan = plan_line(robot, side)
     q = plan.position
@@ -226,9 +220,7 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
     np.testing.assert_allclose(forward(shipped.robot.chain, plan.position[-1]).position, end, atol=1e-12)
 
 
-def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(
-    shipped: Setup, plan: LinePlan
-) -> None:
+def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipped: Setup, plan: LinePlan) -> None:
     """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
     robot = shipped.robot
     limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity)

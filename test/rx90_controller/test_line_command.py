@@ -148,9 +148,7 @@ class Listener:
 
     def listen(self) -> None:
         """Start taking trajectories."""
-        self.node.create_subscription(
-            JointTrajectory, "rx90_controller/joint_trajectory", self.taken.append, 1
-        )
+        self.node.create_subscription(JointTrajectory, "rx90_controller/joint_trajectory", self.taken.append, 1)
 
     def tell(self, names: tuple[str, ...], positions: np.ndarray) -> None:
         """Publish the joint positions over and over, in reversed order of names."""

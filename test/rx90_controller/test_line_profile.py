@@ -53,9 +53,7 @@ def test_distance_is_the_integral_of_speed_and_speed_that_of_acceleration(
 
 
 @given(LENGTHS, SPEEDS, ACCELERATIONS, st.floats(0.0, 1.0))
-def test_speed_by_distance_is_speed_by_time(
-    length: float, speed: float, acceleration: float, share: float
-) -> None:
+def test_speed_by_distance_is_speed_by_time(length: float, speed: float, acceleration: float, share: float) -> None:
     """The speed asked for by distance is the one the profile has when it is there."""
     profile = TrapezoidalProfile(length, speed, acceleration)
     motion = profile.sample(np.array([share * profile.duration]))

@@ -70,9 +70,7 @@ def test_elbow_singularity_is_met_before_the_end_of_reach(shipped: Setup) -> Non
 def test_wrist_singularity_in_the_middle_of_a_line(shipped: Setup) -> None:
     """Raising the forearm until it points along the tool is refused at the wrist, not at a joint speed."""
     outward = (0.0, np.pi / 2, 0.0)
-    message, distance = _refusal(
-        shipped, _line((0.9, 0.0, 0.6), (0.9, 0.0, 1.1), start_rpy=outward, end_rpy=outward)
-    )
+    message, distance = _refusal(shipped, _line((0.9, 0.0, 0.6), (0.9, 0.0, 1.1), start_rpy=outward, end_rpy=outward))
     assert "wrist singularity" in message
     assert 0.0 < distance < 0.5
 
@@ -89,9 +87,7 @@ def test_shoulder_singularity_above_axis_1(shipped: Setup) -> None:
 
 def test_a_thin_margin_does_not_let_a_line_through_a_singularity(shipped: Setup) -> None:
     """A tool that turns through the straight wrist between two examined points is caught by the jump."""
-    before, after = (
-        forward(shipped.robot.chain, np.array([0.0, 0.4, 1.0, 0.0, q5, 0.0])) for q5 in (0.6, -0.57)
-    )
+    before, after = (forward(shipped.robot.chain, np.array([0.0, 0.4, 1.0, 0.0, q5, 0.0])) for q5 in (0.6, -0.57))
     turn = [Rotation.from_matrix(pose.rotation).as_euler("xyz") for pose in (before, after)]
     line = _line(
         tuple(before.position),
