@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from types import FrameType
 
 from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ConfigError, Rx90Error
@@ -18,6 +20,9 @@ from rx90_exchange.environment import prepare
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0 same and within the limit, 1 otherwise, 130 after Ctrl-C."""
     options = _parser().parse_args(args)
+    # A terminal that closes must not leave the processes behind either.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _interrupt)
     try:
         return _run(options)
     except KeyboardInterrupt:
@@ -26,6 +31,10 @@ def main(args: Sequence[str] | None = None) -> int:
     except Rx90Error as error:
         print(f"rx90_demo: {error}", file=sys.stderr)
         return 1
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 def _parser() -> argparse.ArgumentParser:

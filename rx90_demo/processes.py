@@ -8,7 +8,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
@@ -105,6 +106,20 @@ class ManagedProcess:
         return self._lines[-1] if self._lines else "it printed nothing"
 
 
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Hold Ctrl-C back: a process that was started but is not known yet could not be ended."""
+    held: list[int] = []
+    # A function, because a child would inherit an ignored signal but not a handler.
+    previous = signal.signal(signal.SIGINT, lambda number, _frame: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+    if held:
+        raise KeyboardInterrupt
+
+
 class ProcessGroup:
     """Processes that end together: interrupted in reverse order, killed if that does not help."""
 
@@ -115,8 +130,9 @@ class ProcessGroup:
 
     def start(self, name: str, module: str, *arguments: str) -> ManagedProcess:
         """Start `python -m module arguments`, its output in `<folder>/<name>.log`."""
-        member = ManagedProcess(name, module, arguments, self._folder / f"{name}.log")
-        self._members.append(member)
+        with _interrupts_later():
+            member = ManagedProcess(name, module, arguments, self._folder / f"{name}.log")
+            self._members.append(member)
         return member
 
     def __enter__(self) -> ProcessGroup:

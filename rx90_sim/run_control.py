@@ -59,7 +59,12 @@ class RunControl:
 
     def pause(self) -> None:
         """Stop time before the next tick."""
-        self._request(lambda: setattr(self, "_paused", True))
+
+        def end() -> None:
+            self._paused = True
+            self._steps = 0
+
+        self._request(end)
 
     def resume(self) -> None:
         """Let time run again."""
@@ -73,7 +78,11 @@ class RunControl:
             self._steps = ticks
 
         self._request(begin)
-        return self._wait_until(lambda: self._steps == 0, timeout)
+        done = self._wait_until(lambda: self._steps == 0, timeout)
+        if not done:
+            # What was not done in time must not happen later, unasked.
+            self.pause()
+        return done
 
     def reset(self, timeout: float) -> bool:
         """Begin again at tick 0; return whether that was done within `timeout` seconds."""
