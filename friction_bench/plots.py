@@ -2,51 +2,23 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
-
-import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from friction_bench.experiment import Result
 from friction_bench.four_way import EXPERIMENT, FourWay, measured_velocity
 from friction_bench.identification import Identification, slopes_of
+from rx90_report.drawing import COLOURS as PALETTE
+from rx90_report.drawing import as_svg, make_figure
 
-# Colour-blind safe (Okabe and Ito).
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-# Any: matplotlib types the keys one by one.
-_STYLE: Any = {
-    "font.size": 9.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "svg.hashsalt": "friction_bench",
-    "svg.fonttype": "path",
-}
+COLOURS = PALETTE[:6]
+
 _FIT: Any = {"color": "black", "linestyle": "--", "linewidth": 0.9}
-
-
-def _figure(rows: int, height: float, share_x: bool = True) -> tuple[Figure, list[Axes]]:
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.2, height), layout="constrained")
-        axes = figure.subplots(rows, 1, sharex=share_x, squeeze=False)
-        return figure, list(axes[:, 0])
-
-
-def _svg(figure: Figure) -> str:
-    buffer = io.StringIO()
-    with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
 
 
 def velocity_plot(part: Identification) -> str:
     """Draw the velocities of all repeats with their asymptotes, one panel a slope (figures 4 to 6)."""
     slopes = slopes_of(part.fits)
-    figure, panels = _figure(len(slopes) + 1, 3.0 + 2.2 * len(slopes), share_x=False)
+    figure, panels = make_figure(len(slopes) + 1, 3.0 + 2.2 * len(slopes), share_x=False)
     for j, (axes, slope) in enumerate(zip(panels, slopes, strict=False)):
         fits = [fit for fit in part.fits if abs(fit.slope - slope) <= 0.02 * slope]
         for k, fit in enumerate(fits):
@@ -66,12 +38,12 @@ def velocity_plot(part: Identification) -> str:
     panels[0].legend(frameon=False, loc="upper left")
     panels[-1].set(xlabel="time since the torque's zero, s", ylabel="less asymptote, rad/s")
     panels[-1].set_title("all repeats where the transient is over, one colour a slope", fontsize=9, loc="left")
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def load_plot(result: Result) -> str:
     """Draw one no-load and one loaded ramp of each slope on the same axes."""
-    figure, (axes,) = _figure(1, 3.0)
+    figure, (axes,) = make_figure(1, 3.0)
     for k, (name, part) in enumerate(result.parts):
         for j, slope in enumerate(slopes_of(part.fits)):
             fit = min(part.fits, key=lambda f: abs(f.slope - slope))
@@ -82,12 +54,12 @@ def load_plot(result: Result) -> str:
             axes.plot(torque, velocity, color=COLOURS[k], linewidth=1.0, linestyle=style, label=label)
     axes.set(xlabel="motor torque m t, Nm", ylabel="motor velocity, rad/s")
     axes.legend(frameon=False)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def comparison_plot(comparison: FourWay) -> str:
     """Draw the four velocities and their differences from the closed form (figures 7 and 8)."""
-    figure, (upper, lower) = _figure(2, 4.6)
+    figure, (upper, lower) = make_figure(2, 4.6)
     *_, closed = comparison.velocities.values()
     for k, (name, velocity) in enumerate(comparison.velocities.items()):
         style = ("-", "--", ":", "-.")[k]
@@ -98,4 +70,4 @@ def comparison_plot(comparison: FourWay) -> str:
     upper.set_ylabel("motor velocity, rad/s")
     upper.legend(frameon=False)
     lower.set(xlabel="time since the torque's zero, s", ylabel="less closed form, %")
-    return _svg(figure)
+    return as_svg(figure)

@@ -2,32 +2,13 @@
 
 from __future__ import annotations
 
-import io
-from typing import Any
-
-import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
 from rx90_demo.analysis import RunAnalysis, field
-
-# Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
-# Any: matplotlib types the keys one by one.
-_STYLE: Any = {
-    "font.size": 9.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "svg.hashsalt": "rx90",
-    "svg.fonttype": "path",
-}
+from rx90_report.drawing import COLOURS, as_svg, make_figure
 
 
 def path_error_plot(run: RunAnalysis, limit: float) -> str:
     """Draw the path error along the line, with and without feed-forward; `limit` in m."""
-    figure, (axes,) = _figure(1, height=2.8)
+    figure, (axes,) = make_figure(1, height=2.8)
     for path, label, colour in (
         (run.path_without, "without feed-forward", COLOURS[1]),
         (run.path, "with feed-forward (recorded)", COLOURS[0]),
@@ -37,24 +18,24 @@ def path_error_plot(run: RunAnalysis, limit: float) -> str:
     axes.set(xlabel="distance along the line, mm", ylabel="path error, mm")
     axes.set_ylim(bottom=0.0)
     axes.legend(ncol=3, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def tracking_plot(run: RunAnalysis) -> str:
     """Draw joint velocities and position errors against time."""
-    figure, (upper, lower) = _figure(2, height=4.6)
+    figure, (upper, lower) = make_figure(2, height=4.6)
     for k, name in enumerate(run.joints.names):
         upper.plot(run.joints.time, field(run.joints, "velocity")[:, k], color=COLOURS[k], label=name, linewidth=1)
         lower.plot(run.error.time, field(run.error, "position")[:, k] * 1e3, color=COLOURS[k], linewidth=0.8)
     upper.set(ylabel="joint velocity, rad/s")
     lower.set(xlabel="time, s", ylabel="position error, mrad")
     upper.legend(ncol=6, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def friction_plot(run: RunAnalysis) -> str:
     """Draw the seven friction torques against time, and against velocity."""
-    figure, (upper, lower) = _figure(2, height=5.0, share_x=False)
+    figure, (upper, lower) = make_figure(2, height=5.0, share_x=False)
     for k, name in enumerate(run.friction.names):
         torque, velocity = field(run.friction, "effort")[:, k], field(run.friction, "velocity")[:, k]
         upper.plot(run.friction.time, torque, color=COLOURS[k], label=name, linewidth=1)
@@ -62,29 +43,14 @@ def friction_plot(run: RunAnalysis) -> str:
     upper.set(xlabel="time, s", ylabel="friction torque, Nm")
     lower.set(xlabel="input velocity, rad/s", ylabel="friction torque, Nm")
     upper.legend(ncol=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.0)
-    return _svg(figure)
+    return as_svg(figure)
 
 
 def effort_plot(run: RunAnalysis) -> str:
     """Draw the drive torques at the joints against time."""
-    figure, (axes,) = _figure(1, height=2.8)
+    figure, (axes,) = make_figure(1, height=2.8)
     for k, name in enumerate(run.joints.names):
         axes.plot(run.joints.time, field(run.joints, "effort")[:, k], color=COLOURS[k], label=name, linewidth=0.8)
     axes.set(xlabel="time, s", ylabel="drive torque, Nm")
     axes.legend(ncol=6, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
-    return _svg(figure)
-
-
-def _figure(rows: int, height: float, *, share_x: bool = True) -> tuple[Figure, tuple[Axes, ...]]:
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.2, height), layout="constrained")
-        axes = figure.subplots(rows, 1, sharex=share_x, squeeze=False)
-        return figure, tuple(axes[:, 0])
-
-
-def _svg(figure: Figure) -> str:
-    buffer = io.StringIO()
-    with mpl.rc_context(_STYLE):
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]
+    return as_svg(figure)

@@ -1,0 +1,1 @@
+"""What every HTML report of the suite shares: the look of its plots."""

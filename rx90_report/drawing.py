@@ -1,0 +1,40 @@
+"""The look of every report's plots, and figures as SVG text for one self-contained page."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
+# Any: matplotlib types the keys one by one.
+_STYLE: Any = {
+    "font.size": 9.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.hashsalt": "rx90_emulator",
+    "svg.fonttype": "path",
+}
+
+
+def make_figure(rows: int, height: float, *, share_x: bool = True) -> tuple[Figure, list[Axes]]:
+    """Return a figure of the reports' width, `height` inches high, and its panels from the top."""
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.2, height), layout="constrained")
+        axes = figure.subplots(rows, 1, sharex=share_x, squeeze=False)
+        return figure, list(axes[:, 0])
+
+
+def as_svg(figure: Figure) -> str:
+    """Return the figure as an <svg> element; equal figures give equal text."""
+    buffer = io.StringIO()
+    with mpl.rc_context(_STYLE):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]
