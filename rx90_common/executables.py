@@ -6,9 +6,12 @@ import importlib
 import sys
 from collections.abc import Callable
 
+from rx90_common.interrupts import raise_where_heard
+
 
 def _executable(program: str, module: str) -> Callable[[], int]:
     def main() -> int:
+        raise_where_heard()
         try:
             return int(importlib.import_module(module).main())
         except KeyboardInterrupt:

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from rx90_common.errors import ExchangeError, Rx90Error
+from rx90_common.interrupts import interrupts_later
 from rx90_common.share import resolve_config
 from rx90_controller.line import LinePlan, plan_line, stamped_points
 from rx90_controller.line_task import DEFAULT_BRANCH, LineTask, load_task
@@ -196,12 +197,13 @@ def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     delivery = Delivery(options.controller, options.start_time, options.timeout, approach)
-    # Python's own handling of Ctrl-C ends every wait here; rclpy's would shut down the node under it.
-    rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        deliver(plan, delivery, _say)
-    finally:
-        try_shutdown()
+    with interrupts_later() as check_interrupt:
+        # rclpy's own handling of Ctrl-C would shut down the node under a wait.
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            deliver(plan, delivery, _say, check_interrupt)
+        finally:
+            try_shutdown()
 
 
 def _say(text: str) -> None:

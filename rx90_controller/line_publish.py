@@ -81,10 +81,13 @@ def trajectory_message(plan: LinePlan, start_time: float, delay: float) -> Joint
     return message
 
 
-def deliver(plan: LinePlan, delivery: Delivery, say: Callable[[str], None]) -> None:
+def deliver(
+    plan: LinePlan, delivery: Delivery, say: Callable[[str], None], check_interrupt: Callable[[], None]
+) -> None:
     """Wait for the controller, publish the trajectory and wait until it has been received.
 
-    Needs an initialised rclpy. `say` gets one line for each thing that happens.
+    Needs an initialised rclpy. `say` gets one line for each thing that happens; `check_interrupt` is called between two
+    slices of a wait and may raise.
 
     Raises:
         ExchangeError: if the controller or the joint states do not show up within the timeout.
@@ -101,43 +104,60 @@ def deliver(plan: LinePlan, delivery: Delivery, say: Callable[[str], None]) -> N
             there = any(info.node_name == delivery.controller.split("/")[-1] for info in subscribers)
             return there and len(subscribers) <= publisher.get_subscription_count()
 
-        _wait(node, matched, f"a controller on {topic}", delivery, say)
-        delay = _delay(node, plan, delivery, say)
+        def wait(ready: Callable[[], bool], what: str) -> None:
+            _wait(node, ready, what, delivery.timeout, say, check_interrupt)
+
+        wait(matched, f"a controller on {topic}")
+        delay = _delay(node, plan, delivery, say, wait)
         message = trajectory_message(plan, delivery.start_time, delay)
         publisher.publish(message)
-        _confirm(publisher, topic, delivery.timeout)
+        _confirm(publisher, topic, delivery.timeout, check_interrupt)
         start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
         say(f"sent {len(message.points)} points to {topic}: start {start}, {plan.duration + delay:.3f} s")
     finally:
         node.destroy_node()
 
 
-def _confirm(publisher: Publisher, topic: str, timeout: float) -> None:
+def _confirm(publisher: Publisher, topic: str, timeout: float, check_interrupt: Callable[[], None]) -> None:
     deadline = time.monotonic() + timeout
-    # In slices, because Python sees Ctrl-C only between two of them.
     while not publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(_POLL * NANOSECONDS))):
+        check_interrupt()
         if time.monotonic() >= deadline:
             raise ExchangeError(f"the controller on {topic} did not confirm the trajectory in {timeout:g} s")
 
 
-def _wait(node: Node, ready: Callable[[], bool], what: str, delivery: Delivery, say: Callable[[str], None]) -> None:
+def _wait(
+    node: Node,
+    ready: Callable[[], bool],
+    what: str,
+    timeout: float,
+    say: Callable[[str], None],
+    check_interrupt: Callable[[], None],
+) -> None:
     """Spin until `ready`; say once what is waited for."""
-    deadline = time.monotonic() + delivery.timeout
+    deadline = time.monotonic() + timeout
     announced = False
     while not ready():
         if time.monotonic() >= deadline:
-            raise ExchangeError(f"found no {what.removeprefix('a ')} within {delivery.timeout:g} s")
+            raise ExchangeError(f"found no {what.removeprefix('a ')} within {timeout:g} s")
         if not announced:
             say(f"waiting for {what}")
             announced = True
         rclpy.spin_once(node, timeout_sec=_POLL)
+        check_interrupt()
 
 
-def _delay(node: Node, plan: LinePlan, delivery: Delivery, say: Callable[[str], None]) -> float:
+def _delay(
+    node: Node,
+    plan: LinePlan,
+    delivery: Delivery,
+    say: Callable[[str], None],
+    wait: Callable[[Callable[[], bool], str], None],
+) -> float:
     """Return how much later than planned the line begins: the time of the approach, s."""
     if delivery.approach is None and delivery.start_time > 0.0:
         return 0.0  # where the arm will be by then is not known here; the controller checks it
-    here = _joint_positions(node, plan.joint_names, delivery, say)
+    here = _joint_positions(node, plan.joint_names, wait)
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))
     if gap[joint] <= START_TOLERANCE:
@@ -155,7 +175,7 @@ def _delay(node: Node, plan: LinePlan, delivery: Delivery, say: Callable[[str], 
     return duration
 
 
-def _joint_positions(node: Node, names: tuple[str, ...], delivery: Delivery, say: Callable[[str], None]) -> Array:
+def _joint_positions(node: Node, names: tuple[str, ...], wait: Callable[[Callable[[], bool], str], None]) -> Array:
     found: list[Array] = []
 
     def take(message: JointState) -> None:
@@ -165,6 +185,6 @@ def _joint_positions(node: Node, names: tuple[str, ...], delivery: Delivery, say
 
     topic = node.resolve_topic_name("joint_states")
     subscription = node.create_subscription(JointState, topic, take, 10)
-    _wait(node, lambda: bool(found), f"a position of the six joints on {topic}", delivery, say)
+    wait(lambda: bool(found), f"a position of the six joints on {topic}")
     node.destroy_subscription(subscription)
     return found[-1]

@@ -8,12 +8,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
 from rx90_common.errors import Rx90Error
+from rx90_common.interrupts import interrupts_later
 
 
 class ProcessError(Rx90Error):
@@ -106,20 +106,6 @@ class ManagedProcess:
         return self._lines[-1] if self._lines else "it printed nothing"
 
 
-@contextmanager
-def _interrupts_later() -> Iterator[None]:
-    """Hold Ctrl-C back: a process that was started but is not known yet could not be ended."""
-    held: list[int] = []
-    # A function, because a child would inherit an ignored signal but not a handler.
-    previous = signal.signal(signal.SIGINT, lambda number, _frame: held.append(number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
-    if held:
-        raise KeyboardInterrupt
-
-
 class ProcessGroup:
     """Processes that end together: interrupted in reverse order, killed if that does not help."""
 
@@ -130,7 +116,8 @@ class ProcessGroup:
 
     def start(self, name: str, module: str, *arguments: str) -> ManagedProcess:
         """Start `python -m module arguments`, its output in `<folder>/<name>.log`."""
-        with _interrupts_later():
+        # A process that was started but is not known yet could not be ended.
+        with interrupts_later():
             member = ManagedProcess(name, module, arguments, self._folder / f"{name}.log")
             self._members.append(member)
         return member

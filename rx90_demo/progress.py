@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -16,9 +17,11 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
+from rx90_common.interrupts import interrupts_later
 from rx90_demo.processes import ManagedProcess, ProcessError
 
 _SERVICE_TIMEOUT = 60.0
+_SLICE = 0.1
 
 
 def follow_clock(simulation: ManagedProcess, duration: float) -> None:
@@ -30,6 +33,13 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        _follow(simulation, duration, context)
+    finally:
+        context.try_shutdown()
+
+
+def _follow(simulation: ManagedProcess, duration: float, context: Context) -> None:
+    with interrupts_later() as check_interrupt:
         node = rclpy.create_node("rx90_demo", context=context)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
@@ -39,33 +49,42 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
             now[0] = message.clock.sec + message.clock.nanosec * 1e-9
 
         node.create_subscription(Clock, "clock", take, qos_profile_sensor_data)
-        _resume(node, executor)
-        _show(simulation, executor, now, duration)
-        executor.shutdown()
-        node.destroy_node()
-    finally:
-        context.try_shutdown()
+        try:
+            _resume(node, lambda: _spin(executor, check_interrupt))
+            _show(simulation, lambda: _spin(executor, check_interrupt), now, duration)
+        finally:
+            executor.shutdown()
+            node.destroy_node()
 
 
-def _resume(node: Node, executor: SingleThreadedExecutor) -> None:
+def _spin(executor: SingleThreadedExecutor, check_interrupt: Callable[[], None]) -> None:
+    executor.spin_once(timeout_sec=_SLICE)
+    check_interrupt()
+
+
+def _resume(node: Node, spin: Callable[[], None]) -> None:
     client = node.create_client(SetBool, "rx90_sim/pause")
-    if not client.wait_for_service(_SERVICE_TIMEOUT):
-        raise ProcessError(f"the simulation offered no service {client.srv_name} within {_SERVICE_TIMEOUT:g} s")
+    deadline = time.monotonic() + _SERVICE_TIMEOUT
+    while not client.service_is_ready():
+        if time.monotonic() > deadline:
+            raise ProcessError(f"the simulation offered no service {client.srv_name} within {_SERVICE_TIMEOUT:g} s")
+        spin()
     answer = client.call_async(SetBool.Request(data=False))
-    executor.spin_until_future_complete(answer, _SERVICE_TIMEOUT)
+    while not answer.done() and time.monotonic() < deadline:
+        spin()
     result: Any = answer.result() if answer.done() else None
     if result is None or not result.success:
         raise ProcessError("the simulation did not let time run")
 
 
-def _show(simulation: ManagedProcess, executor: SingleThreadedExecutor, now: list[float], duration: float) -> None:
+def _show(simulation: ManagedProcess, spin: Callable[[], None], now: list[float], duration: float) -> None:
     layout = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
     began = time.monotonic()
     # In a log file a line every few seconds is enough.
     interval = 0.2 if sys.stderr.isatty() else 3.0
     with tqdm(total=duration, bar_format=layout, desc="reference task", mininterval=interval, miniters=0) as bar:
         while simulation.process.poll() is None:
-            executor.spin_once(timeout_sec=0.1)
+            spin()
             bar.set_postfix_str(f"{now[0] / (time.monotonic() - began):.2f} x real time", refresh=False)
             bar.update(min(now[0], duration) - bar.n)
         if simulation.process.returncode == 0:

@@ -1,0 +1,73 @@
+"""Ctrl-C that comes only where a program can take it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_RETRY = 0.02
+
+
+def raise_where_heard() -> None:
+    """From now on let Ctrl-C wait while Python is where an exception gets lost: the compiler's callbacks, destructors.
+
+    The compiler calls back whenever it loads a kernel from its cache, so this is a likely moment in a program's first
+    seconds.
+    """
+    signal.signal(signal.SIGINT, _raise_where_heard)
+
+
+def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        code = frame.f_code
+        if "llvmlite" in code.co_filename or code.co_name == "__del__":
+            again = threading.Timer(_RETRY, os.kill, [os.getpid(), signal.SIGINT])
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def interrupts_later() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back within the block, and raise it where the yielded function is called, or at the block's end.
+
+    Raised in the middle of a constructor, KeyboardInterrupt leaves half an object behind: a child process that nobody
+    knows, or an rclpy executor whose destructor complains. Outside the main thread, where Python takes no signals,
+    nothing needs to be held back.
+
+    Raises:
+        KeyboardInterrupt: from the yielded function, or after the block if nothing else is raised in it.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    held = False
+
+    def hold(_number: int, _frame: FrameType | None) -> None:
+        nonlocal held
+        held = True
+
+    def check() -> None:
+        nonlocal held
+        if held:
+            held = False
+            raise KeyboardInterrupt
+
+    # Only what Python handles: an ignored signal stays ignored, and what ends the process at once still does. A
+    # handler, not a mask or SIG_IGN, because a child would inherit those.
+    before = {number: handler for number in _INTERRUPTS if callable(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, hold)
+    try:
+        yield check
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    check()
