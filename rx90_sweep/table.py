@@ -88,7 +88,7 @@ def read_table(file: Path) -> pa.Table:
     """
     try:
         with file.open("rb") as stream:
-            table = pq.read_table(stream, use_threads=False)
+            table = pq.read_table(stream, use_threads=False, page_checksum_verification=True)
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise SweepError(f"{file}: cannot be read as Parquet ({reason})") from error
