@@ -77,7 +77,7 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
     lockstep = LockstepSimulation(channel, say)
     codec = JointStateCodec(["a"])
     publisher = channel.publisher
-    wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+    wait_until_matched(node, [publisher], 100)
     _wait_for_listeners(publisher, listeners)
     state = 1
     for tick in range(ticks):
@@ -118,7 +118,7 @@ def _control(listeners: int) -> None:
         return codec.encode(stamp, effort=np.array([float(law.step(int(position[0])))]))
 
     def begin(stamp: int, _raw: bytes) -> None:
-        wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+        wait_until_matched(node, [publisher], 100)
         _wait_for_listeners(publisher, listeners)
         law.begin()
         say(f"begin {stamp // PERIOD_NS}")
