@@ -12,7 +12,6 @@ from typing import Final
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import Connection
 
 from rx90_bag.ordering import Entry, LogOrder, TimeSource
@@ -20,7 +19,8 @@ from rx90_bag.sequence import WriterCount
 from rx90_bag.stream import Stream
 from rx90_bag.taking import Taker
 from rx90_bag.writing import BagWriter
-from rx90_common.errors import BagError
+from rx90_common.errors import BagError, ConfigError
+from rx90_exchange.ros_start import reason, start_ros
 
 READY: Final = "ready: all"
 """How the line begins that says that every topic is matched."""
@@ -101,21 +101,17 @@ class Recorder:
 
     def _make_node(self, context: Context) -> Node:
         try:
-            rclpy.init(
-                args=["--ros-args", *self._ros_args] if self._ros_args else [],
-                context=context,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            node = rclpy.create_node(
-                "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
-            )
-        except RuntimeError as error:  # what rclpy raises for arguments it cannot parse
-            raise BagError(f"--ros-args {' '.join(self._ros_args)}: refused by ROS ({error})") from error
+            start_ros(["--ros-args", *self._ros_args] if self._ros_args else [], context)
+        except ConfigError as error:
+            raise BagError(str(error)) from error
+        node = rclpy.create_node(
+            "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
+        )
         for topic in self._names:
             try:
                 self._topics.append(node.resolve_topic_name(topic))
             except RuntimeError as error:
-                raise BagError(f"topic {topic!r}: no name that ROS accepts ({error})") from error
+                raise BagError(f"topic {topic!r}: no name that ROS accepts ({reason(error)})") from error
         repeated = [topic for topic in self._topics if self._topics.count(topic) > 1]
         if repeated:
             raise BagError(f"topic {repeated[0]} stands twice; accepted: each topic once")
