@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from types import FrameType
 
 from rx90_common.errors import Rx90Error
+from rx90_common.output import with_checked_output
 
 _HELP = """\
 usage: {program} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]
@@ -37,8 +38,7 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
         words = list(sys.argv[1:] if args is None else args)
         own = words[: words.index("--ros-args")] if "--ros-args" in words else words
         if own in (["-h"], ["--help"]):
-            print(_HELP.format(program=program))
-            return 0
+            return with_checked_output(program, lambda: print(_HELP.format(program=program)) or 0)
         if own:
             print(f"{program}: argument {own[0]!r}; accepted: --help, --ros-args ...", file=sys.stderr, flush=True)
             return 2

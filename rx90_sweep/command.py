@@ -27,8 +27,6 @@ def main(args: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"rx90_sweep: interrupted; {_how_to_go_on(options)}", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # info into head
-        return 1
     return 0
 
 
