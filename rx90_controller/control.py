@@ -69,7 +69,14 @@ class Control:
         self._pacer = Pacer(rates.period, 1.0)
         self._lockstep = LockstepController(self._channel, self._log.info, self._answer, self._begin, rates.period_ns)
         self._free = FreeRunningController(
-            self._channel, self._pacer, self._log.info, self._answer, self._hold, self._wait_for_subscribers, rates
+            self._channel,
+            self._pacer,
+            self._log.info,
+            self._answer,
+            self._hold,
+            self._wait_for_subscribers,
+            self._skip,
+            rates,
         )
         self._rejected = 0
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
@@ -143,6 +150,11 @@ class Control:
             waiting, self._waiting = self._waiting, None
             if waiting is not None:
                 self._accept(waiting)
+
+    def _skip(self, ticks: int, raw: bytes) -> None:
+        self._decode(raw)
+        with self._lock:
+            self._cs7b.skip(ticks)
 
     def _answer(self, stamp_ns: int, raw: bytes) -> bytes:
         """Run the loops that are due and return the command."""

@@ -12,10 +12,11 @@ from rx90_common.errors import MessageError
 from rx90_common.rates import NANOSECONDS, Rates
 from rx90_exchange.channel import Channel
 from rx90_exchange.lockstep import stamp_of
+from rx90_exchange.occasionally import Occasionally
 from rx90_exchange.pacing import Pacer
 
 _LEAD = 0.005  # s that the loops run ahead of the newest states; further ahead, time stands still and they rest
-_LAG = 0.25  # s behind the states that are caught up; further behind, the motion is given up
+_LAG = 0.25  # s behind the states that are caught up; further behind, time is skipped and the motion comes later
 _SETTLING = 0.25  # s, time constant with which the clock follows
 _SLEW = 0.025  # largest share by which it runs slower or faster
 _SLICE = 0.1  # s of a wait for states
@@ -37,15 +38,31 @@ class FreeRunningController:
         answer: Callable[[int, bytes], bytes],
         begin: Callable[[int, bytes], None],
         prepare: Callable[[], None],
+        skip: Callable[[int, bytes], None],
         rates: Rates,
     ) -> None:
-        """`answer` and `begin` as in `LockstepController`; `prepare` is called once, before the first `begin`."""
+        """Make the loops.
+
+        Args:
+            channel: publishes commands, receives states.
+            pacer: the clock.
+            announce: prints a line for the user.
+            answer: as in `LockstepController`.
+            begin: as in `LockstepController`; called at start and when simulated time has gone back.
+            prepare: called once, before the first `begin`.
+            skip: lets a number of position ticks pass without set-points; with the states that made it necessary,
+                which it may refuse with MessageError.
+            rates: of the loops.
+        """
         self._channel = channel
         self._pacer = pacer
         self._announce = announce
+        self._lags = Occasionally(announce)
         self._answer = answer
         self._begin = begin
         self._prepare = prepare
+        self._skip = skip
+        self._slow_ns = rates.period_ns * rates.ratio
         self._period_ns = rates.period_ns
         self._lead_ns = round(_LEAD * NANOSECONDS)
         self._lag_ns = round(_LAG * NANOSECONDS)
@@ -103,13 +120,14 @@ class FreeRunningController:
         if newest is None:
             return False
         stamp = stamp_of(newest)
-        late = stamp - self._stamp
-        if self._newest is None or stamp < self._seen_stamp or late > self._lag_ns:
-            return self._start(stamp, newest, late)
+        if self._newest is None or stamp < self._seen_stamp:
+            return self._start(stamp, newest)
+        if stamp - self._stamp > self._lag_ns and not self._catch_up(stamp, newest):
+            return False
         self._newest, self._seen_stamp = newest, stamp
         return True
 
-    def _start(self, stamp: int, raw: bytes, late: int) -> bool:
+    def _start(self, stamp: int, raw: bytes) -> bool:
         """Begin where the arm is; return whether the states could be used."""
         if not self._prepared:
             self._prepared = True
@@ -120,13 +138,22 @@ class FreeRunningController:
             self._begin(stamp, raw)
         except MessageError:
             return False
-        if self._newest is not None and stamp >= self._seen_stamp:
-            self._announce(
-                f"{late / NANOSECONDS:.3g} s behind the simulation: holding the arm where it is; a trajectory that ran "
-                "is given up"
-            )
         self._newest, self._seen_stamp, self._stamp = raw, stamp, stamp
         self._used = raw, stamp
+        return True
+
+    def _catch_up(self, stamp: int, raw: bytes) -> bool:
+        """Skip the time in which this process did not run; return whether the states could be used."""
+        ticks = (stamp - self._stamp) // self._slow_ns
+        try:
+            self._skip(ticks, raw)
+        except MessageError:
+            return False
+        late = ticks * self._slow_ns
+        self._stamp += late
+        self._lags.say(
+            "lag", f"{late / NANOSECONDS:.3g} s behind the simulation: a trajectory that runs comes later by as much"
+        )
         return True
 
     def _follow(self) -> None:
