@@ -76,6 +76,7 @@ class Recorder:
         self._connections: dict[int, Connection] = {}
         self._order = LogOrder()
         self._received = 0
+        self._told = 0
 
     def run(self, make_writer: Callable[[], BagWriter], stop: Event) -> list[TopicCount]:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
@@ -134,6 +135,7 @@ class Recorder:
             self._order_all(taker)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:
                 self._write(writer, self._order.release())
+            self._tell_set_backs()
             self._show(Progress(self._received, self._order.newest_ns))
             stop.wait(_CYCLE_S)
         taker.finish()
@@ -175,6 +177,14 @@ class Recorder:
         self._received += len(taken)
         for stream, cdr, received_ns in taken:
             self._order.add(stream.index, stream.time_source, cdr, received_ns)
+
+    def _tell_set_backs(self) -> None:
+        for before, after in self._order.set_backs[self._told :]:
+            self._told += 1
+            self._say(
+                f"time goes back from {before / 1e9:.6g} s to {after / 1e9:.6g} s: the bag holds more than one run, "
+                "and its log time goes on"
+            )
 
     def _connect(self, writer: BagWriter) -> None:
         """Announce to the bag the topics found since the last call, in their order."""

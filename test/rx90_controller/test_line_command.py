@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -109,6 +108,9 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 1, "cannot be written"),
         ("--from-file task/reference_line.yaml --start-time -1", 1, "start time is -1 s"),
         ("--from-file task/reference_line.yaml --timeout 0", 1, "timeout is 0 s"),
+        ("--from-file task/reference_line.yaml --controller bad/-name", 1, "--controller is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --ros-args -r", 1, "ROS arguments "),
+        ("--from-file task/reference_line.yaml --ros-args -p foo", 1, "ROS arguments "),
     ],
 )
 def test_a_mistake_gives_one_line_and_a_status(
@@ -176,27 +178,17 @@ class Listener:
 
 
 @pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Return a ROS domain of this test process's own, on this machine only."""
-    number = os.getpid() % 101 + 1
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    return number
-
-
-@pytest.fixture
-def listener(domain: int) -> Iterator[Listener]:
+def listener(ros_domain: int) -> Iterator[Listener]:
     """Return a listener in the test's domain."""
-    listener = Listener(domain)
+    listener = Listener(ros_domain)
     yield listener
     listener.close()
 
 
 @pytest.fixture
-def start_line(domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Return a function that starts `rx90_line` on the reference task; what is left of it is ended."""
-    assert domain
+    assert ros_domain
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
