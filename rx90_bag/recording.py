@@ -28,6 +28,7 @@ READY: Final = "ready: all"
 _CYCLE_S = 0.02
 _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
+_LONGEST_STALL_S = 4.0  # below the lease in config/dds, after which a publisher forgets this process
 _MAX_HELD_BYTES = 64 << 20  # while topics are still missing
 
 
@@ -58,6 +59,10 @@ class Recorder:
         ros_args: arguments after --ros-args (namespace, remappings).
         say: prints a line for the user.
         show: shows the progress, called some times per second.
+
+    Attributes:
+        stalls: times, s, in which this process did not run and which publishers may have taken for its end: what they
+            sent then, and how much, is not known here.
     """
 
     def __init__(
@@ -77,6 +82,7 @@ class Recorder:
         self._order = LogOrder()
         self._received = 0
         self._told = 0
+        self.stalls: list[float] = []
 
     def run(self, make_writer: Callable[[], BagWriter], stop: Event) -> list[TopicCount]:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
@@ -119,11 +125,12 @@ class Recorder:
         return node
 
     def _record(self, node: Node, taker: Taker, writer: BagWriter, stop: Event) -> None:
-        start = time.monotonic()
+        start = last = time.monotonic()
         matched_at = math.inf
         ready = said = False
         while not stop.is_set():
             now = time.monotonic()
+            last = self._note_stall(last)
             if math.isinf(matched_at) and self._discover(node, taker):
                 matched_at = now
             if not ready and now > matched_at + _SETTLE_S:
@@ -138,6 +145,7 @@ class Recorder:
             self._tell_set_backs()
             self._show(Progress(self._received, self._order.newest_ns))
             stop.wait(_CYCLE_S)
+        self._note_stall(last)
         taker.finish()
         self._order_all(taker)
         self._connect(writer)
@@ -177,6 +185,13 @@ class Recorder:
         self._received += len(taken)
         for stream, cdr, received_ns in taken:
             self._order.add(stream.index, stream.time_source, cdr, received_ns)
+
+    def _note_stall(self, last: float) -> float:
+        """Note a long time since `last` on the steady clock; return the time now."""
+        now = time.monotonic()
+        if now - last > _LONGEST_STALL_S:
+            self.stalls.append(now - last)
+        return now
 
     def _tell_set_backs(self) -> None:
         for before, after in self._order.set_backs[self._told :]:

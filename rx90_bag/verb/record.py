@@ -51,12 +51,16 @@ def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
     with StatusLine() as status:
         recorder = Recorder(args.topics, ros_args, status.say, status.show)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(counts, args.output)
+    return _report(counts, recorder.stalls, args.output)
 
 
-def _report(counts: Sequence[TopicCount], output: str) -> int:
+def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
     print(f"recorded {sum(count.received for count in counts)} messages of {len(counts)} topics to {output}")
-    complete = True
+    complete = not stalls
+    for stall in stalls:
+        print(
+            f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr
+        )
     for count in counts:
         if count.lost:
             complete = False
