@@ -11,12 +11,13 @@ from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.duration import Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.errors import ConfigError
@@ -220,6 +221,17 @@ def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: in
 
 
 def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+    asked = [_asked(info.qos_profile) for info in node.get_subscriptions_info_by_topic(publisher.topic_name)]
     offered = publisher.qos_profile
-    asked = [info.qos_profile for info in node.get_subscriptions_info_by_topic(publisher.topic_name)]
-    return sum(qos_check_compatible(offered, profile)[0] is not QoSCompatibility.ERROR for profile in asked)
+    return sum(qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR for profile in asked)
+
+
+def _asked(profile: QoSProfile) -> QoSProfile:
+    """Return what is asked for: the graph tells times without end where none are, which the check takes for a wish."""
+    times = {name: getattr(profile, name) for name in ("deadline", "liveliness_lease_duration")}
+    return QoSProfile(
+        depth=1,
+        reliability=profile.reliability,
+        durability=profile.durability,
+        **{name: time for name, time in times.items() if time < Infinite},
+    )
