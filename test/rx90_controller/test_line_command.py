@@ -136,10 +136,10 @@ def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], argu
 class Listener:
     """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, namespace: str) -> None:
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node("rx90_controller", context=self.context)
+        self.node = Node("rx90_controller", context=self.context, namespace=namespace)
         self.taken: list[JointTrajectory] = []
         self.states = self.node.create_publisher(JointState, "joint_states", 10)
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -178,9 +178,9 @@ class Listener:
 
 
 @pytest.fixture
-def listener(ros_domain: int) -> Iterator[Listener]:
-    """Return a listener in the test's domain."""
-    listener = Listener(ros_domain)
+def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listener]:
+    """Return a listener in the test's domain, and in the namespace that is its parameter."""
+    listener = Listener(ros_domain, getattr(request, "param", "/"))
     yield listener
     listener.close()
 
@@ -295,3 +295,18 @@ def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) 
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert err == "rx90_line: interrupted\n"
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("listener", ["/cell"], indirect=True)
+def test_a_controller_in_a_namespace_has_its_arm_beside_it(
+    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """For a controller that is named with its namespace the joint states of that namespace are asked."""
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    listener.tell(shipped.robot.joint_names, plan.start_pose)
+    listener.listen()
+    process = start_line("--controller", "/cell/rx90_controller", "--timeout", str(PATIENCE))
+    out, err = process.communicate(timeout=2 * PATIENCE)
+    assert process.returncode == 0, err
+    assert "sent 72 points to /cell/rx90_controller/joint_trajectory" in out
