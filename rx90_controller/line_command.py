@@ -179,23 +179,23 @@ def _run(argv: list[str]) -> int:
 def _without_ros_arguments(argv: list[str]) -> list[str]:
     if "--ros-args" not in argv:
         return argv
-    from rx90_exchange.environment import prepare  # noqa: PLC0415 (planning alone needs no ROS)
+    from rx90_exchange.environment import prepare  # planning alone needs no ROS
 
     prepare()
-    from rx90_exchange.ros_start import without_ros_args  # noqa: PLC0415
+    from rx90_exchange.ros_start import without_ros_args
 
     return without_ros_args(argv)
 
 
 def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
-    from rx90_exchange.environment import prepare  # noqa: PLC0415
+    from rx90_exchange.environment import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    from rclpy.utilities import try_shutdown
 
-    from rx90_controller.line_publish import Approach, Delivery, deliver  # noqa: PLC0415
-    from rx90_exchange.ros_start import start_ros  # noqa: PLC0415
+    from rx90_controller.line_publish import Approach, Delivery, deliver
+    from rx90_exchange.ros_start import start_ros
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     delivery = Delivery(options.controller, options.start_time, options.timeout, approach)

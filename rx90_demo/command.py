@@ -57,7 +57,7 @@ def _run(options: argparse.Namespace) -> int:
     prepare()
     announce_compilation("rx90_demo")
     # Here, because a wrong option must not wait for them.
-    from rx90_demo.demonstration import Demonstration  # noqa: PLC0415
+    from rx90_demo.demonstration import Demonstration
 
     demonstration = Demonstration(resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
     return 0 if demonstration.run(_folder(options.output)) else 1

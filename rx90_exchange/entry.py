@@ -31,9 +31,9 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
         # in order, and an exception would get lost in a callback of the compiler.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _leave)
-        from importlib import import_module  # noqa: PLC0415 - see above
+        from importlib import import_module
 
-        from rx90_exchange.environment import prepare  # noqa: PLC0415 - see above
+        from rx90_exchange.environment import prepare
 
         words = list(sys.argv[1:] if args is None else args)
         own = words[: words.index("--ros-args")] if "--ros-args" in words else words

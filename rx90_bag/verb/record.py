@@ -40,12 +40,12 @@ def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
 
-    from rx90_bag.status import StatusLine  # noqa: PLC0415
-    from rx90_bag.writing import BagWriter  # noqa: PLC0415
+    from rx90_bag.status import StatusLine
+    from rx90_bag.writing import BagWriter
 
     prepare()
     try:
-        from rx90_bag.recording import Recorder  # noqa: PLC0415
+        from rx90_bag.recording import Recorder
     except ImportError as error:
         raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
     with StatusLine() as status:

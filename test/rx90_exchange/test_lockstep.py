@@ -23,7 +23,7 @@ def message(tick: int, value: float = 0.0) -> bytes:
 
 
 def _array(value: float):  # type: ignore[no-untyped-def]
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     return np.array([value])
 
