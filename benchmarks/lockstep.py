@@ -89,10 +89,10 @@ def _slope(stamps: list[tuple[float, float]]) -> float:
 
 def _clock_until(done) -> list[tuple[float, float]]:  # type: ignore[no-untyped-def]  # a predicate of simulated time
     """Return (wall time, simulated time) of the messages on /clock, s, until `done`."""
-    import rclpy  # noqa: PLC0415 - after `prepare`
-    from rclpy.context import Context  # noqa: PLC0415
-    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-    from rosgraph_msgs.msg import Clock  # noqa: PLC0415
+    import rclpy  # after `prepare`
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rosgraph_msgs.msg import Clock
 
     context = Context()
     rclpy.init(context=context)

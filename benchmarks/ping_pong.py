@@ -71,14 +71,14 @@ class _Bare(NamedTuple):
 
 
 def _ask(exchanges: int, rounds: int) -> PingPong:
-    import rclpy  # noqa: PLC0415 - after `prepare`
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    import rclpy  # after `prepare`
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepSimulation  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepSimulation
+    from rx90_exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -137,16 +137,16 @@ def _rate(run: Callable[[], None], count: int) -> float:
 
 def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Event of multiprocessing
     """Answer both kinds, in the second process, each on a thread of its own."""
-    import threading  # noqa: PLC0415
+    import threading
 
-    import rclpy  # noqa: PLC0415 - the environment is inherited
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    import rclpy  # the environment is inherited
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepController  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepController
+    from rx90_exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")

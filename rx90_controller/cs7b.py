@@ -58,6 +58,11 @@ class CS7B:
         self.trajectory.reset(hold)
         self.tick = tick
 
+    def skip(self, count: int) -> None:
+        """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
+        self.tick += count * self.rates.ratio
+        self.trajectory.delay(count, self.position_tick)
+
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and discharge the controller."""
         rest = np.zeros(6)

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rx90_common.errors import ExchangeError
+from rx90_common.errors import ExchangeError, MessageError
 from rx90_exchange.channel import Channel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
@@ -156,6 +156,8 @@ class LockstepController:
         begin: called before `answer` when the states do not follow the last ones: at start, after a reset of the
             simulation, or after one of the two was away; with the stamp and the bytes of the states.
         period_ns: the tick.
+
+    Both raise MessageError, once they have said so, for states that cannot be used; these are left out.
     """
 
     def __init__(
@@ -193,14 +195,17 @@ class LockstepController:
             return
         stamp = stamp_of(raw)
         if stamp != self._stamp or raw != self._state:
-            if self._stamp is None or stamp != self._stamp + self._period_ns:
-                self._note_jump(stamp)
-                if self._rivals:
-                    return
-                self._begin(stamp, raw)
-            else:
-                self._jumped = 0
-            self._command = self._answer(stamp, raw)
+            try:
+                if self._stamp is None or stamp != self._stamp + self._period_ns:
+                    self._begin(stamp, raw)
+                    self._note_jump(stamp)
+                    if self._rivals:
+                        return
+                else:
+                    self._jumped = 0
+                self._command = self._answer(stamp, raw)
+            except MessageError:
+                return
             self._stamp, self._state = stamp, raw
         self._channel.publish(self._command)
         self._heard = time.monotonic()

@@ -96,7 +96,7 @@ class Plant:
         raise DivergenceError(
             f"the state of {self.joint_names[joint]} diverged in tick {self.tick}: velocity "
             f"{self.state['v'][0, joint]:g} rad/s; accepted: finite and up to "
-            f"{self.constants['speed_limit'][0, joint]:g} rad/s"
+            f"{self.constants['speed_limit'][0, joint]:g} rad/s; stiff parameters may need more substeps"
         )
 
     @property

@@ -19,8 +19,10 @@ from rx90_exchange.channel import Channel
 from rx90_exchange.joint_state_cdr import JointStateCodec
 from rx90_exchange.lockstep import LockstepSimulation
 from rx90_exchange.node_tools import Diagnostics, declare
+from rx90_exchange.occasionally import Occasionally
 from rx90_exchange.pacing import Pacer
 from rx90_exchange.qos import LATCHED_QOS, TICK_QOS
+from rx90_exchange.time_mode import TimeMode
 from rx90_exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
 from rx90_sim.held_command import HeldCommand
 from rx90_sim.publications import Publications
@@ -57,7 +59,7 @@ class Simulation:
         self._published_tick = -1
         timeout = round(self._parameters.command_timeout * rates.base_hz)
         self._held = HeldCommand(self._channel, self._torques, timeout, self._log.info)
-        self._bad_command: str | None = None
+        self._complaints = Occasionally(self._log.error)
         self._latch(robot.urdf)
         self._offer_services()
         self._diagnostics = Diagnostics(self.node, self._status)
@@ -66,7 +68,7 @@ class Simulation:
         self._description = self.node.create_publisher(String, "robot_description", LATCHED_QOS)
         self._description.publish(String(data=urdf))
         self._mode = self.node.create_publisher(String, TIME_MODE, LATCHED_QOS)
-        self._mode.publish(String(data=self._parameters.time_mode))
+        self._mode.publish(String(data=TimeMode(self._parameters.time_mode, self._parameters.rates).text))
 
     def _offer_services(self) -> None:
         node = self.node
@@ -135,11 +137,8 @@ class Simulation:
         try:
             torques = self._commands.decode(raw)[3]
         except ExchangeError as error:
-            if str(error) != self._bad_command:
-                self._bad_command = str(error)
-                self._log.error(f"{MOTOR_COMMANDS}: {error}; the brakes close")
+            self._complaints.say("command", f"{self._channel.subscribe_topic}: {error}; the brakes close")
             return None
-        self._bad_command = None
         return torques
 
     def _reset(self) -> None:
@@ -151,12 +150,7 @@ class Simulation:
 
     def _wait_for_subscribers(self) -> None:
         publishers = [*self._publications.publishers, self._channel.publisher]
-        node_tools.wait_until_matched(
-            self.node,
-            [publisher.topic_name for publisher in publishers],
-            lambda: [publisher.get_subscription_count() for publisher in publishers],
-            _MATCH_ATTEMPTS,
-        )
+        node_tools.wait_until_matched(self.node, publishers, _MATCH_ATTEMPTS)
 
     def _flush(self) -> None:
         """Let the last messages reach a recorder."""
@@ -208,6 +202,8 @@ class Simulation:
         }
         if self._control.paused:
             return DiagnosticStatus.OK, "paused", values
+        if self._held.rivals:
+            return DiagnosticStatus.ERROR, "two controllers send commands", values
         if counts.ticks == 0:
             return DiagnosticStatus.WARN, "waiting for the controller", values
         behind = counts.dropped > 0 and not lock_step

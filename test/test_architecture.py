@@ -33,10 +33,15 @@ ROS = {
 }
 LONGEST = 450
 
+FRAME = {"rx90_common.executables", "rx90_common.interrupts", "rx90_common.output"}
+"""The frame of the command-line tools: signals, standard output."""
 MODELS = sorted(
     name
     for name in MODULES
-    if name.startswith(("rx90_common", "rx90_description", "rx90_sim.friction", "rx90_controller.trajectory."))
+    if (
+        name.startswith(("rx90_common", "rx90_description", "rx90_sim.friction", "rx90_controller.trajectory."))
+        and name not in FRAME
+    )
     or name in {"rx90_sim.manipulator", "rx90_controller.trajectory"}
     or name.startswith(("rx90_sim.plant", "rx90_controller.cs7b"))
 )

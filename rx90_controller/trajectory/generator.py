@@ -41,6 +41,18 @@ class TrajectoryGenerator:
         self._next: tuple[int, Spline] | None = None
         self.revision += 1
 
+    def delay(self, count: int, now: int) -> None:
+        """Let `count` ticks, up to tick `now`, pass without set-points: what runs goes on later by as much.
+
+        What waits for its start begins where the running one will then be, and waits longer too; only where the arm
+        rests it starts in time, or now.
+        """
+        resting = (now - count - self._start) * self.period >= self._current.duration
+        self._start += count
+        if self._next is not None:
+            start, spline = self._next
+            self._next = max(start, now) if resting else start + count, spline
+
     def setpoints(self, tick: int, count: int = 1) -> Array:
         """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
 
@@ -78,7 +90,7 @@ class TrajectoryGenerator:
         if self._next is not None and self._next[0] < now:
             (self._start, self._current), self._next = self._next, None
         spline = self._connect(points, begin)
-        self._check(spline, points.times)
+        self._check(spline, points.times, self._sample(begin, 1)[0, 0])
         self._next = (begin, spline)
         self.revision += 1
         return begin
@@ -87,14 +99,19 @@ class TrajectoryGenerator:
         ticks = np.arange(tick - start, tick - start + count)
         return spline.sample(np.asarray(ticks * self.period, dtype=np.float64))
 
-    def _check(self, spline: Spline, knots: Array) -> None:
-        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+    def _check(self, spline: Spline, knots: Array, held: Array) -> None:
+        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own.
+
+        An arm that was pushed beyond a limit, to `held`, may come back: from there on only inwards.
+        """
+        outside = self.limits.outside(held)
+        allowed = np.where(outside > 0.0, outside + self.limits.start_tolerance, 0.0)
         last = math.ceil(spline.duration / self.period)
         for first in range(0, last, _CHECK_BLOCK):
             # The blocks share a set-point, so that the step from one to the next is checked, too.
             ticks = np.arange(first, min(first + _CHECK_BLOCK, last) + 1)
             times = np.asarray(ticks * self.period, dtype=np.float64)
-            self.limits.check(spline.sample(times), times, knots)
+            allowed = self.limits.check(spline.sample(times), times, knots, allowed)
 
     def _connect(self, points: TrajectoryPoints, begin: int) -> Spline:
         """Return the spline through the points, begun at the set-point the arm will have at tick `begin`."""
