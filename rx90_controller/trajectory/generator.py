@@ -47,11 +47,13 @@ class TrajectoryGenerator:
         What waits for its start begins where the running one will then be, and waits longer too; only where the arm
         rests it starts in time, or now.
         """
+        self._promote(now - count)
         resting = (now - count - self._start) * self.period >= self._current.duration
         self._start += count
         if self._next is not None:
             start, spline = self._next
             self._next = max(start, now) if resting else start + count, spline
+        self.revision += 1
 
     def setpoints(self, tick: int, count: int = 1) -> Array:
         """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
@@ -87,13 +89,17 @@ class TrajectoryGenerator:
             raise TrajectoryError(
                 f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
             )
-        if self._next is not None and self._next[0] < now:
-            (self._start, self._current), self._next = self._next, None
+        self._promote(now)
         spline = self._connect(points, begin)
-        self._check(spline, points.times, self._sample(begin, 1)[0, 0])
+        self._check(spline, points.times, self._sample(self._current, self._start, begin, 1)[0, 0])
         self._next = (begin, spline)
         self.revision += 1
         return begin
+
+    def _promote(self, tick: int) -> None:
+        """Make a trajectory that began before position tick `tick` the running one."""
+        if self._next is not None and self._next[0] < tick:
+            (self._start, self._current), self._next = self._next, None
 
     def _sample(self, spline: Spline, start: int, tick: int, count: int) -> Array:
         ticks = np.arange(tick - start, tick - start + count)
