@@ -16,7 +16,15 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-_ROOMS = ("rx90_common", "rx90_description", "rx90_sim", "rx90_controller", "rx90_loop", "friction_bench")
+_ROOMS = (
+    "rx90_common",
+    "rx90_description",
+    "rx90_sim",
+    "rx90_controller",
+    "rx90_loop",
+    "rx90_perturbation",
+    "friction_bench",
+)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
