@@ -14,8 +14,8 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_description.kinematics import forward, jacobian
 from rx90_description.wrist import to_motor
 from rx90_loop.setup import Setup
-from rx90_perturbation.batch import GROUP_DTYPE, LANES, Record, pack
-from rx90_perturbation.group_step import Series, Tables, reset_group, run_group
+from rx90_perturbation.batch import FEW, Record, lanes_for, pack
+from rx90_perturbation.group_step import Series, Tables, run_few, run_many
 from rx90_perturbation.linearisation import linearise
 from rx90_perturbation.nominal import NominalMotion, nominal_motion, nominal_torque
 from rx90_sim.friction import FrictionSet
@@ -66,6 +66,7 @@ class PerturbationModel:
         spacing: base ticks from one point of the linearisation to the next.
         initial_position: rad, shape (6,).
         nominal_tip: tip's position along the nominal motion on position ticks, m, shape (m, 3).
+        plants: constants of the plant, shape (1,), PLANT_DTYPE; the drives' count.
     """
 
     setup: Setup
@@ -74,6 +75,7 @@ class PerturbationModel:
     spacing: int
     initial_position: Array
     nominal_tip: Array
+    plants: Record
 
     @property
     def times(self) -> Array:
@@ -109,22 +111,19 @@ class PerturbationModel:
             raise ConfigError("a batch of 0 runs; accepted: at least one")
         if controllers is not None and len(controllers) != runs:
             raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
-        groups = pack(frictions, self._laws(controllers, runs))
-        plants = self.setup.plant().constants
-        states = np.zeros(len(groups.elements), GROUP_DTYPE)
+        lanes = lanes_for(runs)
+        groups = pack(frictions, self._laws(controllers, runs), lanes)
+        states, motion = groups.states, self.motion
+        states["q"] = (self.initial_position - motion.position[0])[:, None]
+        states["v"] = -motion.velocity[0][:, None]
         rows = len(self.nominal_tip)
         series = Series(*(np.empty((runs, rows, columns)) for columns in (6, 7, 3)))
-        motion = self.motion
-        deviation, velocity = self.initial_position - motion.position[0], -motion.velocity[0]
-        for group, (elements, servos) in enumerate(zip(*groups, strict=True)):
-            state = states[group : group + 1]
-            reset_group(plants, state, motion.position[0], deviation, velocity)
-            ratio = self.setup.rates.ratio
-            run_group(plants, self.tables, self.spacing, ratio, elements, servos, state, group * LANES, series)
-        lanes = np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs]
-        return PerturbationResult(
-            self, *series, lanes.astype(np.int64), states["lost"].reshape(-1)[:runs].astype(np.bool_)
-        )
+        run = run_few if lanes == FEW else run_many
+        ratio = self.setup.rates.ratio
+        run(self.plants, self.tables, self.spacing, ratio, *groups, series)
+        saturated = np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs]
+        lost = states["lost"].reshape(-1)[:runs]
+        return PerturbationResult(self, *series, saturated.astype(np.int64), lost.astype(np.bool_))
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         drives, rates = self.setup.drives, self.setup.rates
@@ -183,7 +182,7 @@ def prepare(
         jacobian=np.ascontiguousarray(jacobian(setup.robot.chain, slow)[:, :3]),
     )
     tip = forward(setup.robot.chain, slow).position
-    return PerturbationModel(setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip)
+    return PerturbationModel(setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip, plant.constants)
 
 
 def _coefficients(setup: Setup, motion: NominalMotion, apart: int) -> Array:
