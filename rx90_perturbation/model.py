@@ -86,7 +86,7 @@ class PerturbationModel:
     @property
     def slow_position(self) -> Array:
         """Return q0 on position ticks, rad, shape (m, 6)."""
-        return self.motion.position[:-1 : self.setup.rates.ratio]
+        return self.motion.position[: -1 : self.setup.rates.ratio]
 
     def run_one(
         self, friction: FrictionSet | None = None, controller: CS7BParameters | None = None
@@ -170,7 +170,7 @@ def prepare(
     ticks = round(duration * rates.base_hz)
     setpoints = controller.trajectory.setpoints(0, -(-ticks // rates.ratio))
     motion = nominal_motion(points, hold, start * rates.ratio, ticks, rates)
-    slow = motion.position[:-1 : rates.ratio]
+    slow = motion.position[: -1 : rates.ratio]
     apart = max(1, round(spacing * rates.base_hz))
     tables = Tables(
         position=motion.position,
@@ -182,7 +182,9 @@ def prepare(
         jacobian=np.ascontiguousarray(jacobian(setup.robot.chain, slow)[:, :3]),
     )
     tip = forward(setup.robot.chain, slow).position
-    return PerturbationModel(setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip, plant.constants)
+    return PerturbationModel(
+        setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip, plant.constants
+    )
 
 
 def _coefficients(setup: Setup, motion: NominalMotion, apart: int) -> Array:

@@ -73,9 +73,7 @@ def nominal_torque(plants: Record, states: Record, motion: NominalMotion) -> Arr
         motion: the nominal motion.
     """
     torque = np.empty_like(motion.acceleration)
-    _inverse_dynamics(
-        plants, states, motion.middle_position, motion.middle_velocity, motion.acceleration, torque
-    )
+    _inverse_dynamics(plants, states, motion.middle_position, motion.middle_velocity, motion.acceleration, torque)
     return torque
 
 

@@ -16,7 +16,6 @@ from rx90_common.lanes import Lanes, absolute, fma, load, select
 from rx90_sim.friction.lugre import ELEMENT_DTYPE
 
 
-
 def elements_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of a record of `width` elements, field by field: the element is the last index."""
     names = ELEMENT_DTYPE.names or ()
