@@ -23,7 +23,7 @@ _STATE_ROWS = {
     "q": 6,  # deviation of the joints, rad
     "v": 6,
     "acceleration": 6,  # mean over the last step
-    "drive_torque": 6,  # joint side, Nm
+    "excess": 6,  # drive torque beyond tau0, Nm
     "z": ELEMENT_COUNT,
     "motor_position": 6,  # the drives' and the controllers' states as in the full simulation
     "motor_velocity": 6,

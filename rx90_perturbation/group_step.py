@@ -1,7 +1,7 @@
 """The perturbation step, compiled: a group of runs about one nominal motion, a lane for each run.
 
 Deviations take the same steps as the plant (rx90_sim.plant_step): arm and friction are evaluated at the midpoint,
-which the last step's mean acceleration and the jump of the drive torque predict, and the bristles are advanced
+which the last step's mean acceleration and the jump of the torque predict, and the bristles are advanced
 exactly for the midpoint velocity. Friction, drives and controllers are the full simulation's own formulas. Only the
 arm is linear. There are no end stops: a nominal motion keeps away from them, and deviations are small.
 """
@@ -123,7 +123,7 @@ def _run(
                 _position_loops(servos[group], tables.reference[row], state, lanes)
                 _notice_loss(plant.speed_limit, state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
-            _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], state, lanes)
+            _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
             _predict(state, lanes)
             _substep(tables, k, elements[group], state, plant.period, lanes)
             _sample(plant, tables.position[k + 1], state, lanes)
@@ -172,8 +172,8 @@ def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) ->
 
 
 @inlined
-def _velocity_loops(servos: Record, gear: Array, velocity: Array, state: Any, lanes: int) -> None:
-    """Run D and C; leave the new drive torque and, in `rhs`, its jump."""
+def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array, state: Any, lanes: int) -> None:
+    """Run D and C; leave what the drives give beyond tau0 and, in `rhs`, its jump."""
     coupled = 0.0 * load(state.rhs[0], lanes)
     for n in range(6):
         i = 5 - n  # motor 6 first: it acts on joint 5, too
@@ -194,8 +194,9 @@ def _velocity_loops(servos: Record, gear: Array, velocity: Array, state: Any, la
             coupled = torque
         if i == 4:
             torque = torque + coupled
-        store(state.rhs[i], torque - load(state.drive_torque[i], lanes))
-        store(state.drive_torque[i], torque)
+        excess = torque - nominal[i]
+        store(state.rhs[i], excess - load(state.excess[i], lanes))
+        store(state.excess[i], excess)
 
 
 @inlined
@@ -219,7 +220,7 @@ def _product(matrix: Array, i: int, vectors: Array, total: Lanes, sign: float, l
 
 @inlined
 def _predict(state: Any, lanes: int) -> None:
-    """Add what the jump of the drive torques, in `rhs`, does to the acceleration."""
+    """Add what the jump of the torques, in `rhs`, does to the acceleration."""
     inverse = state.coefficients[0]
     for i in range(6):
         store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
@@ -228,7 +229,7 @@ def _predict(state: Any, lanes: int) -> None:
 @inlined
 def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: float, lanes: int) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
-    velocity, torque, slip = tables.velocity[tick], tables.torque[tick], tables.slip[tick]
+    velocity, slip = tables.velocity[tick], tables.slip[tick]
     half = 0.5 * step
     for i in range(6):
         v, acceleration = load(state.v[i], lanes), load(state.acceleration[i], lanes)
@@ -236,7 +237,7 @@ def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: floa
         store(state.v_mid[i], v_mid)
         store(state.q_mid[i], load(state.q[i], lanes) + half * (v + 0.5 * half * acceleration))
         store(state.velocity[i], velocity[i] + v_mid)
-        store(state.rhs[i], load(state.drive_torque[i], lanes) - torque[i])
+        store(state.rhs[i], load(state.excess[i], lanes))
     store(state.velocity[6], load(state.velocity[4], lanes) + load(state.velocity[5], lanes))
     _add_friction(elements, state, step, lanes)
     for i in range(6):

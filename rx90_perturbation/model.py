@@ -116,12 +116,14 @@ class PerturbationModel:
         states, motion = groups.states, self.motion
         states["q"] = (self.initial_position - motion.position[0])[:, None]
         states["v"] = -motion.velocity[0][:, None]
+        states["excess"] = -self.tables.torque[0][:, None]  # the brakes held the arm until now
         rows = len(self.nominal_tip)
         series = Series(*(np.empty((runs, rows, columns)) for columns in (6, 7, 3)))
         run = run_few if lanes == FEW else run_many
         ratio = self.setup.rates.ratio
         run(self.plants, self.tables, self.spacing, ratio, *groups, series)
-        saturated = np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs]
+        # A lost run may have counted into NaN.
+        saturated = np.nan_to_num(np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs])
         lost = states["lost"].reshape(-1)[:runs]
         return PerturbationResult(self, *series, saturated.astype(np.int64), lost.astype(np.bool_))
 

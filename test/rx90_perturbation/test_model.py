@@ -134,21 +134,26 @@ def test_the_error_is_quadratic_in_the_deviation(shipped: Setup) -> None:
 
 
 def test_exact_feed_forward_without_friction_leaves_no_deviation(shipped: Setup) -> None:
-    """If tau0 is what the feed-forward block gives, the arm follows the nominal motion."""
+    """If the drives give tau0 in every step, and nothing else, the arm stays on the nominal motion."""
+    none = np.zeros(6)
     controller = dataclasses.replace(
-        shipped.controller, feed_forward=FeedForward(acceleration=True, coulomb=False, viscous=False)
+        shipped.controller,
+        kp=none,
+        kv=none,
+        ki=none,
+        feed_forward=FeedForward(acceleration=True, coulomb=False, viscous=False),
+        current_bandwidth=1e9,
+        current_slew=np.full(6, 1e12),
     )
-    setup = weightless(shipped, controller)
-    resting = prepare(setup, stay(), HOME, 0.1).run_one()
-    assert np.abs(resting.joint_deviation).max() < 1e-9  # an encoder count at joint 5 is 1.3e-10 rad
+    setup = dataclasses.replace(weightless(shipped, controller), rates=Rates(4000, 4000))
     moving = prepare(setup, there_and_back(), HOME, 0.6)
-    inertia = np.diag(controller.inertia)
-    inertia[4, 4] += controller.inertia[5]  # motor 6 turns with joints 5 and 6
-    inertia[4, 5] = inertia[5, 4] = controller.inertia[5]
-    given = moving.motion.acceleration @ inertia
-    ideal = dataclasses.replace(moving, tables=moving.tables._replace(torque=given))
-    # What is left: set-points held for 1 ms, and the lag of the current loop.
-    assert np.abs(ideal.run_one().joint_deviation).max() < 0.1 * np.abs(moving.run_one().joint_deviation).max()
+    acceleration = moving.tables.reference[:, 2] / setup.drives.gear  # of the motors, seen from the joints
+    torque = acceleration * controller.inertia
+    torque[:, 4] += torque[:, 5]  # motor 6 turns with joints 5 and 6
+    ideal = dataclasses.replace(moving, tables=moving.tables._replace(torque=torque))
+    assert np.abs(moving.run_one().joint_deviation).max() > 1e-3
+    # What is left: steps of constant acceleration do not quite end at the set-points.
+    assert np.abs(ideal.run_one().joint_deviation).max() < 2e-7
 
 
 def test_saturation_is_counted_as_in_the_full_simulation(shipped: Setup) -> None:
