@@ -23,6 +23,7 @@ _ROOMS = (
     "rx90_sim",
     "rx90_controller",
     "rx90_loop",
+    "rx90_perturbation",
     "rx90_exchange",
     "friction_bench",
 )

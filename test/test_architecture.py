@@ -46,7 +46,7 @@ MODELS = sorted(
     or name.startswith(("rx90_sim.plant", "rx90_controller.cs7b"))
 )
 """What computes: models, control laws and what they stand on."""
-WITHOUT_ROS = sorted({*MODELS, *(name for name in MODULES if name.startswith("rx90_loop"))})
+WITHOUT_ROS = sorted({*MODELS, *(name for name in MODULES if name.startswith(("rx90_loop", "rx90_perturbation")))})
 PURE = {"abc", "collections", "dataclasses", "enum", "functools", "itertools", "math", "operator", "pathlib", "typing"}
 LIBRARIES_OF_MODELS = PURE | {
     "__future__",
