@@ -177,7 +177,8 @@ def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, 
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)
-        return port, _ask, lambda: None
+        # With --load none or joint the person has said how the rig stands, and need not be there.
+        return port, _ask if options.load == "both" else lambda *_: None, lambda: None
     emulated = EmulatedRig(rig, options.seed)
     if not options.real_time:
         return VirtualPort(emulated), lambda loaded, _: emulated.plant.load(loaded), lambda: None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,18 @@ def test_interrupted_measurement_keeps_what_it_measured(
     assert "switched off" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.glob("*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
     assert read_joint_states(tmp_path / "bag", "friction_bench/joint_states").stamp_ns.size > 100
+
+
+def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
+    emulated = EmulatedRig(rig, 1)
+    monkeypatch.setattr(ramp_command, "SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main([*QUICK, "--port", "somewhere", "--load", "none", "--out", str(tmp_path / "a")]) == 0
+    assert main([*QUICK, "--port", "somewhere", "--out", str(tmp_path / "b")]) == 1
+    assert "nobody there to couple the joint" in capsys.readouterr().err
 
 
 def test_latched_fault_is_named_and_cleared_by_option(
