@@ -68,7 +68,7 @@ def _node(module: str, *parameters: str) -> Iterator[subprocess.Popen[str]]:
 
 def _ticks_per_second(simulated: float) -> float:
     """Return the ticks per second of wall time between the first and the last message on /clock."""
-    parameters = (f"duration:={simulated}", "real_time_factor:=0.0")
+    parameters = (f"duration:={simulated}", "real_time_factor:=0.0", "clock_rate:=10")
     with _node("rx90_controller.controller_node"), _node("rx90_sim.sim_node", *parameters) as simulation:
         stamps = _clock_until(lambda _now: simulation.poll() is not None)
     return _slope(stamps) * Rates().base_hz

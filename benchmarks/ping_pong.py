@@ -90,7 +90,8 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
         states, commands = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
         lockstep = LockstepSimulation(channel, lambda _text: None)
         values = np.linspace(-1.0, 1.0, 18).reshape(3, 6)
-        message = states.encode(0, *values)
+        encode = states.encoder(*values)
+        message = encode(0)
         tick = 0
 
         def ping() -> None:
@@ -101,7 +102,7 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
         def tick_once() -> None:
             nonlocal tick
             stamp = tick * PERIOD_NS
-            raw = lockstep.exchange(stamp, states.encode(stamp, *values), _never)
+            raw = lockstep.exchange(stamp, encode(stamp), _never)
             if raw is None or commands.decode(raw)[3] is None:
                 raise ExchangeError(f"lock-step: tick {tick} has no command")
             tick += 1
@@ -150,16 +151,16 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")
     commands, states = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
-    torques = np.zeros(6)
+    encode = commands.encoder(effort=np.zeros(6))
     bare = Channel(node, *_Bare()[::-1], TICK_QOS)
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
 
     def answer(stamp: int, raw: bytes) -> bytes:
         states.decode(raw)
-        return commands.encode(stamp, effort=torques)
+        return encode(stamp)
 
     controller = LockstepController(channel, lambda _text: None, answer, lambda _stamp, _raw: None, PERIOD_NS)
-    message = commands.encode(0, effort=torques)
+    message = encode(0)
 
     def pong() -> None:
         while not end.is_set():

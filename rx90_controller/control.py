@@ -50,8 +50,12 @@ class Control:
         self._cs7b = self._build(rates)
         self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
         self._states = JointStateCodec(MOTOR_NAMES)
-        self._commands = JointStateCodec(MOTOR_NAMES)
-        self._joints = JointStateCodec(self._cs7b.joint_names)
+        commands = JointStateCodec(MOTOR_NAMES)
+        self._encode_command = commands.encoder(effort=self._cs7b.command)
+        self._encode_no_command = commands.encoder()
+        joints = self._cs7b.joint_names
+        self._encode_reference = JointStateCodec(joints).encoder(*self._cs7b.reference())
+        self._encode_error = JointStateCodec(joints).encoder(*self._cs7b.tracking_error())
         self._reference = self.node.create_publisher(JointState, "~/reference", STATE_QOS)
         self._error = self.node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
         # Trajectories and switches come on the executor's thread, between ticks.
@@ -137,15 +141,17 @@ class Control:
             if not self._enabled:
                 # A command without torques closes the brakes.
                 cs7b.reset(position, stamp_ns // cs7b.rates.period_ns + 1)
-                return self._commands.encode(stamp_ns)
+                return self._encode_no_command(stamp_ns)
             slow = cs7b.on_position_tick
-            torques = cs7b.step(position, velocity)
+            cs7b.step(position, velocity)
             # What nobody listens to is not sent: a message costs the tick more than the law.
             if slow and self._reference.get_subscription_count():
-                self._reference.publish(self._joints.encode(stamp_ns, *cs7b.reference()))
+                cs7b.reference()
+                self._reference.publish(self._encode_reference(stamp_ns))
             if slow and self._error.get_subscription_count():
-                self._error.publish(self._joints.encode(stamp_ns, *cs7b.tracking_error()))
-            return self._commands.encode(stamp_ns, effort=torques)
+                cs7b.tracking_error()
+                self._error.publish(self._encode_error(stamp_ns))
+            return self._encode_command(stamp_ns)
 
     def _wait_for_subscribers(self) -> None:
         publishers = [self._reference, self._error, self._channel.publisher]

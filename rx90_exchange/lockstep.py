@@ -44,16 +44,16 @@ class _Wait:
 
     def __init__(self, announce: Callable[[str], None]) -> None:
         self._announce = announce
-        self._announced = False
+        self.announced = False
 
     def begin(self, text: str) -> None:
-        if not self._announced:
-            self._announced = True
+        if not self.announced:
+            self.announced = True
             self._announce(text)
 
     def end(self, text: str) -> None:
-        if self._announced:
-            self._announced = False
+        if self.announced:
+            self.announced = False
             self._announce(text)
 
 
@@ -204,7 +204,8 @@ class LockstepController:
             self._stamp, self._state = stamp, raw
         self._channel.publish(self._command)
         self._heard = time.monotonic()
-        self._wait.end(f"the simulation is there: {stamp / 1e9:.6g} s")
+        if self._wait.announced:
+            self._wait.end(f"the simulation is there: {stamp / 1e9:.6g} s")
 
     def _note_jump(self, stamp: int) -> None:
         if self._stamp is None:

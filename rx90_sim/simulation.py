@@ -49,7 +49,7 @@ class Simulation:
         )
         self._channel = Channel(self.node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
         self._lockstep = LockstepSimulation(self._channel, self._log.info)
-        self._states = JointStateCodec(MOTOR_NAMES)
+        self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*self._plant.motor_states())
         self._commands = JointStateCodec(MOTOR_NAMES)
         self._control = RunControl(self._parameters.paused, self._channel.wake, self._parameters.last_tick)
         lock_step = self._parameters.time_mode == LOCK_STEP
@@ -109,8 +109,7 @@ class Simulation:
         plant = self._plant
         self._publish_due()
         stamp = plant.tick * self._period_ns
-        state = self._states.encode(stamp, *plant.motor_states())
-        raw = self._lockstep.exchange(stamp, state, self._control.interrupting)
+        raw = self._lockstep.exchange(stamp, self._encode_states(stamp), self._control.interrupting)
         if raw is None:
             return False
         plant.step(self._torques(raw))
@@ -121,7 +120,7 @@ class Simulation:
         plant = self._plant
         self._pacer.wait()
         self._publish_due()
-        self._channel.publish(self._states.encode(plant.tick * self._period_ns, *plant.motor_states()))
+        self._channel.publish(self._encode_states(plant.tick * self._period_ns))
         plant.step(self._held.take())
         return True
 

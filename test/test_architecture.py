@@ -45,6 +45,7 @@ WITHOUT_ROS = sorted({*MODELS, *(name for name in MODULES if name.startswith("rx
 PURE = {"abc", "collections", "dataclasses", "enum", "functools", "itertools", "math", "operator", "pathlib", "typing"}
 LIBRARIES_OF_MODELS = PURE | {
     "__future__",
+    "ctypes",
     "hashlib",
     "importlib",
     "llvmlite",
