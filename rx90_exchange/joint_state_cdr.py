@@ -156,8 +156,8 @@ class JointStateCodec:
         message = layout.outgoing[MARGIN:]
         outgoing_at, shape_at = layout.outgoing_at, layout.shape_at
 
-        # The arrays are a default, so that they live as long as their addresses are used.
-        def encode(stamp_ns: int, _kept: object = arrays) -> bytes:
+        # A default, so that what the addresses belong to lives as long as they are used, also without this codec.
+        def encode(stamp_ns: int, _kept: object = (arrays, layout)) -> bytes:
             if not 0 <= stamp_ns <= _MAX_STAMP_NS:
                 raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
             write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)

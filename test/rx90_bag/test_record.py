@@ -252,7 +252,7 @@ def test_signal_while_starting(tmp_path: Path, start: Start, storage: str, momen
         (["-o", "taken"], "taken exists already, not overwriting"),
         (["-o", "new", "joint states"], "topic 'joint states': no name that ROS accepts"),
         (["-o", "new", "a", "/a"], "topic /a stands twice; accepted: each topic once"),
-        (["-o", "new", "a", "--ros-args", "nonsense"], "--ros-args nonsense: refused by ROS"),
+        (["-o", "new", "a", "--ros-args", "nonsense"], "ROS arguments --ros-args nonsense: refused"),
         (["-o", "taken/notes.txt/bag"], "taken/notes.txt/bag: cannot be written (Not a directory)"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import struct
 
 import numpy as np
@@ -192,3 +193,23 @@ def test_names_must_be_given_once_each(names):
     """A codec of no, empty or repeated names is refused."""
     with pytest.raises(ExchangeError):
         JointStateCodec(names)
+
+
+def test_an_encoder_outlives_its_codec_and_its_arrays() -> None:
+    """An encoder keeps what it reads from: neither the codec nor the arrays need another owner."""
+    encoders = [JointStateCodec(MOTORS).encoder(effort=np.full(6, float(n))) for n in range(50)]
+    gc.collect()
+    rubbish = [np.full(6, -1.0) for _ in range(1000)] + [np.full(5, -1) for _ in range(1000)]
+    reader = JointStateCodec(MOTORS)
+    for n, encode in enumerate(encoders):
+        stamp, _, _, effort = reader.decode(encode(n))
+        assert (stamp, effort.tolist()) == (n, [float(n)] * 6)
+    assert len(rubbish) == 2000
+
+
+def test_an_encoder_sends_what_the_arrays_hold_now() -> None:
+    """An encoder reads its arrays when it is called."""
+    effort = np.zeros(6)
+    encode = JointStateCodec(MOTORS).encoder(effort=effort)
+    effort[:] = 3.0
+    assert JointStateCodec(MOTORS).decode(encode(0))[3].tolist() == [3.0] * 6
