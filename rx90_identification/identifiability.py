@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from rx90_identification import stribeck
 from rx90_identification.estimate import SLIDING, ElementEstimate, Estimate, Source
+from rx90_identification.sliding_rows import SlidingRows
 from rx90_identification.sliding_solver import Solution
 
 Array = NDArray[np.float64]
@@ -33,6 +34,7 @@ def without_stribeck(solution: Solution, free: Mask) -> Mask:
 
 
 def element_estimate(
+    rows: SlidingRows,
     solution: Solution,
     free: Mask,
     names: Sequence[str],
@@ -43,6 +45,7 @@ def element_estimate(
     """Return the estimates of one element.
 
     Args:
+        rows: the equations.
         solution: of the fit.
         free: what was fitted, shape (n_el, 7).
         names: of all elements.
@@ -55,11 +58,11 @@ def element_estimate(
         return ElementEstimate(names[element], unknown, np.full((len(SLIDING),) * 2, np.nan), sources)
     values = stribeck.natural(solution.parameters[element])
     transform = stribeck.natural_jacobian(solution.parameters[element])
-    covariance = transform @ _block(solution, element) @ transform.T * _few(solution, free, element) ** 2
+    covariance = transform @ _block(solution, element) @ transform.T * _few(rows, free, element) ** 2
     deviations = np.sqrt(np.diag(covariance))
     estimates = {}
     for k, name in enumerate(SLIDING):
-        reason = _reason(solution, free, names, element, name, values[name], deviations[k])
+        reason = _reason(rows, solution, free, names, element, name, values[name], deviations[k])
         estimates[name] = Estimate.unknown(reason) if reason else Estimate(values[name], float(deviations[k]))
     known = np.array([estimates[name].identifiable for name in SLIDING])
     scale = np.where(known & (deviations > 0.0), deviations, np.nan)
@@ -71,19 +74,26 @@ def _block(solution: Solution, element: int) -> Array:
     return solution.covariance[rows, rows]
 
 
-def _few(solution: Solution, free: Mask, element: int) -> float:
+def _few(rows: SlidingRows, free: Mask, element: int) -> float:
     """Return by how much Student's interval is wider than the normal one: a plateau is one observation."""
-    plateaus = len(np.unique(solution.rows.plateau[solution.rows.gain[:, element] != 0.0]))
+    plateaus = len(np.unique(rows.plateau[rows.gain[:, element] != 0.0]))
     freedom = max(1, plateaus - int(free[element].sum()))
     return float(student.ppf(0.975, freedom) / 1.959964)
 
 
 def _reason(
-    solution: Solution, free: Mask, names: Sequence[str], element: int, name: str, value: float, deviation: float
+    rows: SlidingRows,
+    solution: Solution,
+    free: Mask,
+    names: Sequence[str],
+    element: int,
+    name: str,
+    value: float,
+    deviation: float,
 ) -> str:
     """Return why the data do not tell a parameter; empty if they do."""
     if name in _STRIBECK and not free[element, stribeck.SHAPE].any():
-        speed = np.abs(solution.rows.velocity[solution.rows.gain[:, element] != 0.0, element])
+        speed = np.abs(rows.velocity[rows.gain[:, element] != 0.0, element])
         return f"no Stribeck effect shows at speeds from {speed.min():.3g} to {speed.max():.3g} rad/s"
     partner = _partner(solution, free, names, element, name)
     if deviation > _LARGEST * abs(value):

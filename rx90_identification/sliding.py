@@ -102,7 +102,7 @@ def identify_sliding(
         solution = solve(rows, free)
     sources = tuple(Source.of(record) for record in records)
     estimates = tuple(
-        element_estimate(solution, free, arm.element_names, e, sources, lacking.get(name))
+        element_estimate(rows, solution, free, arm.element_names, e, sources, lacking.get(name))
         for e, name in enumerate(arm.element_names)
     )
     curves = tuple(_curve(rows, solution, e) for e in range(len(arm.element_names)))

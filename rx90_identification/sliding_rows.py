@@ -9,7 +9,7 @@ of the two torques.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ class SlidingRows:
     Attributes:
         value: shape (r,).
         gain: of the elements' torques, 1/Nm, shape (r, n_el).
-        velocity: of the elements, rad/s, shape (r, n_el).
+        velocity: of the elements, mean of the plateau, rad/s, shape (r, n_el).
         nuisance: by k directions of the inertial parameters that show in the data; each is known to be 0 with
             a deviation of 1, shape (r, k).
         directions: these directions, in SI units, shape (10 n, k).
@@ -51,13 +51,6 @@ class SlidingRows:
     def __len__(self) -> int:
         return len(self.value)
 
-    def scaled(self, factor: Array) -> SlidingRows:
-        """Return the equations multiplied by `factor`, shape (r,)."""
-        column = factor[:, None]
-        return replace(
-            self, value=self.value * factor, gain=self.gain * column, nuisance=self.nuisance * column
-        )
-
     def clusters(self) -> NDArray[np.int64]:
         """Return a number for each pair of plateau and group, shape (r,)."""
         pairs = np.column_stack([self.plateau, self.group])
@@ -70,6 +63,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     friction = blocks.torque - arm.torque(*motion)
     regressor = arm.regressor(*motion) * arm.inertial_scale()
     elements = arm.element_matrix
+    velocity = _plateau_means(blocks.velocity @ elements.T, blocks.plateau)
     # The floor keeps the scaling finite for data without noise.
     floor = (1e-6 * np.abs(blocks.torque).max(axis=0)) ** 2 + 1e-18
     noise = blocks.noise + np.diag(floor)
@@ -89,7 +83,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
             SlidingRows(
                 value=(weight[:, None] * (friction[rows] @ white.T)).ravel(),
                 gain=(weight[:, None, None] * gain).reshape(height * width, -1),
-                velocity=np.repeat(blocks.velocity[rows] @ elements.T, width, axis=0),
+                velocity=np.repeat(velocity[rows], width, axis=0),
                 nuisance=(weight[:, None, None] * (white @ regressor[rows])).reshape(height * width, -1),
                 directions=np.zeros((0, 0)),
                 group=np.tile(np.abs(combination).argmax(axis=0), height),
@@ -102,6 +96,13 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     joined["nuisance"] = joined["nuisance"] @ directions
     joined["directions"] = arm.inertial_scale()[:, None] * directions
     return SlidingRows(**joined)
+
+
+def _plateau_means(values: Array, plateau: NDArray[np.int64]) -> Array:
+    count = np.bincount(plateau)
+    total = np.zeros((len(count), values.shape[1]))
+    np.add.at(total, plateau, values)
+    return np.asarray((total / np.maximum(count, 1)[:, None])[plateau])
 
 
 def _without(stuck: Array) -> Array:
