@@ -42,14 +42,12 @@ class Estimate:
         deviation: standard deviation, in the unit of the value; 0 for a value that was given, not estimated.
         identifiable: whether the data tell the value.
         reason: why they do not; empty if they do.
-        interval: confidence interval at 95 %; value -+ 1.96 deviation unless a better one is known.
     """
 
     value: float
     deviation: float
     identifiable: bool = True
     reason: str = ""
-    interval: tuple[float, float] | None = None
 
     @classmethod
     def unknown(cls, reason: str) -> Estimate:
@@ -59,7 +57,7 @@ class Estimate:
     @property
     def bounds(self) -> tuple[float, float]:
         """Return the confidence interval at 95 %."""
-        return self.interval or (self.value - 1.96 * self.deviation, self.value + 1.96 * self.deviation)
+        return self.value - 1.96 * self.deviation, self.value + 1.96 * self.deviation
 
 
 @dataclass(frozen=True, eq=False)
