@@ -52,7 +52,8 @@ class PlanOptions:
         groups: which joints, by name of the direction; all of them if empty.
         presliding_cycles: amplitudes of the slow presliding cycles, rad.
         tones: frequencies of the micro-oscillation, Hz.
-        tone_amplitude: of the micro-oscillation, rad, summed over its tones.
+        tone_amplitudes: of the micro-oscillations that follow the cycles, rad, summed over the tones. Several, because
+            the controller's own Coulomb compensation may break a joint away where another one only bends its bristles.
         burst: how long the micro-oscillation lasts, s.
     """
 
@@ -63,9 +64,9 @@ class PlanOptions:
     home: tuple[float, ...] = HOME
     poses: tuple[tuple[float, ...], ...] = POSES
     groups: tuple[str, ...] = ()
-    presliding_cycles: tuple[float, ...] = (4e-3, 2e-3, 1e-3)
+    presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3)
     tones: tuple[float, ...] = (3.0, 8.0, 14.0, 22.0)
-    tone_amplitude: float = 1.2e-4
+    tone_amplitudes: tuple[float, ...] = (1.2e-4, 4e-5, 2e-5, 1e-5)
     burst: float = 4.0
 
     def __post_init__(self) -> None:
@@ -77,6 +78,11 @@ class PlanOptions:
             raise IdentificationError(f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns")
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
+        if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
+            raise IdentificationError(
+                f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
+                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, one tone or more"
+            )
         if not self.poses:
             raise IdentificationError("no pose; accepted: one or more")
 
@@ -196,11 +202,11 @@ def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -
     count = 0
     # Sliding first: the bristles then have forgotten what was before.
     motion.sweep(direction.vector, 0.05, 0.6, options.acceleration)
-    for amplitude in options.presliding_cycles:
+    for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
         # Each one fades out, which leaves the bristles near zero. At rest under load they would creep: they feel
         # vibrations that are below the resolution of the encoders.
-        motion.oscillate(direction.vector, [amplitude], [1.0], 3.0)
-        amplitudes = [options.tone_amplitude / len(options.tones)] * len(options.tones)
+        motion.oscillate(direction.vector, [amplitude], [1.0], 2.0)
+        amplitudes = [tone_amplitude / len(options.tones)] * len(options.tones)
         motion.oscillate(direction.vector, amplitudes, options.tones, options.burst)
         count += 2
     motion.rest(0.2)
