@@ -62,9 +62,7 @@ class SlidingFit:
     plateaus: int
 
 
-def identify_sliding(
-    records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()
-) -> SlidingFit:
+def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
 
     An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
