@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,11 +104,7 @@ def plateau_ranges(record: JointRecord) -> list[tuple[int, int]]:
     _number_plateaus(velocity, tolerance, gap, _RELATIVE, number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first and the last bin may hold a part of the change of velocity.
-    return [
-        (int(start + 1) * size, int(stop - 1) * size)
-        for start, stop in zip(edges[:-1], edges[1:], strict=True)
-        if stop - start > 3
-    ]
+    return [(int(start + 1) * size, int(stop - 1) * size) for start, stop in pairwise(edges) if stop - start > 3]
 
 
 @kernel

@@ -145,11 +145,10 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns)
         position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
-    columns = [np.ascontiguousarray(values) for values in (position, velocity, effort)]
     if rate is not None:
-        time, columns = _thinned(time, columns, rate)
+        time, position, velocity, effort = _thinned(time, position, velocity, effort, rate)
     outliers = len(series.stamp_ns) - len(kept)
-    return JointRecord(layout.names, time, *columns, path, digest(path), missing, outliers)
+    return JointRecord(layout.names, time, position, velocity, effort, path, digest(path), missing, outliers)
 
 
 def digest(path: Path | str) -> str:
@@ -218,16 +217,20 @@ def _velocity(time: Array, position: Array) -> Array:
     period = float(np.median(np.diff(time)))
     even = np.arange(time[0], time[-1] + period / 2.0, period)
     smooth = np.column_stack([np.interp(even, time, column) for column in position.T])
-    if _BANDWIDTH < 0.4 / period and len(even) > 30:
+    if 0.4 / period > _BANDWIDTH and len(even) > 30:
         smooth = sosfiltfilt(butter(2, _BANDWIDTH, fs=1.0 / period, output="sos"), smooth, axis=0)
     slope = np.gradient(smooth, period, axis=0)
     return np.column_stack([np.interp(time, even, column) for column in slope.T])
 
 
-def _thinned(time: Array, columns: list[Array], rate: float) -> tuple[Array, list[Array]]:
-    size = int((len(time) - 1) / (time[-1] - time[0]) / rate + 0.5) if len(time) > 1 else 1
+def _thinned(time: Array, position: Array, velocity: Array, effort: Array, rate: float) -> tuple[Array, ...]:
+    """Return means over as many samples as leave about `rate`, Hz."""
+    size = round((len(time) - 1) / (time[-1] - time[0]) / rate) if len(time) > 1 else 1
     if size <= 1:
-        return time, columns
+        return time, position, velocity, effort
     count = len(time) // size
-    means = [values[: count * size].reshape(count, size, -1).mean(axis=1) for values in columns]
-    return time[: count * size].reshape(count, size).mean(axis=1), means
+
+    def mean(values: Array) -> Array:
+        return np.asarray(values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1))
+
+    return mean(time), mean(position), mean(velocity), mean(effort)

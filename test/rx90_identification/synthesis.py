@@ -79,7 +79,7 @@ def motions(setup: Setup, joints: Sequence[int], count: int = 16, poses: int = 2
 
 
 def measured(
-    setup: Setup, q: Array, v: Array, torque: Array, noise: float, rng: np.random.Generator, counts: float = 65536.0
+    setup: Setup, q: Array, torque: Array, noise: float, rng: np.random.Generator, counts: float = 65536.0
 ) -> JointRecord:
     """Return what encoders and current sensors make of it; `noise` in parts of the motors' steady torque."""
     gear = setup.drives.gear
