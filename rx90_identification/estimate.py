@@ -82,4 +82,6 @@ class ElementEstimate:
             raise IdentificationError(f"{self.element}: parameter {unknown[0]!r}; accepted: {', '.join(PARAMETERS)}")
         shape = (len(self.parameters), len(self.parameters))
         if self.correlation.shape != shape:
-            raise IdentificationError(f"{self.element}: correlation of shape {self.correlation.shape}; accepted: {shape}")
+            raise IdentificationError(
+                f"{self.element}: correlation of shape {self.correlation.shape}; accepted: {shape}"
+            )

@@ -25,7 +25,7 @@ _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 def without_stribeck(solution: Solution, free: Mask) -> Mask:
     """Return the elements whose data show no Stribeck effect: no significant rise, or one outside the speeds."""
     flat = np.zeros(len(free), dtype=np.bool_)
-    for e in np.flatnonzero(free.all(axis=1)):
+    for e in np.flatnonzero(free.all(axis=1)).tolist():
         rise = solution.parameters[e, stribeck.RISE]
         deviation = np.sqrt(np.diag(_block(solution, e)))[stribeck.RISE]
         # At a bound the deviation means nothing; a rise of 0 is on it.

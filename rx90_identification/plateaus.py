@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is as good as linear 
 _SHORTEST_BLOCK = 8  # samples
 _OUTLIER = 5.0  # standard deviations from a block's median
 
-SETTLE_DISTANCE = 5e-3
-"""Travel after which a bristle has its steady deflection, rad: ten times what joints of this class take."""
+SETTLE_DISTANCE = 3e-3
+"""Travel after which a bristle has its steady deflection, rad: six times g or more for joints of this class."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +104,7 @@ def plateau_ranges(record: JointRecord) -> list[tuple[int, int]]:
     _number_plateaus(velocity, tolerance, gap, _RELATIVE, number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first and the last bin may hold a part of the change of velocity.
-    return [
-        (int(start + 1) * size, int(stop - 1) * size)
-        for start, stop in zip(edges[:-1], edges[1:], strict=True)
-        if stop - start > 3
-    ]
+    return [(int(start + 1) * size, int(stop - 1) * size) for start, stop in pairwise(edges) if stop - start > 3]
 
 
 @kernel

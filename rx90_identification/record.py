@@ -25,6 +25,8 @@ class JointRecord:
         torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
         source: the bag.
         sha256: digest of the bag.
+        missing: messages that a steady stream would have had besides.
+        outliers: messages left out because of a NaN, a spike or a repeated stamp.
 
     Raises:
         IdentificationError: if a shape does not fit, a number is not finite, or time does not increase.
@@ -37,6 +39,8 @@ class JointRecord:
     torque: Array
     source: Path
     sha256: str
+    missing: int = 0
+    outliers: int = 0
 
     def __post_init__(self) -> None:
         shape = (len(self.time), len(self.names))

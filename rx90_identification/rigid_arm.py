@@ -145,11 +145,15 @@ def _model(urdf: Path, joints: Sequence[str] | None) -> Any:
             raise IdentificationError(f"{urdf}: no movable joint {name!r}; there are {', '.join(there) or 'none'}")
     in_order = [name for name in there if name in wanted]
     if wanted != in_order:
-        raise IdentificationError(f"{urdf}: joints {', '.join(wanted)}; accepted: from base to tip, {', '.join(in_order)}")
+        raise IdentificationError(
+            f"{urdf}: joints {', '.join(wanted)}; accepted: from base to tip, {', '.join(in_order)}"
+        )
     held = [model.getJointId(name) for name in there if name not in wanted]
     reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
     if reduced.nv != len(wanted) or not wanted:
-        raise IdentificationError(f"{urdf}: {reduced.nv} degrees of freedom in {len(wanted)} joints; accepted: one each")
+        raise IdentificationError(
+            f"{urdf}: {reduced.nv} degrees of freedom in {len(wanted)} joints; accepted: one each"
+        )
     return reduced
 
 

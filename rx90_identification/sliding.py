@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
+_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
 
@@ -62,9 +63,7 @@ class SlidingFit:
     plateaus: int
 
 
-def identify_sliding(
-    records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()
-) -> SlidingFit:
+def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
 
     An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
@@ -91,14 +90,14 @@ def identify_sliding(
     blocks, lacking = _enough(blocks, arm)
     for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:
         if name in lacking:
-            sources = ", ".join(str(record.source) for record in records)
-            raise IdentificationError(f"{sources}: {name} {lacking[name]}")
+            where = ", ".join(str(record.source) for record in records)
+            raise IdentificationError(f"{where}: {name} {lacking[name]}")
     rows = sliding_rows(blocks, arm)
     free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
     solution = solve(rows, free)
     flat = without_stribeck(solution, free)
     if flat.any():
-        free[np.ix_(flat, [2, 3, 5, 6])] = False
+        free[np.ix_(flat, _SHAPED)] = False
         solution = solve(rows, free)
     sources = tuple(Source.of(record) for record in records)
     estimates = tuple(

@@ -59,7 +59,9 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
     for _ in range(_ROUNDS):
         friction = fit.torques(parameters)
         residual = rows.value - design @ friction - rows.nuisance @ form.nuisance(friction)
-        weights = Weights.of(rows, residual, int(free.sum()) + rows.nuisance.shape[1])
+        slope = weights.means(design @ fit.slope(parameters))
+        leverage = _leverage(slope, weights.means(rows.nuisance))
+        weights = Weights.of(rows, residual, leverage)
         form = NormalForm.of(rows, design, weights)
         parameters = fit.run(form, parameters)
     covariance = fit.covariance(form, parameters)
@@ -74,6 +76,16 @@ def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:
     for e, values in enumerate(parameters):
         total = total + rows.gain[:, e] * stribeck.torque(rows.velocity[:, e], values)
     return np.asarray(total)
+
+
+def _leverage(slope: Array, nuisance: Array) -> Array:
+    """Return the diagonal of the hat matrix of all parameters, nuisance with its prior, shape (c,)."""
+    count = nuisance.shape[1]
+    prior = np.hstack([np.zeros((count, slope.shape[1])), np.eye(count)])
+    matrix = np.vstack([np.hstack([slope, nuisance]), prior])
+    size = np.linalg.norm(matrix, axis=0)
+    left, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(np.sum(left[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))
 
 
 class _Fit:
@@ -92,6 +104,15 @@ class _Fit:
         for columns, values in zip(self._columns, parameters, strict=True):
             result[columns] = stribeck.torque(self._velocity[columns], values)
         return result
+
+    def slope(self, parameters: Array) -> Array:
+        """Return the derivatives of the friction torques by the free parameters, shape (c, p)."""
+        parts = []
+        for columns, values, free in zip(self._columns, parameters, self._free, strict=True):
+            part = np.zeros((len(self._velocity), int(free.sum())))
+            part[columns] = stribeck.jacobian(self._velocity[columns], values)[:, free]
+            parts.append(part)
+        return np.hstack(parts)
 
     def from_many_starts(self, form: NormalForm) -> Array:
         """Return the best of the solutions from several starts."""
@@ -150,11 +171,7 @@ class _Fit:
 
     def _jacobian(self, form: NormalForm, parameters: Array) -> Array:
         """Return the derivatives of root @ f by the free parameters."""
-        parts = []
-        for columns, values, free in zip(self._columns, parameters, self._free, strict=True):
-            slope = stribeck.jacobian(self._velocity[columns], values)[:, free]
-            parts.append(form.root[:, columns] @ slope)
-        return np.hstack(parts)
+        return np.asarray(form.root @ self.slope(parameters))
 
     def _bounds(self) -> tuple[Array, Array]:
         lower = np.full(self._free.shape, -np.inf)

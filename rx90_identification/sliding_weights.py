@@ -13,7 +13,7 @@ from rx90_identification.sliding_rows import SlidingRows
 Array = NDArray[np.float64]
 
 _HUBER = 3.0  # deviations from which a residual counts linearly
-_LEAST_LEFT = 0.1  # of the plateaus' variance, however many parameters they carry
+_LEAST_LEFT = 0.05  # of a plateau's variance, however much the fit follows it
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,27 +41,41 @@ class Weights:
         return cls(cluster, np.zeros(cluster.max() + 1), np.ones(len(rows)))
 
     @classmethod
-    def of(cls, rows: SlidingRows, residual: Array, fitted: int) -> Weights:
-        """Return the weights that the residuals of a fit with `fitted` parameters call for."""
+    def of(cls, rows: SlidingRows, residual: Array, leverage: Array) -> Weights:
+        """Return the weights that the residuals of a fit call for.
+
+        Args:
+            rows: the equations.
+            residual: shape (r,).
+            leverage: share of each cluster's mean that the fit follows, shape (c,).
+        """
         cluster = rows.clusters()
         count = np.bincount(cluster)
         mean = np.bincount(cluster, residual) / count
         inner = residual - mean[cluster]
         group = rows.group[np.unique(cluster, return_index=True)[1]]
         share, factor = np.zeros(len(count)), np.ones(len(rows))
-        # The plateaus' means have lost the share that the fit explains.
-        left = max(_LEAST_LEFT, 1.0 - fitted / len(count))
         for g in np.unique(group):
             inside, mine = rows.group == g, group == g
             blocks = float(np.sum(count[mine]))
             # A block's distance from the mean of its plateau is a little less than from the truth.
             noise = _spread(inner[inside]) * np.sqrt(blocks / max(1.0, blocks - float(np.sum(mine))))
             noise = max(noise, 1e-9)
-            common = (np.sum(count[mine] * mean[mine] ** 2) / left - np.sum(mine) * noise**2) / blocks
-            share[mine] = 1.0 - noise / np.sqrt(noise**2 + count[mine] * max(0.0, common))
+            # The mean square of what the fit has left of the means is (1 - leverage) (s^2 / m + t^2).
+            left = np.maximum(_LEAST_LEFT, 1.0 - leverage[mine])
+            excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
+            common = max(0.0, float(excess / np.sum(count[mine] * left)))
+            share[mine] = 1.0 - noise / np.sqrt(noise**2 + count[mine] * common)
             size = np.abs(inner[inside]) / noise
             factor[inside] = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-12))) / noise
         return cls(cluster, share, factor)
+
+    def means(self, values: Array | csr_array) -> Array:
+        """Return the clusters' means of columns, scaled to unit noise, shape (c, k)."""
+        rows = len(self.cluster)
+        count = np.bincount(self.cluster)
+        members = csr_array((self.factor, (self.cluster, np.arange(rows))), shape=(len(count), rows))
+        return np.asarray(((1.0 - self.share) / np.sqrt(count))[:, None] * (members @ values))
 
     def operator(self) -> csr_array:
         """Return the matrix that turns the equations into ones of unit noise, shape (r, r)."""
