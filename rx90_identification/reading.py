@@ -26,7 +26,7 @@ from rx90_loop.setup import Setup
 Array = NDArray[np.float64]
 
 _NEIGHBOURS = 5  # samples whose median a sample is compared with
-_OUTLIER = 8.0  # standard deviations from it
+_OUTLIER = 4.0  # times what 99 % of the samples keep from it
 _SPIKE = 0.02  # and this part of the signal's range
 _BANDWIDTH = 40.0  # Hz of the velocity made from positions
 _FEW_VALUES = 1000  # different velocities, below which they are taken as quantised
@@ -199,9 +199,9 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
 def _spikes(values: Array) -> NDArray[np.bool_]:
     """Return the rows in which a joint stands out from its neighbours."""
     distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
-    spread = 1.4826 * np.median(distance, axis=0)
+    usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
-    return np.asarray((distance > _OUTLIER * spread + _SPIKE * (high - low) + 1e-9).any(axis=1))
+    return np.asarray((distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9).any(axis=1))
 
 
 def _missing(time: Array) -> int:
