@@ -25,8 +25,8 @@ _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is as good as linear 
 _SHORTEST_BLOCK = 8  # samples
 _OUTLIER = 5.0  # standard deviations from a block's median
 
-SETTLE_DISTANCE = 3e-3
-"""Travel after which a bristle has its steady deflection, rad: six times g or more for joints of this class."""
+SETTLE_DISTANCE = 5e-3
+"""Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
 
 
 @dataclass(frozen=True, eq=False)

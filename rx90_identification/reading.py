@@ -26,8 +26,9 @@ from rx90_loop.setup import Setup
 Array = NDArray[np.float64]
 
 _NEIGHBOURS = 5  # samples whose median a sample is compared with
-_OUTLIER = 8.0  # standard deviations from it
+_OUTLIER = 4.0  # times what 99 % of the samples keep from it
 _SPIKE = 0.02  # and this part of the signal's range
+_ALONE = 0.25  # share of its distance that its neighbours keep
 _BANDWIDTH = 40.0  # Hz of the velocity made from positions
 _FEW_VALUES = 1000  # different velocities, below which they are taken as quantised
 _STORAGE = (".mcap", ".db3", ".bag")
@@ -132,7 +133,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     position, effort = _wanted(path, series, "position"), _wanted(path, series, "effort")
     kept = _good_rows(path, series, position, effort)
     time = series.stamp_ns[kept] / 1e9
-    missing = _missing(time)
+    missing = _missing(series.time)
     velocity = None if series.velocity is None else series.velocity[kept]
     position, effort = position[kept], effort[kept]
     if layout.torque_constant is not None:
@@ -189,25 +190,26 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
     rows = np.flatnonzero(good)
     if len(rows) == 0:
         raise IdentificationError(f"{path}: {series.topic} carries no message with finite numbers alone")
-    spiked = np.zeros(len(rows), dtype=np.bool_)
-    for values in (position, effort, series.velocity):
-        if values is not None:
-            spiked |= _spikes(values[rows])
-    return np.asarray(rows[~spiked])
+    return np.asarray(rows[~(_spikes(position[rows]) | _spikes(effort[rows]))])
 
 
 def _spikes(values: Array) -> NDArray[np.bool_]:
-    """Return the rows in which a joint stands out from its neighbours."""
+    """Return the rows in which a joint stands out from its neighbours, and these do not.
+
+    The start of a motion stands out, too, but not for a single sample.
+    """
     distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
-    spread = 1.4826 * np.median(distance, axis=0)
+    usual = np.percentile(distance, 99.0, axis=0)
     low, high = np.percentile(values, (1.0, 99.0), axis=0)
-    return np.asarray((distance > _OUTLIER * spread + _SPIKE * (high - low) + 1e-9).any(axis=1))
+    far = distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9
+    beside = np.pad(distance, ((1, 1), (0, 0)))
+    return np.asarray((far & (_ALONE * distance > beside[:-2]) & (_ALONE * distance > beside[2:])).any(axis=1))
 
 
 def _missing(time: Array) -> int:
     """Return how many messages a steady stream would have had besides."""
     steps = np.diff(time)
-    return int(np.sum(np.rint(steps / np.median(steps)) - 1.0)) if len(steps) else 0
+    return int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1.0, 0.0))) if len(steps) else 0
 
 
 def _velocity(time: Array, position: Array) -> Array:

@@ -152,7 +152,7 @@ def _curve(rows: SlidingRows, solution: Solution, element: int) -> CurvePoints:
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
-        deviation=1.0 / np.sqrt(power),
+        deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
         source=source,
     )
