@@ -137,9 +137,7 @@ def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[
         elif not deviation < _UNTOLD:
             parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
         else:
-            spread = float(np.exp(1.96 * deviation))
-            bounds = (float(value / spread), float(value * spread))
-            parameters[key] = Estimate(float(value), float(value * deviation), interval=bounds)
+            parameters[key] = Estimate(float(value), float(value * deviation))
     known = np.array([parameters[key].identifiable for key in PRESLIDING])
     scale = np.where(known & (relative > 0.0), relative, np.nan)
     sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
