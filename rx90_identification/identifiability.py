@@ -58,7 +58,7 @@ def element_estimate(
         return ElementEstimate(names[element], unknown, np.full((len(SLIDING),) * 2, np.nan), sources)
     values = stribeck.natural(solution.parameters[element])
     transform = stribeck.natural_jacobian(solution.parameters[element])
-    covariance = transform @ _block(solution, element) @ transform.T * _few(rows, free, element) ** 2
+    covariance = transform @ _block(solution, element) @ transform.T * _few(rows, solution, free, element) ** 2
     deviations = np.sqrt(np.diag(covariance))
     estimates = {}
     for k, name in enumerate(SLIDING):
@@ -74,11 +74,18 @@ def _block(solution: Solution, element: int) -> Array:
     return solution.covariance[rows, rows]
 
 
-def _few(rows: SlidingRows, free: Mask, element: int) -> float:
-    """Return by how much Student's interval is wider than the normal one: a plateau is one observation."""
-    plateaus = len(np.unique(rows.plateau[rows.gain[:, element] != 0.0]))
-    freedom = max(1, plateaus - int(free[element].sum()))
-    return float(student.ppf(0.975, freedom) / 1.959964)
+def _few(rows: SlidingRows, solution: Solution, free: Mask, element: int) -> float:
+    """Return by how much Student's interval is wider than the normal one.
+
+    A plateau is one observation as far as its blocks err together, else each block is one (Satterthwaite).
+    """
+    mine = rows.gain[:, element] != 0.0
+    common = float(solution.common[mine].mean())
+    fitted = int(free[element].sum())
+    plateaus = max(1, len(np.unique(rows.plateau[mine])) - fitted)
+    blocks = max(1, int(mine.sum()) - fitted)
+    freedom = 1.0 / (common**2 / plateaus + (1.0 - common) ** 2 / blocks)
+    return float(student.ppf(0.975, freedom) / student.ppf(0.975, np.inf))
 
 
 def _reason(

@@ -34,6 +34,8 @@ class SlidingRows:
         nuisance: by k directions of the inertial parameters that show in the data; each is known to be 0 with
             a deviation of 1, shape (r, k).
         directions: these directions, in SI units, shape (10 n, k).
+        scale: by which the equation in Nm was multiplied, but for the joint's noise, shape (r,): blocks of many
+            samples count more.
         group: joint whose noise the row has, shape (r,).
         plateau: shape (r,).
         source: number of the record, shape (r,).
@@ -44,6 +46,7 @@ class SlidingRows:
     velocity: Array
     nuisance: Array
     directions: Array
+    scale: Array
     group: NDArray[np.int64]
     plateau: NDArray[np.int64]
     source: NDArray[np.int64]
@@ -86,6 +89,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
                 velocity=np.repeat(velocity[rows], width, axis=0),
                 nuisance=(weight[:, None, None] * (white @ regressor[rows])).reshape(height * width, -1),
                 directions=np.zeros((0, 0)),
+                scale=np.repeat(weight, width),
                 group=np.tile(np.abs(combination).argmax(axis=0), height),
                 plateau=np.repeat(blocks.plateau[rows], width),
                 source=np.repeat(blocks.source[rows], width),

@@ -34,6 +34,7 @@ class Solution:
         covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
         at_bound: parameters that lie on a bound, shape (n_el, 7).
         noise: standard deviation of each row relative to what its scale says, shape (r,).
+        common: share of the variance of a plateau's mean that the whole plateau has in common, shape (r,).
     """
 
     parameters: Array
@@ -41,6 +42,7 @@ class Solution:
     covariance: Array
     at_bound: Mask
     noise: Array
+    common: Array
 
 
 def solve(rows: SlidingRows, free: Mask) -> Solution:
@@ -67,7 +69,8 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
     covariance = fit.covariance(form, parameters)
     at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
     nuisance = form.nuisance(fit.torques(parameters))
-    return Solution(parameters, nuisance, covariance, at_bound, 1.0 / weights.factor)
+    common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
+    return Solution(parameters, nuisance, covariance, at_bound, 1.0 / weights.factor, common)
 
 
 def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:

@@ -22,7 +22,8 @@ class Weights:
 
     Besides noise from block to block, a plateau as a whole may be off (ripple, temperature, an arm that is not
     quite rigid). With variances s^2 of a block and t^2 of a plateau of m blocks, the equations less the share
-    1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise (random effects).
+    1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise (random effects). In the equations as
+    they are scaled, t^2 grows with the samples in a block.
 
     Attributes:
         cluster: number of plateau and group of each row, shape (r,).
@@ -52,6 +53,8 @@ class Weights:
         cluster = rows.clusters()
         count = np.bincount(cluster)
         mean = np.bincount(cluster, residual) / count
+        # What a plateau has in common is a torque, and the equations of long blocks are scaled up.
+        power = np.bincount(cluster, rows.scale**2)
         inner = residual - mean[cluster]
         group = rows.group[np.unique(cluster, return_index=True)[1]]
         share, factor = np.zeros(len(count)), np.ones(len(rows))
@@ -64,8 +67,8 @@ class Weights:
             # The mean square of what the fit has left of the means is (1 - leverage) (s^2 / m + t^2).
             left = np.maximum(_LEAST_LEFT, 1.0 - leverage[mine])
             excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
-            common = max(0.0, float(excess / np.sum(count[mine] * left)))
-            share[mine] = 1.0 - noise / np.sqrt(noise**2 + count[mine] * common)
+            common = max(0.0, float(excess / np.sum(power[mine] * left)))
+            share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
             size = np.abs(inner[inside]) / noise
             factor[inside] = np.sqrt(np.minimum(1.0, _HUBER / np.maximum(size, 1e-12))) / noise
         return cls(cluster, share, factor)
