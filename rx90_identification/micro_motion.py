@@ -25,7 +25,7 @@ _SMALLEST_OSCILLATION = 5e-6  # rad, RMS; smaller ones drown in the resolution o
 _SHORTEST, _LONGEST = 0.8, 3.0  # s
 _SLIDES = 0.8  # of the break-away torque: beyond it a simulation from torque drifts
 _FAINT = 0.25  # of the strongest motion of a group
-_MOST = 3  # motions of a group in a bag
+_MOST = 2  # motions of a group in a bag
 _FINEST = 0.0005  # s, step of the simulation: recorded faster, torques are averaged over it
 _SLOW, _FAST = 2.0, 60.0  # Hz, the band of micro-oscillations
 _SMOOTH = 150.0  # Hz, for start values and for what the joints beside do
@@ -102,7 +102,7 @@ def find_micro_motions(
 
 
 def most_telling(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
-    """Return the motions that bend the bristles well without breaking away, at most three of each bag.
+    """Return the motions that bend the bristles well without breaking away, at most two of each bag.
 
     Args:
         motions: of one group of k joints.

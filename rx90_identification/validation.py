@@ -139,11 +139,12 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
 
     acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
     arm = result.arm
-    regressor = arm.regressor(record.position, record.velocity, acceleration)
-    rigid = arm.torque(record.position, record.velocity, acceleration) + regressor @ result.sliding.inertial
-    friction = friction_along(arm.elements(), result.lugre, record.time, record.velocity)
-    kept = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
-    return record.time[kept], smooth(record.torque)[kept], (rigid + smooth(friction))[kept]
+    friction = smooth(friction_along(arm.elements(), result.lugre, record.time, record.velocity))
+    inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
+    kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
+    motion = record.position[kept], record.velocity[kept], acceleration[kept]
+    rigid = arm.torque(*motion) + arm.regressor(*motion) @ result.sliding.inertial
+    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept]
 
 
 def tip_difference(

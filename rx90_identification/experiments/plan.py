@@ -160,7 +160,7 @@ def sweep_speeds(robot: RobotModel, options: PlanOptions, direction: Direction) 
 
 def plateau(speed: float) -> float:
     """Return for how long a speed is held, s: long enough to slide far beyond the bristles, and to average."""
-    return float(np.clip(0.008 / speed, 0.3, 1.6))
+    return float(np.clip(0.014 / speed, 0.3, 4.0))
 
 
 def _sliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
