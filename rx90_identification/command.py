@@ -69,7 +69,9 @@ def _bags(options: argparse.Namespace) -> Bags:
     used = {bag.resolve() for bag in (*bags.sliding, *bags.presliding)}
     for bag in bags.validation:
         if bag.resolve() in used:
-            raise IdentificationError(f"{bag}: also used for the identification; accepted: another bag for the validation")
+            raise IdentificationError(
+                f"{bag}: also used for the identification; accepted: another bag for the validation"
+            )
     return bags
 
 

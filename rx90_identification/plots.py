@@ -30,7 +30,13 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
     above.plot(curve.velocity, curve.torque, ".", color=colour, markersize=4, label=f"{name}, measured")
     above.plot(curve.velocity[order], curve.fitted[order], color="#222222", linewidth=0.9, label="identified")
     below.errorbar(
-        curve.velocity, curve.torque - curve.fitted, 1.96 * curve.deviation, fmt=".", color=colour, markersize=4, linewidth=0.6
+        curve.velocity,
+        curve.torque - curve.fitted,
+        1.96 * curve.deviation,
+        fmt=".",
+        color=colour,
+        markersize=4,
+        linewidth=0.6,
     )
     for axes in (above, below):
         axes.set_xscale("symlog", linthresh=1e-3)
@@ -46,9 +52,16 @@ def hysteresis_plot(loop: HysteresisLoop) -> str:
     figure, (axes,) = make_figure(1, 3.0)
     stride = max(1, len(loop.position) // _MOST_POINTS)
     rows = slice(None, None, stride)
-    axes.plot(loop.position[rows] * 1e6, loop.torque[rows], color=COLOURS[5], linewidth=0.6, label=f"{loop.joint}, measured")
     axes.plot(
-        loop.simulated_position[rows] * 1e6, loop.simulated_torque[rows], "--", color=COLOURS[1], linewidth=0.6, label="simulated"
+        loop.position[rows] * 1e6, loop.torque[rows], color=COLOURS[5], linewidth=0.6, label=f"{loop.joint}, measured"
+    )
+    axes.plot(
+        loop.simulated_position[rows] * 1e6,
+        loop.simulated_torque[rows],
+        "--",
+        color=COLOURS[1],
+        linewidth=0.6,
+        label="simulated",
     )
     axes.set_xlabel("position, µrad")
     axes.set_ylabel("friction torque, Nm")
@@ -93,8 +106,12 @@ def validation_plot(check: Validation) -> str:
     figure, axes = make_figure(count + tips, 1.5 * (count + tips), share_x=True)
     stride = max(1, len(check.time) // _MOST_POINTS)
     for joint, panel in enumerate(axes[:count]):
-        panel.plot(check.time[::stride], check.recorded[::stride, joint], color=COLOURS[5], linewidth=1.6, label="recorded")
-        panel.plot(check.time[::stride], check.predicted[::stride, joint], color=COLOURS[1], linewidth=0.7, label="predicted")
+        panel.plot(
+            check.time[::stride], check.recorded[::stride, joint], color=COLOURS[5], linewidth=1.6, label="recorded"
+        )
+        panel.plot(
+            check.time[::stride], check.predicted[::stride, joint], color=COLOURS[1], linewidth=0.7, label="predicted"
+        )
         panel.set_ylabel(f"{check.names[joint]}, Nm")
     axes[0].legend(loc="upper right", frameon=False, ncols=2)
     if tips:

@@ -185,9 +185,7 @@ class _Problem:
         return np.vstack([*parts, np.diag(self._prior)[2 * len(self.sliding) :]])
 
 
-def solve_group(
-    motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]
-) -> GroupSolution:
+def solve_group(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> GroupSolution:
     """Fit the elements of a group of joints to all its micro-motions.
 
     Args:
@@ -212,7 +210,9 @@ def solve_group(
         covariance,
         np.exp(x[count : problem.shared]),
         simulated,
-        tuple(_friction(m, s, np.exp(0.5 * x[count : problem.shared])) for m, s in zip(motions, simulated, strict=True)),
+        tuple(
+            _friction(m, s, np.exp(0.5 * x[count : problem.shared])) for m, s in zip(motions, simulated, strict=True)
+        ),
         1e-6 * float(np.sqrt(np.mean(problem.residual(x) ** 2))),
     )
 

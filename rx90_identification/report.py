@@ -11,9 +11,7 @@ from rx90_identification.identify import Identification
 from rx90_identification.plots import correlation_plot, curves_plot, hysteresis_plot, validation_plot
 from rx90_identification.validation import Validation
 
-_UNITS = dict(
-    zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True)
-)
+_UNITS = dict(zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True))
 
 
 def report_page(result: Identification, checks: Sequence[Validation], friction_file: str) -> str:

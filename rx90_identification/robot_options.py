@@ -97,7 +97,9 @@ def robot_of(options: argparse.Namespace) -> Robot:
 def _own(options: argparse.Namespace) -> Robot:
     for name in ("joints", "names", "gear", "coupling", "torque_constant", "rotor_inertia", "spring"):
         if getattr(options, name) is not None:
-            raise IdentificationError(f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot")
+            raise IdentificationError(
+                f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
+            )
     files: dict[str, Path | None] = {}
     if options.tool is not None:
         files["tool"] = None if options.tool == "none" else resolve_config(options.tool)
@@ -118,7 +120,9 @@ def _other(options: argparse.Namespace) -> Robot:
     ):  # fmt: skip
         values = getattr(options, name)
         if values is not None and len(values) != size:
-            raise IdentificationError(f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints")
+            raise IdentificationError(
+                f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
+            )
     if options.coupling is not None and options.gear is None:
         raise IdentificationError("--coupling without --gear; accepted: both, for messages with motor-side values")
     coupling = None if options.coupling is None else np.array(options.coupling).reshape(n, n)

@@ -37,7 +37,10 @@ keeps what the URDF allows.
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="rx90_experiment", description=__doc__, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="rx90_experiment",
+        description=__doc__,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="plan|run")
     plan = verbs.add_parser("plan", help="show the experiments, their time and number of runs; moves nothing")
@@ -56,7 +59,9 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")
     run.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="folder for the bags; must not exist")
-    run.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)")
+    run.add_argument(
+        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
+    )
     run.add_argument("--controller", default="rx90_controller", help="name of the node (%(default)s)")
     run.add_argument("--timeout", type=float, default=60.0, metavar="S", help="s to wait for the nodes (%(default)s)")
     return parser

@@ -40,7 +40,9 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise IdentificationError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made") from error
+        raise IdentificationError(
+            f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
+        ) from error
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:

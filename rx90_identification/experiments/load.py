@@ -37,9 +37,7 @@ class Load:
     torque: Array
 
 
-def check_load(
-    experiment: Experiment, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters
-) -> Load:
+def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Load:
     """Return the shares of the limits that an experiment uses.
 
     Raises:
@@ -70,9 +68,7 @@ def _setpoints(experiment: Experiment, robot: RobotModel) -> Array:
     return generator.setpoints(0, round(experiment.duration / _PERIOD) + 1)
 
 
-def _expected_torque(
-    setpoints: Array, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters
-) -> Array:
+def _expected_torque(setpoints: Array, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Array:
     data = robot.model.createData()
     rigid = np.array([pin.rnea(robot.model, data, *row) for row in setpoints])
     position, velocity, acceleration = setpoints.transpose(1, 0, 2)

@@ -75,7 +75,9 @@ class PlanOptions:
             if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
                 raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
         if self.speeds < 4:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns")
+            raise IdentificationError(
+                f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns"
+            )
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
