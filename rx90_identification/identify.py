@@ -113,8 +113,8 @@ def _merged(
             if fallback is None:
                 reason = "" if estimate is None else f" ({estimate.reason})"
                 raise IdentificationError(
-                    f"{sliding.element}: the bags do not tell {name}{reason}; accepted: bags that do, or --fallback with a "
-                    "friction file for such values"
+                    f"{sliding.element}: the bags do not tell {name}{reason}; accepted: bags that do, or "
+                    "--fallback with a friction file for such values"
                 )
             values[name] = float(getattr(fallback, name))
             assumed.append(name)

@@ -133,8 +133,8 @@ def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
     step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
     if 1.0 / step < LOWEST_RATE:
         raise IdentificationError(
-            f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the presliding "
-            "regime, such as motor_states"
+            f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
+            "presliding regime, such as motor_states"
         )
     count = round((record.time[-1] - record.time[0]) / step) + 1
     time = record.time[0] + step * np.arange(count)

@@ -47,7 +47,7 @@ def _parser() -> argparse.ArgumentParser:
     run = verbs.add_parser("run", help="run the experiments and record a bag of each")
     for verb in (plan, run):
         verb.add_argument("--group", action="append", default=[], metavar="NAME",
-                          help="only this group of joints (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
+                          help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
         verb.add_argument("--speeds", type=int, help="how many speeds of each sweep (14)")
         verb.add_argument("--urdf", help="robot (shipped RX90B)")

@@ -83,7 +83,7 @@ class PlanOptions:
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
             raise IdentificationError(
                 f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
-                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, one tone or more"
+                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, and a tone"
             )
         if not self.poses:
             raise IdentificationError("no pose; accepted: one or more")

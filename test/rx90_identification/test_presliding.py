@@ -22,7 +22,7 @@ STEADY_TORQUE = np.array([318.0, 166.0, 76.0, 34.0, 29.0, 11.0])
 
 
 def micro_records(setup: Setup, groups: Sequence[str], noise: float, seed: int) -> list[JointRecord]:
-    """Run presliding experiments and return encoder positions and torques, with white noise, a share of steady torque."""
+    """Run presliding experiments and return encoders and torques, with white noise, a share of steady torque."""
     generator = np.random.default_rng(seed)
     gear = setup.drives.gear
     records = []
