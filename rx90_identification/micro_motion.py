@@ -95,7 +95,7 @@ def find_micro_motions(
     active = _active(grid)
     found = []
     for group in groups:
-        for first, last in _runs(active[:, list(group)].any(axis=1), round(_SHORTEST / grid.step)):
+        for first, last in _runs(np.asarray(active[:, list(group)].any(axis=1)), round(_SHORTEST / grid.step)):
             end = min(last, first + round(_LONGEST / grid.step))
             found.append(_motion(record, arm, tuple(group), grid, (smooth, velocity, acceleration), first, end))
     return found

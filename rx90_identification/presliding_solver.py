@@ -218,15 +218,14 @@ def solve_group(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
 
 
 def _levenberg_marquardt(problem: _Problem, start: Array, weight: Array) -> Array:
+    def residual(x: Array) -> Array:
+        return weight * problem.residual(x)
+
+    def jacobian(x: Array) -> Array:
+        return weight[:, None] * problem.jacobian(x)
+
     result = least_squares(
-        lambda x: weight * problem.residual(x),
-        start,
-        lambda x: weight[:, None] * problem.jacobian(x),
-        method="lm",
-        x_scale="jac",
-        max_nfev=_ROUNDS,
-        xtol=1e-5,
-        ftol=1e-6,
+        residual, start, jacobian, method="lm", x_scale="jac", max_nfev=_ROUNDS, xtol=1e-5, ftol=1e-6
     )
     return np.asarray(result.x)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_bag.joint_series import JointSeries
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 _BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
 _MOVES = 1e-3  # rad/s
+_SLIDES = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
 _EDGE = 0.1  # s at the ends that the filter spoils
 
 
@@ -50,6 +52,8 @@ class Validation:
         time: s, shape (m,).
         recorded: drive torque, Nm, shape (m, n).
         predicted: Nm, shape (m, n).
+        compared: 1.0 where a joint moves, else 0.0, shape (m, n): what a joint at rest carries depends on vibrations that
+            no bag shows.
         tip_time: s, shape (k,); empty where the bag holds no set-points.
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: what counts as agreement.
@@ -60,25 +64,29 @@ class Validation:
     time: Array
     recorded: Array
     predicted: Array
+    compared: Array
     tip_time: Array
     tip_distance: Array
     tolerances: Tolerances
     source: str
 
+    def _mean(self, values: Array) -> Array:
+        return np.asarray((self.compared * values).sum(axis=0) / np.maximum(1.0, self.compared.sum(axis=0)))
+
     @property
     def rms(self) -> Array:
         """Return the RMS torque difference, Nm, shape (n,)."""
-        return np.asarray(np.sqrt(np.mean((self.predicted - self.recorded) ** 2, axis=0)))
+        return np.asarray(np.sqrt(self._mean((self.predicted - self.recorded) ** 2)))
 
     @property
     def worst(self) -> Array:
         """Return the largest torque difference, Nm, shape (n,)."""
-        return np.asarray(np.abs(self.predicted - self.recorded).max(axis=0))
+        return np.asarray((self.compared * np.abs(self.predicted - self.recorded)).max(axis=0))
 
     @property
     def rms_share(self) -> Array:
         """Return the RMS difference over the RMS recorded torque, shape (n,)."""
-        return np.asarray(self.rms / np.sqrt(np.mean(self.recorded**2, axis=0)))
+        return np.asarray(self.rms / np.sqrt(self._mean(self.recorded**2)))
 
     @property
     def worst_share(self) -> Array:
@@ -112,18 +120,18 @@ def _bristles(elements: NDArray[np.void], velocity: Array, steps: Array, torque:
             z, torque[k, e] = bristle_step(elements[e], z, velocity[k, e], steps[k])
 
 
-def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: Array, velocity: Array) -> Array:
+def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
     """Return the friction torque at the joints along a motion, Nm, shape (m, n)."""
-    inputs = velocity @ arm_elements.T
+    inputs = position @ arm_elements.T
     steps = np.diff(time, prepend=time[0])
-    mean = np.vstack([inputs[:1], 0.5 * (inputs[1:] + inputs[:-1])])
+    mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
     torque = np.zeros_like(inputs)
     _bristles(np.array([e.record() for e in lugre]), np.ascontiguousarray(mean), steps, torque)
     return np.asarray(torque @ arm_elements)
 
 
-def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, Array, Array]:
-    """Return time, recorded and predicted drive torque, low-passed, from the first motion on.
+def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, Array, Array, Array]:
+    """Return time, recorded and predicted drive torque, low-passed, and 1 where a joint moves, from the first motion on.
 
     Raises:
         IdentificationError: if the arm does not move in the record.
@@ -139,12 +147,14 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
 
     acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
     arm = result.arm
-    friction = smooth(friction_along(arm.elements(), result.lugre, record.time, record.velocity))
+    friction = smooth(friction_along(arm.elements(), result.lugre, record.time, record.position))
     inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
     motion = record.position[kept], record.velocity[kept], acceleration[kept]
     rigid = arm.torque(*motion) + arm.regressor(*motion) @ result.sliding.inertial
-    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept]
+    span = 2 * round(0.5 * _EDGE / step) + 1
+    moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
+    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept], 1.0 * moves
 
 
 def tip_difference(

@@ -23,7 +23,7 @@ def validate(result: Identification, robot: Robot, bag: Path, tolerances: Tolera
         Rx90Error: if the bag cannot be read or used.
     """
     record = read_record(bag, robot.layout(bag, fast=False))
-    time, recorded, predicted = predict_torque(result, record)
+    time, recorded, predicted, compared = predict_torque(result, record)
     tip_time, distance = np.zeros(0), np.zeros(0)
     if robot.setup is not None:
         with BagReader(bag) as reader:
@@ -31,4 +31,4 @@ def validate(result: Identification, robot: Robot, bag: Path, tolerances: Tolera
         if there:
             reference = read_joint_states(bag, _REFERENCE, record.names)
             tip_time, distance = tip_difference(robot.setup, result.lugre, record, reference)
-    return Validation(record.names, time, recorded, predicted, tip_time, distance, tolerances, str(bag))
+    return Validation(record.names, time, recorded, predicted, compared, tip_time, distance, tolerances, str(bag))

@@ -74,10 +74,10 @@ def _setup(options: argparse.Namespace) -> Setup:
         "friction": options.friction,
         "controller": options.controller_file,
     }
-    files = {key: resolve_config(value) for key, value in given.items() if value is not None}
+    files: dict[str, Path | None] = {key: resolve_config(value) for key, value in given.items() if value is not None}
     if options.tool is not None:
         files["tool"] = None if options.tool == "none" else resolve_config(options.tool)
-    return Setup.load(SetupFiles(**files))
+    return Setup.load(SetupFiles(**files))  # type: ignore[arg-type]
 
 
 def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:

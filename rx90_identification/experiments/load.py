@@ -51,7 +51,8 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     if share[joint] > 1.0:
         raise IdentificationError(
             f"{experiment.name}: {robot.joint_names[joint]} would need "
-            f"{share[joint] * robot.max_effort[joint]:.3g} Nm; accepted: up to {robot.max_effort[joint]:.3g} Nm; choose other poses or less speed or acceleration"
+            f"{share[joint] * robot.max_effort[joint]:.3g} Nm; accepted: up to {robot.max_effort[joint]:.3g} Nm; "
+            "choose other poses or less speed or acceleration"
         )
     return Load(speed, share)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -117,7 +118,7 @@ def _on_tick(duration: float) -> float:
 
 
 def _faded_sines(
-    time: Array, duration: float, amplitudes: Sequence[float], tones: Sequence[float]
+    time: NDArray[Any], duration: float, amplitudes: Sequence[float], tones: Sequence[float]
 ) -> tuple[Array, Array, Array]:
     """Return the sum of sines times its fade, and both derivatives, each shape (m,)."""
     omega = 2.0 * np.pi * np.asarray(tones)

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -111,7 +112,7 @@ class ExperimentRunner:
         say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")
         self._follow(motion.points(self._robot.joint_names), lambda _: None)
 
-    def _record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm) -> None:
+    def _record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]) -> None:
         recorder = recorders.start(
             experiment.name, "rx90_bag.command", "record", "--output", str(folder / experiment.name),
             *TOPICS[experiment.kind],
@@ -125,7 +126,7 @@ class ExperimentRunner:
             raise ExchangeError(f"the recorder of {experiment.name} ended with exit code {code} (see {recorder.log})")
         bar.update(done + experiment.duration - bar.n)
 
-    def _follow(self, points: TrajectoryPoints, show: Callable[[float], None]) -> None:
+    def _follow(self, points: TrajectoryPoints, show: Callable[[float], object]) -> None:
         """Send a trajectory and wait until the controller's set-points are at its end."""
         begin = self._stamp + _LEAD
         duration = float(points.times[-1])
