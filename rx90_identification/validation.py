@@ -52,8 +52,8 @@ class Validation:
         time: s, shape (m,).
         recorded: drive torque, Nm, shape (m, n).
         predicted: Nm, shape (m, n).
-        compared: 1.0 where a joint moves, else 0.0, shape (m, n): what a joint at rest carries depends on vibrations that
-            no bag shows.
+        compared: 1.0 where a joint moves, else 0.0, shape (m, n): what a joint at rest carries depends on
+            vibrations that no bag shows.
         tip_time: s, shape (k,); empty where the bag holds no set-points.
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: what counts as agreement.
@@ -131,7 +131,7 @@ def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: A
 
 
 def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, Array, Array, Array]:
-    """Return time, recorded and predicted drive torque, low-passed, and 1 where a joint moves, from the first motion on.
+    """Return time, recorded and predicted torque, low-passed, and 1 where a joint moves, from the first motion on.
 
     Raises:
         IdentificationError: if the arm does not move in the record.
@@ -154,7 +154,7 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
     rigid = arm.torque(*motion) + arm.regressor(*motion) @ result.sliding.inertial
     span = 2 * round(0.5 * _EDGE / step) + 1
     moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
-    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept], 1.0 * moves
+    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept], moves.astype(np.float64)
 
 
 def tip_difference(

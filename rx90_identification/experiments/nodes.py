@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from numpy.typing import NDArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -35,7 +35,7 @@ from rx90_identification.experiments.plan import Experiment
 Array = NDArray[np.float64]
 
 _POLL = 0.05  # s
-_LEAD = 0.5  # s between sending a trajectory and its start
+_PATIENCE = 5.0  # s of the controller's time, for a trajectory to begin and beyond its end
 _AT_REST = 1e-6  # rad
 _START_TOLERANCE = 5e-4  # rad, from where the arm is to the start of a trajectory
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
@@ -128,27 +128,28 @@ class ExperimentRunner:
 
     def _follow(self, points: TrajectoryPoints, show: Callable[[float], object]) -> None:
         """Send a trajectory and wait until the controller's set-points are at its end."""
-        begin = self._stamp + _LEAD
-        duration = float(points.times[-1])
-        self._publisher.publish(_message(points, self._robot.joint_names, begin))
-        moved = False
-        seen, deadline = self._stamp, time.monotonic() + self._timeout
-        before = self._reference
-        while self._stamp < begin + duration + _POLL:
+        # The newest stamp: while the recorder started nobody looked.
+        for _ in range(3):
             self._spin()
-            assert self._reference is not None
-            assert before is not None
-            moved = moved or bool(np.abs(self._reference - before).max() > _AT_REST)
+        begin, duration, before, end = self._stamp, float(points.times[-1]), self._reference, points.position[-1]
+        assert before is not None
+        self._publisher.publish(_message(points, self._robot.joint_names))
+        moved, seen, deadline = False, begin, time.monotonic() + self._timeout
+        while not (self._stamp > begin + duration + _POLL and moved and self._is_at(end)):
+            self._spin()
+            moved = moved or not self._is_at(before)
             if self._stamp > seen:
                 seen, deadline = self._stamp, time.monotonic() + self._timeout
             elif time.monotonic() > deadline:
                 raise ExchangeError(f"the controller's time stood still at {seen:.3f} s for {self._timeout:g} s")
+            late = self._stamp - begin - (duration if moved else 0.0)
+            if late > _PATIENCE:
+                raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
             show(min(max(0.0, self._stamp - begin), duration))
-            if not moved and self._stamp > begin + duration * 0.5 + 1.0:
-                break
+
+    def _is_at(self, position: Array) -> bool:
         assert self._reference is not None
-        if not moved or np.abs(self._reference - points.position[-1]).max() > _AT_REST:
-            raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
+        return bool(np.abs(self._reference - position).max() <= _AT_REST)
 
     def _wait(self, ready: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + self._timeout
@@ -164,10 +165,9 @@ class ExperimentRunner:
         self._check_interrupt()
 
 
-def _message(points: TrajectoryPoints, names: Sequence[str], begin: float) -> JointTrajectory:
+def _message(points: TrajectoryPoints, names: Sequence[str]) -> JointTrajectory:
+    """Return the trajectory with stamp 0: it begins when it arrives."""
     message = JointTrajectory(joint_names=list(names))
-    sec, nanosec = divmod(round(begin * NANOSECONDS), NANOSECONDS)
-    message.header.stamp = Time(sec=sec, nanosec=nanosec)
     assert points.velocity is not None
     assert points.acceleration is not None
     rows = zip(points.times, points.position, points.velocity, points.acceleration, strict=True)
