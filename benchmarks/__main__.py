@@ -1,6 +1,7 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
-    python -m benchmarks [closed_loop] [lockstep] [sweep] [identification]
+    python -m benchmarks [closed_loop] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [sweep] [friction_ramp]
+                         [identification]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
 """
@@ -14,7 +15,16 @@ from pathlib import Path
 
 from benchmarks.report import BENCH_FILE, ROOT
 
-NAMES = ("closed_loop", "lockstep", "sweep", "identification")
+NAMES = (
+    "closed_loop",
+    "accuracy",
+    "mujoco_lugre",
+    "perturbation",
+    "lockstep",
+    "sweep",
+    "friction_ramp",
+    "identification",
+)
 
 
 def main() -> int:
