@@ -31,12 +31,12 @@ TICK_HZ = 4000
 
 def publish(seconds: float) -> None:
     """Publish at the suite's rates, paced by a steady clock; print the achieved tick rate."""
-    import rclpy  # noqa: PLC0415 - only in the process that publishes
-    from sensor_msgs.msg import JointState  # noqa: PLC0415
+    import rclpy  # only in the process that publishes
+    from sensor_msgs.msg import JointState
 
-    from rx90_exchange.environment import prepare  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.qos import STATE_QOS, TICK_QOS  # noqa: PLC0415
+    from rx90_exchange.environment import prepare
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.qos import STATE_QOS, TICK_QOS
 
     prepare()
     rclpy.init()

@@ -1,6 +1,6 @@
 """The accurate answer: the same digital controller, the plant integrated by SciPy's stiff variable-step solver.
 
-Between two ticks the motor torques are constant, so the plant is a smooth initial value problem of 19 states
+Between two ticks the motor torques are constant, so the plant is an initial value problem of 19 states
 (6 positions, 6 velocities, 7 bristle deflections). LSODA solves it at tight tolerance; equations 17 to 19 are
 written out here once more, apart from the plant step that is judged by them. The samples that the controller
 sees, encoder and observer, come from the plant step's own code: they are definitions, not approximations.
@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint
 from tqdm import tqdm
 
+from rx90_common.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_description.wrist import to_joint_torque
 from rx90_loop.setup import Setup
@@ -24,8 +24,9 @@ from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
 
 Array = NDArray[np.float64]
-RELATIVE, ABSOLUTE = 1e-11, 1e-13
-"""Tolerances of LSODA on rad, rad/s and rad."""
+TOLERANCE = 1e-12
+"""Relative tolerance of LSODA on rad, rad/s and rad; the absolute one is a hundredth of it."""
+_MOST_STEPS = 20_000
 
 
 class ReferenceRun(NamedTuple):
@@ -36,8 +37,8 @@ class ReferenceRun(NamedTuple):
     z: Array
 
 
-@numba.njit(error_model="numpy")
-def _derivative(y: Array, arm: Any, body: Any, friction: Any, drive: Array) -> Array:
+@kernel
+def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: Array) -> Array:
     mass, bias = np.empty((6, 6)), np.empty(6)
     q, v, z = y[:6].copy(), y[6:12].copy(), y[12:]
     mass_and_bias(arm[0], body[0], q, v, mass, bias)
@@ -63,35 +64,60 @@ def _derivative(y: Array, arm: Any, body: Any, friction: Any, drive: Array) -> A
     return derivative
 
 
+class StiffPlant:
+    """The arm under held motor torques, solved to a tolerance. End stops and brakes are not part of it."""
+
+    def __init__(self, setup: Setup, plant: Plant, tolerance: float = TOLERANCE) -> None:
+        """Take over the state of `plant`, whose encoders and observers go on to be read."""
+        state = plant.state[0]
+        self._plant, self._tolerance = plant, tolerance
+        self._gear, self._peak, self._period = setup.drives.gear, setup.drives.peak_torque, setup.rates.period
+        self._friction = setup.friction.records()
+        self._drive = np.empty(6)
+        self.y: Array = np.concatenate([state["q"], state["v"], state["z"]])
+
+    def step(self, command: Array) -> None:
+        """Hold motor torques, Nm, shape (6,), for one tick and sample the drives."""
+        plant = self._plant
+        to_joint_torque(self._gear, np.clip(command, -self._peak, self._peak), self._drive)
+        arguments = (plant.constants["arm"], plant.state["body"], self._friction, self._drive)
+        tolerances = {"rtol": self._tolerance, "atol": 0.01 * self._tolerance, "mxstep": _MOST_STEPS}
+        self.y = odeint(_derivative, self.y, (0.0, self._period), args=arguments, **tolerances)[1]
+        plant.state["q"][0] = self.y[:6]
+        sample_drives(plant.constants, plant.state)
+
+
 def hybrid_reference(
-    setup: Setup, points: TrajectoryPoints, initial_position: ArrayLike, duration: float, *, quiet: bool = False
+    setup: Setup,
+    points: TrajectoryPoints,
+    initial_position: ArrayLike,
+    duration: float,
+    *,
+    tolerance: float = TOLERANCE,
+    bar: tqdm[Any] | None = None,
 ) -> ReferenceRun:
-    """Run the closed loop with the plant solved by LSODA between ticks."""
+    """Run the closed loop with the plant solved by LSODA between ticks.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        points: the trajectory, started at once.
+        initial_position: joint positions at rest, rad, shape (6,).
+        duration: simulated time, s.
+        tolerance: relative tolerance of the solver.
+        bar: progress, moved on by one for each position tick.
+    """
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(points, 0, 0)
-    rates = setup.rates
-    ticks = round(duration * rates.base_hz)
-    rows: list[Array] = []
-    state = plant.state[0]
-    y = np.concatenate([state["q"], state["v"], state["z"]])
-    drive = np.empty(6)
-    friction = setup.friction.records()
-    for tick in tqdm(range(ticks), desc="stiff reference", unit="tick", disable=quiet, leave=False):
+    rates, rows = setup.rates, []
+    stiff = StiffPlant(setup, plant, tolerance)
+    for tick in range(round(duration * rates.base_hz)):
         if tick % rates.ratio == 0:
-            rows.append(y.copy())
+            rows.append(stiff.y.copy())
+            if bar is not None:
+                bar.update()
         position, velocity, _ = plant.motor_states()
-        to_joint_torque(setup.drives.gear, controller.step(position, velocity), drive)
-        y = _advance(plant, friction, y, drive, rates.period)
-        plant.state["q"][0] = y[:6]
-        sample_drives(plant.constants, plant.state)
+        stiff.step(controller.step(position, velocity))
     table = np.array(rows)
     return ReferenceRun(table[:, :6], table[:, 6:12], table[:, 12:])
-
-
-def _advance(plant: Plant, friction: NDArray[Any], y: Array, drive: Array, period: float) -> Array:
-    constants = plant.constants
-    arguments = (constants["arm"], plant.state["body"], friction, drive)
-    solution = odeint(_derivative, y, (0.0, period), args=arguments, rtol=RELATIVE, atol=ABSOLUTE, mxstep=20000)
-    return np.asarray(solution[1])

@@ -68,7 +68,7 @@ def _node(module: str, *parameters: str) -> Iterator[subprocess.Popen[str]]:
 
 def _ticks_per_second(simulated: float) -> float:
     """Return the ticks per second of wall time between the first and the last message on /clock."""
-    parameters = (f"duration:={simulated}", "real_time_factor:=0.0")
+    parameters = (f"duration:={simulated}", "real_time_factor:=0.0", "clock_rate:=10")
     with _node("rx90_controller.controller_node"), _node("rx90_sim.sim_node", *parameters) as simulation:
         stamps = _clock_until(lambda _now: simulation.poll() is not None)
     return _slope(stamps) * Rates().base_hz
@@ -89,10 +89,10 @@ def _slope(stamps: list[tuple[float, float]]) -> float:
 
 def _clock_until(done) -> list[tuple[float, float]]:  # type: ignore[no-untyped-def]  # a predicate of simulated time
     """Return (wall time, simulated time) of the messages on /clock, s, until `done`."""
-    import rclpy  # noqa: PLC0415 - after `prepare`
-    from rclpy.context import Context  # noqa: PLC0415
-    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-    from rosgraph_msgs.msg import Clock  # noqa: PLC0415
+    import rclpy  # after `prepare`
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rosgraph_msgs.msg import Clock
 
     context = Context()
     rclpy.init(context=context)

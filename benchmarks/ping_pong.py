@@ -71,14 +71,14 @@ class _Bare(NamedTuple):
 
 
 def _ask(exchanges: int, rounds: int) -> PingPong:
-    import rclpy  # noqa: PLC0415 - after `prepare`
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    import rclpy  # after `prepare`
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepSimulation  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepSimulation
+    from rx90_exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -90,7 +90,8 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
         states, commands = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
         lockstep = LockstepSimulation(channel, lambda _text: None)
         values = np.linspace(-1.0, 1.0, 18).reshape(3, 6)
-        message = states.encode(0, *values)
+        encode = states.encoder(*values)
+        message = encode(0)
         tick = 0
 
         def ping() -> None:
@@ -101,7 +102,7 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
         def tick_once() -> None:
             nonlocal tick
             stamp = tick * PERIOD_NS
-            raw = lockstep.exchange(stamp, states.encode(stamp, *values), _never)
+            raw = lockstep.exchange(stamp, encode(stamp), _never)
             if raw is None or commands.decode(raw)[3] is None:
                 raise ExchangeError(f"lock-step: tick {tick} has no command")
             tick += 1
@@ -136,30 +137,30 @@ def _rate(run: Callable[[], None], count: int) -> float:
 
 def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Event of multiprocessing
     """Answer both kinds, in the second process, each on a thread of its own."""
-    import threading  # noqa: PLC0415
+    import threading
 
-    import rclpy  # noqa: PLC0415 - the environment is inherited
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    import rclpy  # the environment is inherited
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepController  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepController
+    from rx90_exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")
     commands, states = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
-    torques = np.zeros(6)
+    encode = commands.encoder(effort=np.zeros(6))
     bare = Channel(node, *_Bare()[::-1], TICK_QOS)
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
 
     def answer(stamp: int, raw: bytes) -> bytes:
         states.decode(raw)
-        return commands.encode(stamp, effort=torques)
+        return encode(stamp)
 
     controller = LockstepController(channel, lambda _text: None, answer, lambda _stamp, _raw: None, PERIOD_NS)
-    message = commands.encode(0, effort=torques)
+    message = encode(0)
 
     def pong() -> None:
         while not end.is_set():

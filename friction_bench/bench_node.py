@@ -103,16 +103,18 @@ class BenchNode:
     def _ramp(self, client: RigClient) -> None:
         slope = self.node.get_parameter("ramp_slope").value
         end = self.node.get_parameter("ramp_end_torque").value
-        client.start_ramp(self.rig.ramp_step(slope), self.rig.end_code(end))
+        client.start_ramp(slope, end)
 
     def _serve(self, job: Callable[[RigClient], None], done: str) -> Callable[[Any, Any], Any]:
         def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            future = self._link.submit(job)
             try:
-                self._link.submit(job).result(_SERVICE_TIMEOUT)
+                future.result(_SERVICE_TIMEOUT)
                 response.success, response.message = True, done
             except Rx90Error as error:
                 response.success, response.message = False, str(error)
             except TimeoutError:
+                future.cancel()  # what the caller has been told is not done must not be done later
                 response.success, response.message = (
                     False,
                     f"the rig did not answer in {_SERVICE_TIMEOUT:g} s",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from friction_bench.codec import Frame, FrameDecoder, encode
-from friction_bench.errors import RigFaultError, RigLostError, RigRefusedError, RigResetError
+from friction_bench.errors import RigError, RigFaultError, RigLostError, RigRefusedError, RigResetError
 from friction_bench.messages import (
     PROTOCOL_VERSION,
     Command,
@@ -23,7 +23,7 @@ from friction_bench.messages import (
     ramp_payload,
     torque_payload,
 )
-from friction_bench.rig import Rig
+from friction_bench.rig import CODES, Rig
 
 HEARTBEAT = 0.02
 """Time between heartbeats, s; the firmware forgives 120 ms."""
@@ -34,6 +34,9 @@ HELLO_PERIOD = 0.25
 RETRY_PERIOD = 0.06
 """A command whose report did not come is repeated after this time, s, with the same sequence number."""
 COMMAND_TIMEOUT = 1.0
+STOP_SEQUENCES = range(240, 256)
+"""Sequence numbers of urgent stops; each has its own, so that its answer cannot be that to an earlier one."""
+_SWITCHED_ON = frozenset((State.ARMED, State.RAMPING))
 
 
 class Port(Protocol):
@@ -44,6 +47,9 @@ class Port(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
+
+    def write_first(self, data: bytes) -> None:
+        """Send bytes ahead of what has not left yet, which may be thrown away in the middle of a frame."""
 
     def read(self, timeout: float) -> bytes:
         """Return what has come; wait up to `timeout` seconds for the first byte."""
@@ -94,6 +100,7 @@ class RigClient:
         stops: urgent stops so far.
         permitted: how many of them the command under way has been told of.
         beating: heartbeats are sent; without them an armed rig switches itself off.
+        stopping: an urgent stop has been sent and not been answered; `pump` repeats it in place of heartbeats.
     """
 
     def __init__(self, port: Port, rig: Rig) -> None:
@@ -105,6 +112,7 @@ class RigClient:
         self.lost_reports = 0
         self.stops = 0
         self.permitted = 0
+        self.stopping = False
         self._stop_lock = threading.Lock()
         self._decoder = FrameDecoder()
         self._sequence = 0
@@ -122,8 +130,11 @@ class RigClient:
         self._counts = Unwrapper(24)
         self.last = None
 
+    def _next_sequence(self) -> int:
+        return self._sequence % (STOP_SEQUENCES.start - 1) + 1
+
     def _send(self, command: Command, payload: bytes = b"") -> int:
-        self._sequence = self._sequence % 255 + 1  # 0 is the urgent stop's
+        self._sequence = self._next_sequence()
         self.port.write(encode(Frame(command, self._sequence, payload)))
         self._beat_at = self.port.now()
         return self._sequence
@@ -131,11 +142,23 @@ class RigClient:
     def urgent_stop(self) -> None:
         """Take the torque away now; the only method for other threads than the one that owns the client.
 
-        A command that is under way is given up: its repetition after the stop would undo it.
+        A command that is under way is given up: its repetition after the stop would undo it. The stop itself is
+        repeated by `pump` until the rig answers it, with no heartbeat in between: if the line takes it no more,
+        the firmware's watchdog switches the rig off.
+
+        It waits for one write of another thread and for its own, each at most the port's write timeout, and never
+        for a read, a queue or an answer.
         """
         with self._stop_lock:
             self.stops += 1
-            self.port.write(encode(Frame(Command.STOP, 0, b"")))
+            self.stopping = True
+        self._write_stop()
+
+    def _write_stop(self) -> None:
+        # A delimiter first: what stands before it on the line may have lost its own. Twice: one may be hit.
+        sequence = STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]
+        self.port.write_first(b"\0" + 2 * encode(Frame(Command.STOP, sequence, b"")))
+        self._beat_at = self.port.now()
 
     def _write_unless_stopped(self, message: bytes, name: str) -> None:
         with self._stop_lock:
@@ -161,6 +184,7 @@ class RigClient:
             RigError: if it was built for other figures than the rig file's.
         """
         self.hello = None
+        self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
         self._restart_counters()
         end = self.port.now() + timeout
         greet_at = self.port.now()
@@ -189,8 +213,11 @@ class RigClient:
             RigLostError: if the rig has been silent for too long.
             RigResetError: if it restarted; greet and arm it again.
         """
-        if self.beating and self.port.now() - self._beat_at >= HEARTBEAT:
-            self._send(Command.BEAT)
+        if self.port.now() - self._beat_at >= HEARTBEAT:
+            if self.stopping:
+                self._write_stop()
+            elif self.beating:
+                self._send(Command.BEAT)
         samples = []
         for frame in self._frames(timeout):
             report = parse_report(frame)
@@ -203,6 +230,8 @@ class RigClient:
         if not report.greeted or (self.last is not None and tick <= self.last.tick):
             self.hello = None
             raise RigResetError("the rig restarted by itself; it has to be armed again")
+        if report.state not in _SWITCHED_ON and report.ack_sequence == STOP_SEQUENCES[self.stops % len(STOP_SEQUENCES)]:
+            self.stopping = False
         if self.last is not None:
             self.lost_reports += tick - self.last.tick - 1
         self.last = Sample(tick, tick * self.rig.tick, self._counts(report.counts), report)
@@ -216,13 +245,13 @@ class RigClient:
             RigLostError, RigResetError: as `pump`.
         """
         samples: list[Sample] = []
-        sequence = self._sequence = self._sequence % 255 + 1
+        sequence = self._sequence = self._next_sequence()
         message = encode(Frame(command, sequence, payload))
         self._write_unless_stopped(message, command.name)
         end = self.port.now() + COMMAND_TIMEOUT
         retry_at = self.port.now() + RETRY_PERIOD
         while self.port.now() < end:
-            if self.port.now() >= retry_at:
+            if self.port.now() >= retry_at or self.stops != self.permitted:
                 self._write_unless_stopped(message, command.name)
                 retry_at = self.port.now() + RETRY_PERIOD
             frames = self._frames(HEARTBEAT)
@@ -251,9 +280,28 @@ class RigClient:
         """Hold a DAC code on an armed rig."""
         self.request(Command.TORQUE, torque_payload(code))
 
-    def start_ramp(self, step: int, end_code: int) -> list[Sample]:
-        """Start the firmware's ramp on an armed rig; return the readings up to its first report."""
-        return self.request(Command.RAMP, ramp_payload(step, end_code))
+    def start_ramp(self, slope: float, end_torque: float) -> list[Sample]:
+        """Start the firmware's ramp of `slope` Nm/s up to `end_torque` Nm on an armed rig.
+
+        Returns:
+            The readings up to the ramp's first report.
+
+        Raises:
+            RigError: if the firmware cannot run that slope or torque; else as `request`.
+        """
+        return self.request(Command.RAMP, ramp_payload(self.rig.ramp_step(slope), self.end_code(end_torque)))
+
+    def end_code(self, torque: float) -> int:
+        """Return the DAC code of a ramp's end.
+
+        Raises:
+            RigError: if the firmware does not go there.
+        """
+        limit = self.hello.torque_limit_code if self.hello is not None else CODES
+        if not self.rig.torque(0.5) <= torque < self.rig.torque(limit + 0.5):
+            accepted = f"{self.rig.torque(1):.2g} to {self.rig.torque(limit):.3g} Nm"
+            raise RigError(f"end torque {torque:g} Nm; accepted by the firmware: {accepted}")
+        return self.rig.end_code(torque)
 
 
 def raise_fault(report: Report) -> None:
@@ -263,4 +311,4 @@ def raise_fault(report: Report) -> None:
         RigFaultError: naming the faults.
     """
     if report.fault != Fault.NONE or report.state == State.FAULT:
-        raise RigFaultError(f"the rig switched itself off: {fault_text(report.fault)}")
+        raise RigFaultError(f"the rig switched itself off: {fault_text(report.fault)}; find out why, then clear it")

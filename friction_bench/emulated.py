@@ -81,6 +81,10 @@ class VirtualPort:
         """Send bytes to the rig."""
         self.emulated.board.write(data)
 
+    def write_first(self, data: bytes) -> None:
+        """Send bytes; nothing waits here."""
+        self.write(data)
+
     def read(self, timeout: float) -> bytes:
         """Return the next bytes of the rig; after `timeout` seconds, none."""
         end = self.emulated.time + timeout

@@ -12,7 +12,7 @@ from pathlib import Path
 from friction_bench.emulated import EmulatedRig
 from friction_bench.pty_rig import PtyRig
 from friction_bench.rig import load_rig
-from rx90_common.errors import Rx90Error
+from rx90_common.errors import ConfigError, Rx90Error
 from rx90_common.share import resolve_config
 
 
@@ -35,6 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
     try:
+        if not 0 <= options.seed < 2**31:
+            raise ConfigError(f"--seed is {options.seed}; accepted: 0 to {2**31 - 1}")
         rig = load_rig(resolve_config(options.rig))
         emulated = EmulatedRig(rig, options.seed)
         emulated.plant.load(options.loaded)

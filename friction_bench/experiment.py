@@ -78,7 +78,8 @@ def run_series(
     loaded: bool,
     readings: Readings,
     on_progress: Callable[[float, str], None],
-) -> list[RampRecord]:
+    on_record: Callable[[RampRecord], None],
+) -> None:
     """Run all ramps under one load.
 
     Args:
@@ -87,11 +88,11 @@ def run_series(
         loaded: whether the joint is coupled.
         readings: takes every reading.
         on_progress: called with seconds of ramp time done since the last call, and what is running.
+        on_record: called with each ramp as soon as it is done.
 
     Raises:
         RigError: refused, faulted, lost or reset.
     """
-    records = []
 
     def take(sample: Sample) -> None:
         readings.samples.append(sample)
@@ -100,8 +101,7 @@ def run_series(
     for repeat in range(plan.repeats):
         for slope in plan.slopes:
             label = f"{'loaded' if loaded else 'no-load'} {slope:g} Nm/s #{repeat + 1}"
-            records.append(run_ramp(client, slope, plan.end(loaded), loaded, label, take))
-    return records
+            on_record(run_ramp(client, slope, plan.end(loaded), loaded, label, take))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 import time
@@ -11,9 +12,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from friction_bench.client import Port, RigClient, Sample
-from friction_bench.codec import Frame, encode
 from friction_bench.errors import RigError, RigLostError, RigResetError
-from friction_bench.messages import Command, Fault, Report, State, fault_text
+from friction_bench.messages import Fault, Report, State, fault_text
 from friction_bench.rig import Rig
 
 OWNER_SILENCE = 0.1
@@ -64,6 +64,7 @@ class RigLink:
         self._last_trouble = ""
         self._last_fault = Fault.NONE
         self._damage: deque[float] = deque()
+        self._submitting = threading.Lock()
         self._seen_damage = 0
         self.client: RigClient | None = None
         self.bad_frames = 0
@@ -86,13 +87,18 @@ class RigLink:
         self._alive_at = time.monotonic()
 
     def submit(self, job: Callable[[RigClient], None]) -> Future[None]:
-        """Run `job` with the client on the link's thread; its error comes out of the future."""
+        """Run `job` with the client on the link's thread; its error comes out of the future.
+
+        A job belongs to the connection on which it was submitted: it is never run after a loss or a reset of the
+        rig, nor once its future has been cancelled.
+        """
         future: Future[None] = Future()
-        client = self.client
-        if client is not None and self.connected:
-            self._jobs.put(_Job(job, future, client.stops))
-        else:
-            future.set_exception(RigLostError("there is no connection to the rig"))
+        with self._submitting:
+            client = self.client
+            if client is not None and client.hello is not None:
+                self._jobs.put(_Job(job, future, client.stops))
+                return future
+        future.set_exception(RigLostError("there is no connection to the rig"))
         return future
 
     def stop_rig(self) -> None:
@@ -103,7 +109,7 @@ class RigLink:
         """
         client = self.client
         if client is None:
-            raise RigLostError("there is no connection to the rig; its watchdog has switched it off")
+            raise RigLostError("there is no connection to the rig; its watchdog switches it off")
         client.urgent_stop()
 
     def close(self) -> None:
@@ -126,19 +132,23 @@ class RigLink:
             self._closed.wait(BACKOFF[min(attempt, len(BACKOFF) - 1)])
 
     def _drop(self) -> None:
-        client, self.client, port, self._port = self.client, None, self._port, None
+        with self._submitting:
+            client, self.client, port, self._port = self.client, None, self._port, None
+            self._refuse_jobs("the connection to the rig was lost")
         if client is not None:
             self.bad_frames += client.bad_frames
             self.lost_reports += client.lost_reports
         if port is not None:
-            try:
-                if self._closed.is_set():
-                    port.write(encode(Frame(Command.STOP, 0, b"")))
-            except RigError:
-                pass
+            with contextlib.suppress(RigError):
+                if client is not None:
+                    client.urgent_stop()
             port.close()
+
+    def _refuse_jobs(self, reason: str) -> None:
         while not self._jobs.empty():
-            self._jobs.get_nowait().future.set_exception(RigLostError("the connection to the rig was lost"))
+            future = self._jobs.get_nowait().future
+            if future.set_running_or_notify_cancel():
+                future.set_exception(RigLostError(reason))
 
     def _trouble(self, text: str) -> None:
         if text != self._last_trouble:
@@ -153,6 +163,8 @@ class RigLink:
             try:
                 self._step(client)
             except RigResetError as error:
+                with self._submitting:  # the client has forgotten its greeting: nothing is added meanwhile
+                    self._refuse_jobs(str(error))
                 self._trouble(str(error))
                 self._greet(client)
 
@@ -170,6 +182,8 @@ class RigLink:
         try:
             job = self._jobs.get_nowait()
         except queue.Empty:
+            return
+        if not job.future.set_running_or_notify_cancel():
             return
         client.permitted = job.stops
         try:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
 
 from friction_bench.client import RigClient, Sample, raise_fault
 from friction_bench.errors import RigError
-from friction_bench.messages import Fault, State
+from friction_bench.messages import State
 from friction_bench.record import RampRecord
 from friction_bench.rig import Rig
 
@@ -50,17 +51,17 @@ def run_ramp(
     """
     rig = client.rig
     step = rig.ramp_step(slope)
-    end_code = rig.end_code(end_torque)
-    if client.last is not None and client.last.report.fault != Fault.NONE:
-        raise_fault(client.last.report)
+    client.end_code(end_torque)  # refused before anything is switched on
     wait_for_rest(client)
-    client.arm()
+    if client.last is not None:
+        raise_fault(client.last.report)
     try:
-        samples = _follow(client, client.start_ramp(step, end_code), on_sample)
-    except RigError:
-        raise
-    except BaseException:  # Ctrl-C or an error of the caller's: never leave with the torque on
-        client.urgent_stop()
+        client.arm()
+        samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
+    except BaseException:  # Ctrl-C above all: never leave with the power stage on
+        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
+            client.urgent_stop()
+        client.permitted = client.stops  # this stop is the ramp's own: the next command is not overtaken by it
         raise
     return _record(samples, rig, rig.slope_of_step(step), loaded, label)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from friction_bench.rig import Rig, load_rig
 from friction_bench.serial_port import SerialPort
 from rx90_bag.writing import write_joint_states
 from rx90_common.errors import ConfigError, Rx90Error
+from rx90_common.interrupts import interrupts_later
 from rx90_common.share import config_path, resolve_config
 
 _LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
@@ -39,6 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--repeats", type=int, help="ramps of each slope")
     parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")
     parser.add_argument("--load", choices=_LOADS, default="both", help="joint coupled? (default: %(default)s)")
+    parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--out", type=Path, default=Path("out/friction"), help="folder for bag and report")
@@ -67,20 +70,18 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> None:
     rig = load_rig(resolve_config(options.rig))
     out: Path = options.out
+    base = load_friction_document()
+    _check(options, base)
     if options.no_load_file or options.loaded_file:
+        _folder(out)
         records = _read(options, rig)
         origin = f"{len(records)} recorded ramps"
     else:
         plan = _plan(options, rig)
         records, origin = _measure(options, rig, plan, out)
     result = evaluate(records, rig)
-    _folder(out)
     write_html(out / "report.html", result, rig, origin)
     write_estimates(out / "estimates.yaml", result)
-    base = load_friction_document()
-    if options.element not in base["elements"]:
-        known = ", ".join(base["elements"])
-        raise ConfigError(f"element is '{options.element}'; accepted: {known}")
     write_yaml(out / "friction.yaml", result, rig, options.element, base)
     print(as_text(result))
     print(f"report: {out / 'report.html'}\nparameters for rx90_sim: {out / 'friction.yaml'}")
@@ -92,26 +93,39 @@ def load_friction_document() -> dict[str, dict[str, object]]:
     return {"elements": document["elements"]}
 
 
+def _check(options: argparse.Namespace, base: dict[str, dict[str, object]]) -> None:
+    """Refuse now what would otherwise be noticed after minutes of ramps."""
+    if options.element not in base["elements"]:
+        known = ", ".join(base["elements"])
+        raise ConfigError(f"--element is '{options.element}'; accepted: {known}")
+    for name, low, high in (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)):
+        value = getattr(options, name)
+        if value is not None and not low <= value <= high:
+            raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
+    if options.text and not (options.no_load_file or options.loaded_file):
+        raise ConfigError("--text is given without a file; accepted: with --no-load-file or --loaded-file")
+
+
 def _folder(out: Path) -> None:
+    """Make the folder, and make sure that it takes files: a measurement must not be lost at its end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
     except OSError as error:
-        raise RecordError(f"{out}: cannot be made ({error.strerror})") from error
+        raise RecordError(f"{out}: cannot be written to ({error.strerror})") from error
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
     slopes = tuple(options.slopes or rig.ramps.slopes)
-    repeats = rig.ramps.repeats if options.repeats is None else options.repeats
-    if repeats < 1:
-        raise ConfigError(f"--repeats is {repeats}; accepted: at least 1")
-    for torque in (options.end_torque,):
-        if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
-            raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
+    torque = options.end_torque
+    if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
+        raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
     for slope in slopes:
         rig.ramp_step(slope)
     return Plan(
         slopes=slopes,
-        repeats=repeats,
+        repeats=options.repeats or rig.ramps.repeats,
         end_torque=options.end_torque or rig.ramps.end_torque,
         end_torque_loaded=options.end_torque or rig.ramps.end_torque_loaded,
     )
@@ -119,8 +133,10 @@ def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tuple[list[RampRecord], str]:
     bag = out / "bag"
-    if bag.exists():
-        raise RecordError(f"{bag} exists; accepted: a folder without a bag, for example --out {out}_2")
+    for old in (bag, *sorted(out.glob("ramp_*.csv"))[:1]):
+        if old.exists():
+            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --out {out}_2")
+    _folder(out)
     port, couple, close = _open(options, rig)
     readings = Readings(rig)
     records: list[RampRecord] = []
@@ -130,22 +146,26 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tu
         with tqdm(total=round(total, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR) as bar:
             client = RigClient(port, rig)
             client.connect()
+            if options.clear:
+                client.clear()
 
             def progress(seconds: float, label: str) -> None:
                 bar.set_postfix_str(label, refresh=False)
                 bar.update(seconds)
 
+            def keep(record: RampRecord) -> None:
+                records.append(record)
+                write_csv(record, out / f"ramp_{len(records):02d}.csv")
+
             for loaded in loads:
                 couple(loaded, client)
-                records += run_series(client, plan, loaded, readings, progress)
+                run_series(client, plan, loaded, readings, progress, keep)
     finally:
-        port.close()
-        close()
-        if readings.samples:
-            _folder(out)
-            write_joint_states(bag, readings.series())
-            for k, record in enumerate(records):
-                write_csv(record, out / f"ramp_{k + 1:02d}.csv")
+        with interrupts_later():  # a second Ctrl-C does not cost the readings
+            port.close()
+            close()
+            if readings.samples:
+                write_joint_states(bag, readings.series())
     kind = "emulated rig" if options.port == "emulated" else f"rig at {options.port}"
     return records, f"{len(records)} ramps on the {kind}"
 
@@ -157,7 +177,8 @@ def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, 
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)
-        return port, _ask, lambda: None
+        # With --load none or joint the person has said how the rig stands, and need not be there.
+        return port, _ask if options.load == "both" else lambda *_: None, lambda: None
     emulated = EmulatedRig(rig, options.seed)
     if not options.real_time:
         return VirtualPort(emulated), lambda loaded, _: emulated.plant.load(loaded), lambda: None

@@ -79,15 +79,17 @@ class RampRecord:
         return float(np.mean(middle - self.torque[rising] / self.slope))
 
 
-def _columns(path: Path) -> tuple[list[str], list[list[str]]]:
+def _columns(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return a file's header and its rows, each with its line number; a byte order mark is Excel's."""
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = [row for row in csv.reader(stream) if row and not row[0].startswith("#")]
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            rows = [(reader.line_num, row) for row in reader if any(row) and not row[0].startswith("#")]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read ({error})") from error
     if not rows:
         raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
-    return [name.strip() for name in rows[0]], rows[1:]
+    return [name.strip() for name in rows[0][1]], rows[1:]
 
 
 def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
@@ -101,14 +103,13 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     header, rows = _columns(path)
     missing = [name for name in CSV_COLUMNS[:2] if name not in header]
     if missing:
-        raise RecordError(
-            f"{path}: column '{missing[0]}' is missing, found {', '.join(header)}; accepted: {', '.join(CSV_COLUMNS)}"
-        )
+        found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
+        raise RecordError(f"{path}: column '{missing[0]}' is missing, found {found!r}; accepted: {accepted}")
     data: dict[str, Array] = {}
     for name in CSV_COLUMNS:
         if name in header:
             at = header.index(name)
-            data[name] = np.array([_number(path, i, row, at, name) for i, row in enumerate(rows, 2)])
+            data[name] = np.array([_number(path, line, row, at, name) for line, row in rows])
     return RampRecord(
         time=data["time"],
         angle=data["counts"] * angle_step,
@@ -130,17 +131,22 @@ def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
 
 
 def write_csv(record: RampRecord, path: Path) -> None:
-    """Write a record so that `read_csv` gives it back."""
+    """Write a record so that `read_csv` gives it back.
+
+    Raises:
+        RecordError: if the file cannot be written.
+    """
     counts = np.rint(record.angle / record.angle_step).astype(int)
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
-        writer = csv.writer(stream)
-        writer.writerow(CSV_COLUMNS if record.torque is not None else CSV_COLUMNS[:2])
-        for i, time in enumerate(record.time):
-            row: list[object] = [repr(float(time)), counts[i]]
-            if record.torque is not None and record.measured_torque is not None:
-                row += [repr(float(record.torque[i])), repr(float(record.measured_torque[i]))]
-            writer.writerow(row)
+    torques = [column for column in (record.torque, record.measured_torque) if column is not None]
+    try:
+        with path.open("w", newline="", encoding="utf-8") as stream:
+            stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+            writer = csv.writer(stream)
+            writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
+            for i, time in enumerate(record.time):
+                writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
@@ -156,7 +162,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     if kind not in TEXT_KINDS:
         raise RecordError(f"kind of reading is '{kind}'; accepted: {', '.join(TEXT_KINDS)}")
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise RecordError(f"{path}: cannot be read ({error})") from error
     rows: list[list[float]] = []
@@ -177,6 +183,12 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     table = np.array(rows)
     regular = tick * np.arange(1, len(rows) + 1, dtype=np.float64)
     time: Array = table[:, 0] if table.shape[1] == 2 else regular
+    step = float(np.median(np.diff(time)))
+    if not tick / 2 <= step <= tick * 2:
+        raise RecordError(
+            f"{path}: its first column, read as time, advances by {step:.3g} a line; "
+            f"accepted: s, about {tick:g} a line, and a point for decimals"
+        )
     values = np.asarray(table[:, -1], dtype=np.float64)
     if kind == "counts":
         angle = values * angle_step

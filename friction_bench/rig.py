@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,7 +77,7 @@ class Rig:
             RigError: if the firmware cannot run that slope.
         """
         unit = self.slope_of_step(1)
-        step = round(slope / unit)
+        step = round(slope / unit) if math.isfinite(slope) else 0
         if not 1 <= step <= MAX_RAMP_STEP:
             raise RigError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
         return step
@@ -88,7 +89,7 @@ class Rig:
     def limit_codes(self) -> tuple[int, int]:
         """Return travel (units of 256 counts) and speed (counts per tick) for the LIMITS command."""
         travel = self.load_travel * self.gear_ratio * self.counts_per_revolution
-        speed = self.speed_limit / 6.283185307179586 * self.counts_per_revolution * self.tick
+        speed = self.speed_limit / math.tau * self.counts_per_revolution * self.tick
         return int(travel // TRAVEL_UNIT), int(speed)
 
     def check(self, hello: HelloReply) -> None:

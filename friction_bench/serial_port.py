@@ -12,6 +12,9 @@ import serial
 from friction_bench.errors import RigLostError
 
 _READ_SLICE = 0.01
+WRITE_TIMEOUT = 0.02
+"""Longest time for which a write may hold its caller, s. The system's buffer takes two seconds' worth of bytes: a
+line that does not even take a heartbeat into it is dead, and the stop must not wait behind it."""
 _FAILURES = (serial.SerialException, OSError, termios.error, ValueError)
 
 
@@ -35,7 +38,7 @@ class SerialPort:
             self._serial = serial.serial_for_url(url, baudrate=baud, timeout=_READ_SLICE, do_not_open=True)
             if "://" not in url:
                 self._serial.exclusive = True
-            self._serial.write_timeout = 0.1
+            self._serial.write_timeout = WRITE_TIMEOUT
             self._serial.open()
         except _FAILURES as error:
             raise RigLostError(f"{url}: cannot be opened ({_reason(error)})") from error
@@ -45,9 +48,18 @@ class SerialPort:
         return time.monotonic()
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send bytes; after WRITE_TIMEOUT give up."""
+        self._write(data, first=False)
+
+    def write_first(self, data: bytes) -> None:
+        """Send bytes ahead of what is still waiting in this computer: that is thrown away, perhaps in mid-frame."""
+        self._write(data, first=True)
+
+    def _write(self, data: bytes, *, first: bool) -> None:
         try:
             with self._lock:
+                if first:
+                    self._serial.reset_output_buffer()
                 self._serial.write(data)
         except _FAILURES as error:
             raise RigLostError(f"{self.url}: lost while writing ({_reason(error)})") from error

@@ -48,23 +48,32 @@ class LogOrder:
 
     Messages without a stamp that come before the first one with a stamp get that first stamp. Where no topic
     gives the time, log time is the wall clock's time of reception.
+
+    Log time never goes back, or a reader, which sorts by it, would mix two runs. Where stamps go back, after a reset of
+    the simulation, log time goes on from where it was, and runs ahead of the stamps from then on.
+
+    Attributes:
+        set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
     """
 
     def __init__(self) -> None:
         self._by_reception = False
         self._newest: int | None = None
+        self._stamps: dict[int, int] = {}  # newest of each clock topic
+        self._epochs: dict[int, int] = {}  # of each clock topic: how often its stamps went back
+        self._offsets = [0]  # log time less stamp, for each epoch
+        self.set_backs: list[tuple[int, int]] = []
         self._arrivals = 0
         self._entries: list[Entry] = []
         self._undated: list[_Undated] = []
         self._undated_bytes = 0
         self._next_release = 0
-        self._set_back = False
         self.held_bytes = 0
 
     @property
     def newest_ns(self) -> int | None:
         """Return the newest stamp seen, None before the first."""
-        return self._newest
+        return None if self._newest is None else self._newest - self._offsets[-1]
 
     def expect_no_clock(self) -> None:
         """Date by reception: none of the topics will give the time."""
@@ -78,10 +87,10 @@ class LogOrder:
         if source is not TimeSource.NEWEST:
             stamp = stamp_ns(cdr)
             if source is TimeSource.CLOCK:
-                log_ns = stamp
-                self._advance(stamp)
+                log_ns = stamp + self._offset(topic, stamp)
+                self._advance(log_ns)
             elif stamp:
-                log_ns = stamp
+                log_ns = stamp + self._offsets[-1]
         if log_ns is None and self._by_reception:
             log_ns = received_ns
         if log_ns is None:
@@ -95,9 +104,6 @@ class LogOrder:
     def release(self) -> list[Entry]:
         """Return what is old enough that nothing older can be expected."""
         newest = self._newest
-        if self._set_back:
-            self._set_back = False
-            return self.release_all()
         if newest is None:
             return self.release_all() if self._by_reception else []
         if newest < self._next_release:
@@ -118,16 +124,27 @@ class LogOrder:
         self.held_bytes -= sum(len(entry.cdr) for entry in released)
         return released
 
-    def _advance(self, stamp: int) -> None:
+    def _offset(self, topic: int, stamp: int) -> int:
+        """Return log time less stamp; topics go back one after the other, each with its own next message."""
+        before = self._stamps.get(topic)
+        self._stamps[topic] = stamp
+        if before is None:
+            self._epochs[topic] = len(self._offsets) - 1
+        elif stamp < before:
+            self._epochs[topic] += 1
+            if self._epochs[topic] == len(self._offsets):
+                newest = self._newest or 0
+                self.set_backs.append((newest - self._offsets[-1], stamp))
+                self._offsets.append(newest + 1 - stamp)
+        return self._offsets[self._epochs[topic]]
+
+    def _advance(self, log_ns: int) -> None:
         newest = self._newest
         if newest is None:
-            self._newest = self._next_release = stamp
-            self._date(stamp)
-        elif stamp > newest:
-            self._newest = stamp
-        elif stamp < newest - _HOLD_NS:  # do not wait until time has passed the old one again
-            self._newest = self._next_release = stamp
-            self._set_back = True
+            self._newest = self._next_release = log_ns
+            self._date(log_ns)
+        elif log_ns > newest:
+            self._newest = log_ns
 
     def _date(self, log_ns: int | None) -> None:
         """Date what is undated, by its time of reception when `log_ns` is None."""

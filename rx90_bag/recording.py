@@ -12,7 +12,6 @@ from typing import Final
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import Connection
 
 from rx90_bag.ordering import Entry, LogOrder, TimeSource
@@ -20,7 +19,8 @@ from rx90_bag.sequence import WriterCount
 from rx90_bag.stream import Stream
 from rx90_bag.taking import Taker
 from rx90_bag.writing import BagWriter
-from rx90_common.errors import BagError
+from rx90_common.errors import BagError, ConfigError
+from rx90_exchange.ros_start import reason, start_ros
 
 READY: Final = "ready: all"
 """How the line begins that says that every topic is matched."""
@@ -28,6 +28,7 @@ READY: Final = "ready: all"
 _CYCLE_S = 0.02
 _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
+_LONGEST_STALL_S = 4.0  # below the lease in config/dds, after which a publisher forgets this process
 _MAX_HELD_BYTES = 64 << 20  # while topics are still missing
 
 
@@ -58,6 +59,10 @@ class Recorder:
         ros_args: arguments after --ros-args (namespace, remappings).
         say: prints a line for the user.
         show: shows the progress, called some times per second.
+
+    Attributes:
+        stalls: times, s, in which this process did not run and which publishers may have taken for its end: what they
+            sent then, and how much, is not known here.
     """
 
     def __init__(
@@ -76,6 +81,8 @@ class Recorder:
         self._connections: dict[int, Connection] = {}
         self._order = LogOrder()
         self._received = 0
+        self._told = 0
+        self.stalls: list[float] = []
 
     def run(self, make_writer: Callable[[], BagWriter], stop: Event) -> list[TopicCount]:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
@@ -101,32 +108,29 @@ class Recorder:
 
     def _make_node(self, context: Context) -> Node:
         try:
-            rclpy.init(
-                args=["--ros-args", *self._ros_args] if self._ros_args else [],
-                context=context,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
-            node = rclpy.create_node(
-                "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
-            )
-        except RuntimeError as error:  # what rclpy raises for arguments it cannot parse
-            raise BagError(f"--ros-args {' '.join(self._ros_args)}: refused by ROS ({error})") from error
+            start_ros(["--ros-args", *self._ros_args] if self._ros_args else [], context)
+        except ConfigError as error:
+            raise BagError(str(error)) from error
+        node = rclpy.create_node(
+            "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
+        )
         for topic in self._names:
             try:
                 self._topics.append(node.resolve_topic_name(topic))
             except RuntimeError as error:
-                raise BagError(f"topic {topic!r}: no name that ROS accepts ({error})") from error
+                raise BagError(f"topic {topic!r}: no name that ROS accepts ({reason(error)})") from error
         repeated = [topic for topic in self._topics if self._topics.count(topic) > 1]
         if repeated:
             raise BagError(f"topic {repeated[0]} stands twice; accepted: each topic once")
         return node
 
     def _record(self, node: Node, taker: Taker, writer: BagWriter, stop: Event) -> None:
-        start = time.monotonic()
+        start = last = time.monotonic()
         matched_at = math.inf
         ready = said = False
         while not stop.is_set():
             now = time.monotonic()
+            last = self._note_stall(last)
             if math.isinf(matched_at) and self._discover(node, taker):
                 matched_at = now
             if not ready and now > matched_at + _SETTLE_S:
@@ -138,8 +142,10 @@ class Recorder:
             self._order_all(taker)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:
                 self._write(writer, self._order.release())
+            self._tell_set_backs()
             self._show(Progress(self._received, self._order.newest_ns))
             stop.wait(_CYCLE_S)
+        self._note_stall(last)
         taker.finish()
         self._order_all(taker)
         self._connect(writer)
@@ -179,6 +185,21 @@ class Recorder:
         self._received += len(taken)
         for stream, cdr, received_ns in taken:
             self._order.add(stream.index, stream.time_source, cdr, received_ns)
+
+    def _note_stall(self, last: float) -> float:
+        """Note a long time since `last` on the steady clock; return the time now."""
+        now = time.monotonic()
+        if now - last > _LONGEST_STALL_S:
+            self.stalls.append(now - last)
+        return now
+
+    def _tell_set_backs(self) -> None:
+        for before, after in self._order.set_backs[self._told :]:
+            self._told += 1
+            self._say(
+                f"time goes back from {before / 1e9:.6g} s to {after / 1e9:.6g} s: the bag holds more than one run, "
+                "and its log time goes on"
+            )
 
     def _connect(self, writer: BagWriter) -> None:
         """Announce to the bag the topics found since the last call, in their order."""

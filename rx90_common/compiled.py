@@ -7,6 +7,7 @@ kernel sources. fastmath stays off, so that one kernel gives the same bits where
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import sys
@@ -16,7 +17,16 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-_ROOMS = ("rx90_common", "rx90_description", "rx90_sim", "rx90_controller", "rx90_loop", "friction_bench")
+_ROOMS = (
+    "rx90_common",
+    "rx90_description",
+    "rx90_sim",
+    "rx90_controller",
+    "rx90_loop",
+    "rx90_perturbation",
+    "rx90_exchange",
+    "friction_bench",
+)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -54,3 +64,22 @@ def kernel(function: _Function) -> _Function:
 def inlined(function: _Function) -> _Function:
     """Compile `function` into each kernel that calls it; not to be called from Python."""
     return cast(_Function, numba.njit(error_model="numpy", forceinline=True)(function))
+
+
+def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
+    """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
+
+    Called from Python it costs a fraction of a kernel, whose arguments numba examines one by one, and it holds the
+    interpreter's lock: giving it up and taking it back would cost more than what such a function does.
+
+    Args:
+        signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.
+    """
+
+    def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
+        compiled = numba.cfunc(signature, cache=True, error_model="numpy")(function)
+        arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
+        address: int = compiled.address  # type: ignore[assignment]  # the stubs know it only before compilation
+        return ctypes.PYFUNCTYPE(ctypes.c_int64, *arguments)(address)
+
+    return compile_now

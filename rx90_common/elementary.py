@@ -87,5 +87,7 @@ def power(base: Lanes, exponent: Lanes) -> Lanes:
     result = select(exponent == 2.0, base * base, base)
     if any_lane(absolute((exponent - 1.0) * (exponent - 2.0)) > 0.0):
         for i in range(width_of(base)):
-            result = replace_lane(result, i, lane(base, i) ** lane(exponent, i))
+            # The others keep their bits whatever stands beside them.
+            if absolute((lane(exponent, i) - 1.0) * (lane(exponent, i) - 2.0)) > 0.0:
+                result = replace_lane(result, i, lane(base, i) ** lane(exponent, i))
     return result

@@ -27,5 +27,9 @@ class ExchangeError(Rx90Error):
     """Two nodes do not speak the same exchange (names, sizes, rates)."""
 
 
+class MessageError(ExchangeError):
+    """One message cannot be used; the next one may be."""
+
+
 class BagError(Rx90Error):
     """A bag cannot be written, read or compared."""

@@ -7,13 +7,14 @@ import sys
 from collections.abc import Callable
 
 from rx90_common.interrupts import raise_where_heard
+from rx90_common.output import with_checked_output
 
 
 def _executable(program: str, module: str) -> Callable[[], int]:
     def main() -> int:
         raise_where_heard()
         try:
-            return int(importlib.import_module(module).main())
+            return with_checked_output(program, lambda: int(importlib.import_module(module).main()))
         except KeyboardInterrupt:
             print(f"{program}: interrupted", file=sys.stderr)
             return 130

@@ -24,7 +24,7 @@ def share_directory() -> Path:
         return source
     try:
         # The models work where no ROS is installed.
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory  # noqa: PLC0415
+        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
     except ImportError:
         pass
     else:

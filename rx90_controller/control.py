@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +16,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.compiled import announce_compilation
-from rx90_common.errors import ExchangeError, TrajectoryError
+from rx90_common.errors import ExchangeError, MessageError, TrajectoryError
 from rx90_common.rates import Rates
 from rx90_common.share import resolve_config
 from rx90_controller.cs7b import CS7B
@@ -29,8 +30,10 @@ from rx90_exchange.channel import Channel
 from rx90_exchange.joint_state_cdr import JointStateCodec
 from rx90_exchange.lockstep import LockstepController
 from rx90_exchange.node_tools import Diagnostics, declare
+from rx90_exchange.occasionally import Occasionally
 from rx90_exchange.pacing import Pacer
 from rx90_exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
+from rx90_exchange.time_mode import TimeMode
 from rx90_exchange.topics import FREE_RUNNING, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
 
 Array = NDArray[np.float64]
@@ -50,8 +53,12 @@ class Control:
         self._cs7b = self._build(rates)
         self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
         self._states = JointStateCodec(MOTOR_NAMES)
-        self._commands = JointStateCodec(MOTOR_NAMES)
-        self._joints = JointStateCodec(self._cs7b.joint_names)
+        commands = JointStateCodec(MOTOR_NAMES)
+        self._encode_command = commands.encoder(effort=self._cs7b.command)
+        self._encode_no_command = commands.encoder()
+        joints = self._cs7b.joint_names
+        self._encode_reference = JointStateCodec(joints).encoder(*self._cs7b.reference())
+        self._encode_error = JointStateCodec(joints).encoder(*self._cs7b.tracking_error())
         self._reference = self.node.create_publisher(JointState, "~/reference", STATE_QOS)
         self._error = self.node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
         # Trajectories and switches come on the executor's thread, between ticks.
@@ -61,10 +68,22 @@ class Control:
         self._seen = False
         self._stopped = False
         self._mode: str | None = None
+        self._refused: ExchangeError | None = None
+        self._complaints = Occasionally(self._log.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._lockstep = LockstepController(self._channel, self._log.info, self._answer, self._begin, rates.period_ns)
-        self._free = FreeRunningController(self._channel, self._pacer, self._log.info, self._answer, self._begin, rates)
+        self._free = FreeRunningController(
+            self._channel,
+            self._pacer,
+            self._log.info,
+            self._answer,
+            self._hold,
+            self._wait_for_subscribers,
+            self._skip,
+            rates,
+        )
         self._rejected = 0
+        self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS)
         self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._on_trajectory, TRAJECTORY_QOS)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
@@ -95,13 +114,15 @@ class Control:
         """Answer the simulation until `stop`.
 
         Raises:
-            ExchangeError: if the simulation's rate is not this one's.
+            ExchangeError: if the simulation's rates are not this one's.
         """
         while not self._stopped:
             if self._mode == FREE_RUNNING:
                 self._free.serve()
             else:
                 self._lockstep.serve(_WAIT_SLICE)
+        if self._refused is not None:
+            raise self._refused
 
     def stop(self) -> None:
         """End `tick_loop` soon."""
@@ -109,17 +130,24 @@ class Control:
         self._channel.wake()
 
     def _begin(self, stamp_ns: int, raw: bytes) -> None:
-        """Hold the arm where it is: the states do not follow those that were seen last."""
+        """Hold the arm where it is, once the subscribers are there: the states do not follow those seen last."""
+        self._decode(raw)
+        self._wait_for_subscribers()
+        self._hold(stamp_ns, raw)
+
+    def _hold(self, stamp_ns: int, raw: bytes) -> None:
         period = self._cs7b.rates.period_ns
-        if stamp_ns % period:
-            raise ExchangeError(
+        position, _ = self._decode(raw)
+        if stamp_ns < 0 or stamp_ns % period:
+            text = (
                 f"{self._channel.subscribe_topic} is stamped {stamp_ns} ns; accepted: multiples of {period} ns "
                 f"(base_rate {self._cs7b.rates.base_hz} Hz, as the simulation's)"
             )
-        position = self._states.decode(raw)[1]
-        if position is None:
-            raise ExchangeError(f"{self._channel.subscribe_topic} carries no positions; accepted: six")
-        self._wait_for_subscribers()
+            if self._mode is None:
+                raise ExchangeError(text)
+            # The simulation's rates are known to be the same: somebody else sent this.
+            self._complaints.say("stamp", f"{text}; ignored")
+            raise MessageError(text)
         with self._lock:
             self._cs7b.reset(position, stamp_ns // period)
             self._seen = True
@@ -127,40 +155,65 @@ class Control:
             if waiting is not None:
                 self._accept(waiting)
 
+    def _skip(self, ticks: int, raw: bytes) -> None:
+        self._decode(raw)
+        with self._lock:
+            self._cs7b.skip(ticks)
+
     def _answer(self, stamp_ns: int, raw: bytes) -> bytes:
         """Run the loops that are due and return the command."""
-        _, position, velocity, _ = self._states.decode(raw)
-        if position is None or velocity is None:
-            raise ExchangeError(f"{self._channel.subscribe_topic} carries no positions or velocities; accepted: both")
+        position, velocity = self._decode(raw)
         cs7b = self._cs7b
         with self._lock:
             if not self._enabled:
                 # A command without torques closes the brakes.
                 cs7b.reset(position, stamp_ns // cs7b.rates.period_ns + 1)
-                return self._commands.encode(stamp_ns)
+                return self._encode_no_command(stamp_ns)
             slow = cs7b.on_position_tick
-            torques = cs7b.step(position, velocity)
+            cs7b.step(position, velocity)
             # What nobody listens to is not sent: a message costs the tick more than the law.
             if slow and self._reference.get_subscription_count():
-                self._reference.publish(self._joints.encode(stamp_ns, *cs7b.reference()))
+                cs7b.reference()
+                self._reference.publish(self._encode_reference(stamp_ns))
             if slow and self._error.get_subscription_count():
-                self._error.publish(self._joints.encode(stamp_ns, *cs7b.tracking_error()))
-            return self._commands.encode(stamp_ns, effort=torques)
+                cs7b.tracking_error()
+                self._error.publish(self._encode_error(stamp_ns))
+            return self._encode_command(stamp_ns)
+
+    def _decode(self, raw: bytes) -> tuple[Array, Array]:
+        """Return positions and velocities.
+
+        Raises:
+            MessageError: if there are none; it has been said.
+        """
+        try:
+            _, position, velocity, _ = self._states.decode(raw)
+            if position is None or velocity is None:
+                raise ExchangeError("no positions or no velocities; accepted: both")
+        except ExchangeError as error:
+            text = f"{self._channel.subscribe_topic}: {error}; the message is ignored"
+            self._complaints.say("states", text)
+            raise MessageError(text) from error
+        return position, velocity
 
     def _wait_for_subscribers(self) -> None:
         publishers = [self._reference, self._error, self._channel.publisher]
-        node_tools.wait_until_matched(
-            self.node,
-            [publisher.topic_name for publisher in publishers],
-            lambda: [publisher.get_subscription_count() for publisher in publishers],
-            _MATCH_ATTEMPTS,
-        )
+        node_tools.wait_until_matched(self.node, publishers, _MATCH_ATTEMPTS)
 
     # Topics, services and diagnostics, on the executor's thread.
 
     def _on_mode(self, message: String) -> None:
-        self._mode = message.data
-        self._channel.wake()
+        try:
+            time_mode = TimeMode.parse(message.data)
+            time_mode.check(self._cs7b.rates)
+        except MessageError as error:
+            self._log.error(f"{error}; ignored")
+        except ExchangeError as error:
+            self._refused = error
+            self.stop()
+        else:
+            self._mode = time_mode.mode
+            self._channel.wake()
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         with self._lock:
@@ -201,18 +254,27 @@ class Control:
         values = {
             "time mode": self._mode or "unknown: no simulation yet",
             "controller time, s": f"{cs7b.tick * rates.period:.3f}",
-            "rate, Hz": f"{counts.ticks / counts.seconds:.1f}" if counts.seconds > 0 else "0",
-            "worst period, ms": f"{counts.worst * 1e3:.3f}",
-            "late ticks": str(counts.late),
-            "dropped ticks": str(counts.dropped),
+            "rate, Hz": f"{self._rate():.1f}",
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
             "rejected trajectories": str(self._rejected),
             "enabled": "true" if self._enabled else "false",
         }
+        if self._mode == FREE_RUNNING:
+            values |= {
+                "worst period, ms": f"{counts.worst * 1e3:.3f}",
+                "late ticks": str(counts.late),
+                "dropped ticks": str(counts.dropped),
+            }
         if not self._seen:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)
         return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
+
+    def _rate(self) -> float:
+        """Return the ticks per second since the last call; 0 over a reset."""
+        (tick, at), self._reported = self._reported, (self._cs7b.tick, time.monotonic())
+        now_tick, now = self._reported
+        return max(0.0, (now_tick - tick) / (now - at))
 
 
 def spin(args: Sequence[str]) -> None:

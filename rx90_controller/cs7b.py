@@ -17,6 +17,8 @@ from rx90_description.wrist import to_joint, to_joint_torque
 
 Array = NDArray[np.float64]
 
+_LOOKAHEAD = 64  # set-points that are sampled at once
+
 
 class CS7B:
     """Six servo controllers behind one trajectory generator.
@@ -40,8 +42,13 @@ class CS7B:
         )
         self.trajectory = TrajectoryGenerator(limits, rates.position_period, np.zeros(6))
         self.tick = 0
-        self._setpoint = np.zeros((3, 6))
-        self._joint = np.zeros((3, 6))
+        self._lookahead = np.zeros((0, 3, 6))
+        self._first = 0  # position tick of the first set-point in it
+        self._revision = self.trajectory.revision
+        # Fixed memory: what is sent in every tick is read from there.
+        self._reference = np.zeros((3, 6))
+        self._error = np.zeros((3, 6))
+        self._command: Array = self.state["command"][0]
 
     def reset(self, position: Array, tick: int = 0) -> None:
         """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
@@ -50,6 +57,11 @@ class CS7B:
         to_joint(self._gear, np.ascontiguousarray(position), hold)
         self.trajectory.reset(hold)
         self.tick = tick
+
+    def skip(self, count: int) -> None:
+        """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
+        self.tick += count * self.rates.ratio
+        self.trajectory.delay(count, self.position_tick)
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and discharge the controller."""
@@ -79,14 +91,30 @@ class CS7B:
             velocity: measured motor velocities, rad/s, shape (6,).
 
         Returns:
-            Motor torques (torque constant times current), Nm, shape (6,); a view, valid until the next step.
+            Motor torques (torque constant times current), Nm, shape (6,); always the same view of the state.
         """
-        if self.on_position_tick:
-            self._setpoint = self.trajectory.setpoints(self.position_tick)[0]
-            position_loop(self.law, self.state, self._setpoint, position, velocity)
+        tick, slow = divmod(self.tick, self.rates.ratio)
+        if slow == 0:
+            position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
         velocity_loop(self.law, self.state, velocity)
         self.tick += 1
-        return np.asarray(self.state["command"][0])
+        return self._command
+
+    def _setpoint(self, tick: int) -> Array:
+        """Return the set-point of a position tick, from a block: sampling one alone takes longer than the law."""
+        row = tick - self._first
+        if self._revision != self.trajectory.revision or not 0 <= row < len(self._lookahead):
+            self._lookahead = self.trajectory.setpoints(tick, _LOOKAHEAD)
+            self._first, row = tick, 0
+            self._revision = self.trajectory.revision
+        setpoint: Array = self._lookahead[row]
+        self._reference[:2] = setpoint[:2]
+        return setpoint
+
+    @property
+    def command(self) -> Array:
+        """Return the motor torques of the last step, Nm, shape (6,); always the same view of the state."""
+        return self._command
 
     @property
     def saturated(self) -> NDArray[np.int64]:
@@ -94,15 +122,22 @@ class CS7B:
         return np.array(self.state["saturated"][0], dtype=np.int64)
 
     def reference(self) -> tuple[Array, Array, Array]:
-        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,)."""
-        to_joint_torque(self._gear, self.state["feed_forward"][0], self._joint[2])
-        return self._setpoint[0], self._setpoint[1], self._joint[2]
+        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        position, velocity, torque = self._reference
+        to_joint_torque(self._gear, self.state["feed_forward"][0], torque)
+        return position, velocity, torque
 
     def tracking_error(self) -> tuple[Array, Array, Array]:
-        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,)."""
+        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
         state = self.state
-        error = np.empty((3, 6))
-        to_joint(self._gear, state["error"][0], error[0])
-        to_joint(self._gear, state["velocity_error"][0], error[1])
-        to_joint_torque(self._gear, state["command"][0], error[2])
-        return error[0], error[1], error[2]
+        position, velocity, torque = self._error
+        to_joint(self._gear, state["error"][0], position)
+        to_joint(self._gear, state["velocity_error"][0], velocity)
+        to_joint_torque(self._gear, state["command"][0], torque)
+        return position, velocity, torque

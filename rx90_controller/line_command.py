@@ -179,27 +179,28 @@ def _run(argv: list[str]) -> int:
 def _without_ros_arguments(argv: list[str]) -> list[str]:
     if "--ros-args" not in argv:
         return argv
-    from rclpy.utilities import remove_ros_args  # noqa: PLC0415 (planning alone needs no ROS)
+    from rx90_exchange.environment import prepare  # planning alone needs no ROS
 
-    return list(remove_ros_args(["rx90_line", *argv])[1:])
+    prepare()
+    from rx90_exchange.ros_start import without_ros_args
+
+    return without_ros_args(argv)
 
 
 def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
-    from rx90_exchange.environment import prepare  # noqa: PLC0415
+    from rx90_exchange.environment import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.
-    import rclpy  # noqa: PLC0415
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
-    from rclpy.utilities import try_shutdown  # noqa: PLC0415
+    from rclpy.utilities import try_shutdown
 
-    from rx90_controller.line_publish import Approach, Delivery, deliver  # noqa: PLC0415
+    from rx90_controller.line_publish import Approach, Delivery, deliver
+    from rx90_exchange.ros_start import start_ros
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     delivery = Delivery(options.controller, options.start_time, options.timeout, approach)
     with interrupts_later() as check_interrupt:
-        # rclpy's own handling of Ctrl-C would shut down the node under a wait.
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        start_ros(argv)
         try:
             deliver(plan, delivery, _say, check_interrupt)
         finally:

@@ -20,6 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from rx90_common.errors import ExchangeError, LineError
 from rx90_common.rates import NANOSECONDS
 from rx90_controller.line import LinePlan, approach_time, stamped_points
+from rx90_exchange.ros_start import reason
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def deliver(
     """
     node = rclpy.create_node("rx90_line")
     try:
-        topic = node.resolve_topic_name(f"{delivery.controller}/joint_trajectory")
+        topic = _topic(node, delivery.controller)
         publisher = node.create_publisher(JointTrajectory, topic, 1)
 
         def matched() -> bool:
@@ -108,7 +109,7 @@ def deliver(
             _wait(node, ready, what, delivery.timeout, say, check_interrupt)
 
         wait(matched, f"a controller on {topic}")
-        delay = _delay(node, plan, delivery, say, wait)
+        delay = _delay(node, plan, delivery, topic, say, wait)
         message = trajectory_message(plan, delivery.start_time, delay)
         publisher.publish(message)
         _confirm(publisher, topic, delivery.timeout, check_interrupt)
@@ -151,13 +152,14 @@ def _delay(
     node: Node,
     plan: LinePlan,
     delivery: Delivery,
+    topic: str,
     say: Callable[[str], None],
     wait: Callable[[Callable[[], bool], str], None],
 ) -> float:
     """Return how much later than planned the line begins: the time of the approach, s."""
     if delivery.approach is None and delivery.start_time > 0.0:
         return 0.0  # where the arm will be by then is not known here; the controller checks it
-    here = _joint_positions(node, plan.joint_names, wait)
+    here = _joint_positions(node, topic, plan.joint_names, wait)
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))
     if gap[joint] <= START_TOLERANCE:
@@ -175,7 +177,19 @@ def _delay(
     return duration
 
 
-def _joint_positions(node: Node, names: tuple[str, ...], wait: Callable[[Callable[[], bool], str], None]) -> Array:
+def _topic(node: Node, controller: str) -> str:
+    try:
+        return str(node.resolve_topic_name(f"{controller}/joint_trajectory"))
+    except RuntimeError as error:
+        raise LineError(
+            f"--controller is '{controller}' ({reason(error)}); accepted: the name of a node, such as rx90_controller "
+            "or /cell/rx90_controller"
+        ) from error
+
+
+def _joint_positions(
+    node: Node, controller_topic: str, names: tuple[str, ...], wait: Callable[[Callable[[], bool], str], None]
+) -> Array:
     found: list[Array] = []
 
     def take(message: JointState) -> None:
@@ -183,7 +197,8 @@ def _joint_positions(node: Node, names: tuple[str, ...], wait: Callable[[Callabl
         if set(names) <= position.keys():
             found.append(np.array([position[name] for name in names]))
 
-    topic = node.resolve_topic_name("joint_states")
+    # The arm that this controller moves is in the controller's namespace, which need not be ours.
+    topic = node.resolve_topic_name(controller_topic.rsplit("/", 2)[0] + "/joint_states")
     subscription = node.create_subscription(JointState, topic, take, 10)
     wait(lambda: bool(found), f"a position of the six joints on {topic}")
     node.destroy_subscription(subscription)

@@ -14,7 +14,8 @@ from rx90_controller.line_profile import TrapezoidalProfile
 from rx90_description.inverse import SHOULDERS, SIGNS, Branch
 
 MARGIN_RANGE = (1e-3, 1.0)
-LONGEST_REST = 3600.0
+LONGEST_LINE = 10.0
+LONGEST_REST = LONGEST_MOTION = 3600.0
 DEFAULT_BRANCH = Branch()
 
 
@@ -57,7 +58,7 @@ class LineTask:
                 raise LineError(f"the line's {name} is {value}; accepted: three finite numbers")
         if self.length == 0.0:
             raise LineError(f"the line starts and ends at {self.start} m; accepted: two different points")
-        self.profile()
+        self._check_motion()
         for name in ("rest_before", "rest_after"):
             value = getattr(self, name)
             if not 0.0 <= value <= LONGEST_REST:
@@ -65,6 +66,18 @@ class LineTask:
         low, high = MARGIN_RANGE
         if not low <= self.singularity_margin <= high:
             raise LineError(f"singularity_margin is {self.singularity_margin:g}; accepted: in [{low:g}, {high:g}]")
+
+    def _check_motion(self) -> None:
+        """Refuse what no arm does, before the planning fills the memory with points of it."""
+        if self.length > LONGEST_LINE:
+            raise LineError(f"the line's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+        profile = self.profile()
+        duration = profile.duration if profile.peak_speed > 0.0 else math.inf
+        if duration > LONGEST_MOTION:
+            raise LineError(
+                f"the line takes {duration:g} s at speed {self.speed:g} m/s and acceleration "
+                f"{self.acceleration:g} m/s^2; accepted: up to {LONGEST_MOTION:g} s"
+            )
 
     @property
     def length(self) -> float:

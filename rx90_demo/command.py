@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 from types import FrameType
 
@@ -51,18 +52,37 @@ def _run(options: argparse.Namespace) -> int:
     # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    folder = options.output or Path("out/demo") / datetime.now().strftime("%Y%m%d-%H%M%S")
-    try:
-        (folder / "log").mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made") from error
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output {options.output}: exists; accepted: a folder that can be made")
     prepare()
     announce_compilation("rx90_demo")
     # Here, because a wrong option must not wait for them.
-    from rx90_demo.demonstration import Demonstration  # noqa: PLC0415
+    from rx90_demo.demonstration import Demonstration
 
-    demonstration = Demonstration(folder, resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
-    return 0 if demonstration.run() else 1
+    demonstration = Demonstration(resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
+    return 0 if demonstration.run(_folder(options.output)) else 1
+
+
+def _folder(given: Path | None) -> Path:
+    """Make the folder that was asked for, or one with the time as its name that nobody else has."""
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    usual = (Path("out/demo") / (f"{name}-{k}" if k > 1 else name) for k in count(1))
+    while True:
+        folder = given or next(usual)
+        try:
+            folder.mkdir(parents=True)
+            (folder / "log").mkdir()
+        except FileExistsError as error:
+            if given is None and folder.is_dir():
+                continue  # another run began in the same second
+            raise _not_made(folder, error) from error
+        except OSError as error:
+            raise _not_made(folder, error) from error
+        return folder
+
+
+def _not_made(folder: Path, error: OSError) -> ConfigError:
+    return ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made")
 
 
 if __name__ == "__main__":

@@ -29,25 +29,33 @@ _END_TIMEOUT = 60.0
 class Demonstration:
     """One run of the reference task in a folder of its own."""
 
-    def __init__(self, folder: Path, task_file: Path, real_time_factor: float) -> None:
-        """Run in `folder`, which exists; `real_time_factor` 0 is as fast as it goes."""
-        self._folder = folder
+    def __init__(self, task_file: Path, real_time_factor: float) -> None:
+        """Read and plan the task; `real_time_factor` 0 is as fast as it goes.
+
+        Raises:
+            Rx90Error: if the task cannot be read or travelled.
+        """
         self._task_file = task_file
         self._factor = real_time_factor
         self._setup = Setup.load()
         self._task = load_task(task_file)
+        self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
+        self._folder = Path()
 
-    def run(self) -> bool:
+    def run(self, folder: Path) -> bool:
         """Run, compare, report; return whether the run is identical to the closed loop and within the limit.
+
+        Args:
+            folder: an empty one, with a folder `log` in it.
 
         Raises:
             Rx90Error: if a step fails; no process is left behind.
         """
+        self._folder = folder
         recorded, baseline = self._folder / "recorded", self._folder / "closed_loop"
         print("closed loop without ROS ...", flush=True)
         self._run_closed_loop(baseline)
-        plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
-        factor = self._run_processes(plan, recorded)
+        factor = self._run_processes(self._plan, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
         comparison = compare_bags(recorded, baseline, Tolerances(), Scope())
         print(as_text(comparison))

@@ -12,13 +12,13 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
 from rx90_common.interrupts import interrupts_later
 from rx90_demo.processes import ManagedProcess, ProcessError
+from rx90_exchange.ros_start import start_ros
 
 _SERVICE_TIMEOUT = 60.0
 _SLICE = 0.1
@@ -31,7 +31,7 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
         ProcessError: if the simulation does not take the request.
     """
     context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    start_ros([], context)
     try:
         _follow(simulation, duration, context)
     finally:

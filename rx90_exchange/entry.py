@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from types import FrameType
 
 from rx90_common.errors import Rx90Error
+from rx90_common.output import with_checked_output
 
 _HELP = """\
 usage: {program} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]
@@ -30,15 +31,14 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
         # in order, and an exception would get lost in a callback of the compiler.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _leave)
-        from importlib import import_module  # noqa: PLC0415 - see above
+        from importlib import import_module
 
-        from rx90_exchange.environment import prepare  # noqa: PLC0415 - see above
+        from rx90_exchange.environment import prepare
 
         words = list(sys.argv[1:] if args is None else args)
         own = words[: words.index("--ros-args")] if "--ros-args" in words else words
         if own in (["-h"], ["--help"]):
-            print(_HELP.format(program=program))
-            return 0
+            return with_checked_output(program, lambda: print(_HELP.format(program=program)) or 0)
         if own:
             print(f"{program}: argument {own[0]!r}; accepted: --help, --ros-args ...", file=sys.stderr, flush=True)
             return 2

@@ -1,8 +1,8 @@
 """sensor_msgs/JointState as CDR bytes, fast enough for 4 kHz in Python.
 
-A codec knows the joint names of its topic. The bytes around the numbers are then constant: encoding is one
-join of prepared pieces, decoding one comparison and one copy. Messages of other publishers (another order of
-names, a frame_id, big endian, uninitialised padding) take the general path of `joint_state_parser`.
+A codec knows the joint names of its topic. The bytes around the numbers are then constant, a frame, which compiled
+code reads and writes in one call. Messages of other publishers (another order of names, a frame_id, big endian,
+uninitialised padding) take the general path of `joint_state_parser`.
 
 Alignment padding is written as zeros, so that equal values give equal bytes. The serialiser of rclpy leaves
 whatever was in memory there and up to 15 unused bytes at the end; apart from those, both write the same.
@@ -11,13 +11,13 @@ whatever was in memory there and up to 15 unused bytes at the end; apart from th
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
-from math import isfinite
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.errors import ExchangeError
+from rx90_exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
 from rx90_exchange.joint_state_parser import LITTLE_ENDIAN, parse_joint_state
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +25,7 @@ FloatArray = NDArray[np.float64]
 _NS_PER_S = 1_000_000_000
 _MAX_STAMP_NS = (1 << 31) * _NS_PER_S - 1
 _FLOAT64 = np.dtype("<f8")
-_STAMP = struct.Struct("<4siI")  # encapsulation, seconds, nanoseconds
+_BODY = MARGIN + len(LITTLE_ENDIAN)  # where a message's body begins in memory
 
 
 # stamp in ns and three arrays of shape (n,) in the codec's order, None when empty
@@ -33,47 +33,46 @@ JointStateValues = tuple[int, FloatArray | None, FloatArray | None, FloatArray |
 
 
 class _Layout:
-    """The bytes of a message in which a given set of the three arrays is present, numbers left out."""
+    """The bytes of a message in which a given set of the three arrays is present, numbers left out.
+
+    Attributes:
+        size: bytes of the message.
+        shape: what `frame` needs to know of it.
+        expected: its constant bytes, shape (size,).
+        mask: 255 for each of these, 0 for stamp and numbers.
+        incoming: memory of a message that was read.
+        outgoing: memory of a message to write, its constant bytes filled in.
+        views: the numbers in `incoming`, None for an absent array.
+    """
 
     def __init__(self, names: tuple[str, ...], frame_id: str, present: tuple[bool, ...]) -> None:
-        count = len(names)
-        self.pieces: list[bytes] = []
-        self.data_offsets: list[int | None] = []
-        piece = _names_block(names, frame_id)
-        offset = 8  # of `piece` in the body, behind the stamp
+        numbers = 8 * len(names)
+        body = bytearray(8) + _names_block(names, frame_id)
+        blocks = []
         for there in present:
-            piece += bytes(-(offset + len(piece)) % 4) + struct.pack("<I", count if there else 0)
-            if not there:
-                self.pieces.append(b"")
-                self.data_offsets.append(None)
-                continue
-            piece += bytes(-(offset + len(piece)) % 8)
-            self.pieces.append(bytes(piece))
-            offset += len(piece)
-            self.data_offsets.append(offset)
-            offset += 8 * count
-            piece = bytearray()
-        self.tail = bytes(piece)
-        self._prepare_decoding(count, offset + len(piece))
-
-    def _prepare_decoding(self, count: int, body_bytes: int) -> None:
-        """Compile the two unpackers, and lay views of the numbers over one buffer."""
-        blocks = [(piece, at) for piece, at in zip(self.pieces, self.data_offsets, strict=True) if at]
-        numbers = 8 * count
-        self.unpack_constants = struct.Struct(
-            "<4siI" + "".join(f"{len(piece)}s{numbers}x" for piece, _ in blocks) + f"{len(self.tail)}s"
-        ).unpack
-        self.unpack_numbers = struct.Struct(
-            "<12x" + "".join(f"{len(piece)}x{count}d" for piece, _ in blocks) + f"{len(self.tail)}x"
-        ).unpack
-        self.constants = (*(piece for piece, _ in blocks), self.tail)
-        # Numbers are aligned from the body's start; 4 bytes before the encapsulation align them in memory.
-        memory = np.zeros(8 + body_bytes, dtype=np.uint8)
-        self.buffer = memoryview(memory.data)[4:]
+            body += bytes(-len(body) % 4) + struct.pack("<I", len(names) if there else 0)
+            if there:
+                body += bytes(-len(body) % 8)
+            blocks.append(_BODY + len(body) if there else -1)
+            body += bytes(numbers if there else 0)
+        self.size = len(LITTLE_ENDIAN) + len(body)
+        self.shape = np.array([self.size, len(names), *blocks], dtype=np.int64)
+        self.expected = np.frombuffer(LITTLE_ENDIAN + bytes(body), dtype=np.uint8)
+        self.mask = np.full(self.size, 255, dtype=np.uint8)
+        self.mask[len(LITTLE_ENDIAN) : len(LITTLE_ENDIAN) + 8] = 0
+        for at in blocks:
+            if at >= 0:
+                self.mask[at - MARGIN : at - MARGIN + numbers] = 0
+        self.incoming = np.zeros(MARGIN + self.size, dtype=np.uint8)
+        self.outgoing = np.concatenate([np.zeros(MARGIN, dtype=np.uint8), self.expected])
         self.views: tuple[FloatArray | None, ...] = tuple(
-            None if at is None else memory[8 + at : 8 + at + numbers].view(np.float64) for at in self.data_offsets
+            None if at < 0 else self.incoming[at : at + numbers].view(np.float64) for at in blocks
         )
         self.position, self.velocity, self.effort = self.views
+        # Looked up once: asking an array for its address takes longer than to read a message.
+        self.shape_at = self.shape.ctypes.data
+        self.reading = (self.expected.ctypes.data, self.mask.ctypes.data, self.incoming.ctypes.data, self.shape_at)
+        self.outgoing_at = self.outgoing.ctypes.data
 
 
 def _names_block(names: tuple[str, ...], frame_id: str) -> bytearray:
@@ -107,7 +106,6 @@ class JointStateCodec:
         self.names = tuple(names)
         self.frame_id = frame_id
         _check_names(self.names, frame_id)
-        self._bytes_per_array = 8 * len(self.names)
         self._layouts = {
             (p, v, e): _Layout(self.names, frame_id, (p, v, e))
             for p in (True, False)
@@ -134,29 +132,46 @@ class JointStateCodec:
         Raises:
             ExchangeError: if the stamp is out of range, or an array is not float64 of shape (n,).
         """
-        layout = self._layouts[position is not None, velocity is not None, effort is not None]
-        before_position, before_velocity, before_effort = layout.pieces
-        if not 0 <= stamp_ns <= _MAX_STAMP_NS:
-            raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
-        return b"".join(
-            (
-                _STAMP.pack(LITTLE_ENDIAN, *divmod(stamp_ns, _NS_PER_S)),
-                before_position,
-                b"" if position is None else self._array_bytes(position),
-                before_velocity,
-                b"" if velocity is None else self._array_bytes(velocity),
-                before_effort,
-                b"" if effort is None else self._array_bytes(effort),
-                layout.tail,
-            )
-        )
+        return self.encoder(position, velocity, effort)(stamp_ns)
 
-    def _array_bytes(self, array: FloatArray) -> bytes:
-        data = array.tobytes()
-        if len(data) != self._bytes_per_array or array.dtype != _FLOAT64:
-            accepted = f"float64 of shape ({len(self.names)},)"
+    def encoder(
+        self,
+        position: FloatArray | None = None,
+        velocity: FloatArray | None = None,
+        effort: FloatArray | None = None,
+    ) -> Callable[[int], bytes]:
+        """Return a function from header.stamp in ns to the message with what these arrays hold when it is called.
+
+        For arrays that stay where they are in memory and are sent again and again.
+
+        Raises:
+            ExchangeError: if an array is not contiguous float64 of shape (n,); from the function, if the stamp is
+                out of range.
+        """
+        arrays = (position, velocity, effort)
+        for array in arrays:
+            self._check_array(array)
+        layout = self._layouts[position is not None, velocity is not None, effort is not None]
+        first, second, third = (0 if array is None else array.ctypes.data for array in arrays)
+        message = layout.outgoing[MARGIN:]
+        outgoing_at, shape_at = layout.outgoing_at, layout.shape_at
+
+        # The arrays are a default, so that they live as long as their addresses are used.
+        def encode(stamp_ns: int, _kept: object = arrays) -> bytes:
+            if not 0 <= stamp_ns <= _MAX_STAMP_NS:
+                raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
+            write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
+            return message.tobytes()
+
+        return encode
+
+    def _check_array(self, array: FloatArray | None) -> None:
+        if array is None:
+            return
+        count = len(self.names)
+        if array.shape != (count,) or array.dtype != _FLOAT64 or not array.flags.c_contiguous:
+            accepted = f"contiguous float64 of shape ({count},)"
             raise ExchangeError(f"array to send is {array.dtype} of shape {array.shape}; accepted: {accepted}")
-        return data
 
     def decode(self, raw: bytes) -> JointStateValues:
         """Return stamp and arrays of a message.
@@ -169,18 +184,10 @@ class JointStateCodec:
                 array has neither n nor 0 elements, or a number is not finite.
         """
         layout = self._expected
-        try:
-            encapsulation, seconds, nanoseconds, *constants = layout.unpack_constants(raw)
-            if (
-                encapsulation == LITTLE_ENDIAN
-                and (*constants,) == layout.constants
-                and isfinite(sum(layout.unpack_numbers(raw)))
-                and nanoseconds < _NS_PER_S
-            ):
-                layout.buffer[:] = raw
-                return seconds * _NS_PER_S + nanoseconds, layout.position, layout.velocity, layout.effort
-        except struct.error:
-            pass  # another length: not the layout of the message before
+        if len(raw) == layout.size:
+            stamp_ns = read_frame(raw, *layout.reading)
+            if stamp_ns != NO_MATCH:
+                return stamp_ns, layout.position, layout.velocity, layout.effort
         return self._decode_any(raw)
 
     def _decode_any(self, raw: bytes) -> JointStateValues:

@@ -17,7 +17,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rx90_common.errors import ExchangeError
+from rx90_common.errors import ExchangeError, MessageError
 from rx90_exchange.channel import Channel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
@@ -44,16 +44,16 @@ class _Wait:
 
     def __init__(self, announce: Callable[[str], None]) -> None:
         self._announce = announce
-        self._announced = False
+        self.announced = False
 
     def begin(self, text: str) -> None:
-        if not self._announced:
-            self._announced = True
+        if not self.announced:
+            self.announced = True
             self._announce(text)
 
     def end(self, text: str) -> None:
-        if self._announced:
-            self._announced = False
+        if self.announced:
+            self.announced = False
             self._announce(text)
 
 
@@ -156,6 +156,8 @@ class LockstepController:
         begin: called before `answer` when the states do not follow the last ones: at start, after a reset of the
             simulation, or after one of the two was away; with the stamp and the bytes of the states.
         period_ns: the tick.
+
+    Both raise MessageError, once they have said so, for states that cannot be used; these are left out.
     """
 
     def __init__(
@@ -193,18 +195,22 @@ class LockstepController:
             return
         stamp = stamp_of(raw)
         if stamp != self._stamp or raw != self._state:
-            if self._stamp is None or stamp != self._stamp + self._period_ns:
-                self._note_jump(stamp)
-                if self._rivals:
-                    return
-                self._begin(stamp, raw)
-            else:
-                self._jumped = 0
-            self._command = self._answer(stamp, raw)
+            try:
+                if self._stamp is None or stamp != self._stamp + self._period_ns:
+                    self._begin(stamp, raw)
+                    self._note_jump(stamp)
+                    if self._rivals:
+                        return
+                else:
+                    self._jumped = 0
+                self._command = self._answer(stamp, raw)
+            except MessageError:
+                return
             self._stamp, self._state = stamp, raw
         self._channel.publish(self._command)
         self._heard = time.monotonic()
-        self._wait.end(f"the simulation is there: {stamp / 1e9:.6g} s")
+        if self._wait.announced:
+            self._wait.end(f"the simulation is there: {stamp / 1e9:.6g} s")
 
     def _note_jump(self, stamp: int) -> None:
         if self._stamp is None:

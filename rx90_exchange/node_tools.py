@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, TypeVar
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.duration import Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.impl.logging_severity import LoggingSeverity
-from rclpy.logging import set_logger_level
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.errors import ConfigError
 from rx90_exchange.qos import CLOCK_QOS
+from rx90_exchange.ros_start import start_ros
 
 _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
+_OF_ROS = ("use_sim_time", "start_type_description_service")  # and qos_overrides.*: rclpy declares them itself
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 
 
@@ -51,14 +52,45 @@ def declare(
             descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
         else:
             descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    override = node._parameter_overrides.get(name)  # rclpy names neither value nor range in a way to show
+    given = getattr(override, "value", None)
+    accepted = "list of numbers" if isinstance(default, list) else type(default).__name__
+    if low is not None:
+        accepted += f" in [{low:g}, {high:g}]"
+    if override is not None:
+        if given is None:
+            raise ConfigError(f"parameter {name} is empty; accepted: {accepted}")
+        node._parameter_overrides[name] = _with_real_numbers(override, default)
     try:
         value: Any = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        override = node._parameter_overrides.get(name)  # rclpy names neither value nor range in a way to show
-        given = getattr(override, "value", None)
-        accepted = type(default).__name__ if low is None else f"{type(default).__name__} in [{low:g}, {high:g}]"
         raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
+
+
+def _with_real_numbers(override: Parameter, default: object) -> Parameter:
+    """Return the parameter with whole numbers made real ones where those are asked for: 1 is as good as 1.0."""
+    if isinstance(default, float) and override.type_ is Parameter.Type.INTEGER:
+        return Parameter(override.name, Parameter.Type.DOUBLE, float(override.value))
+    if isinstance(default, list) and override.type_ is Parameter.Type.INTEGER_ARRAY:
+        return Parameter(override.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in override.value])
+    return override
+
+
+def refuse_unknown_parameters(node: Node) -> None:
+    """Look for values given to parameters that the node has not declared; to be called when it has declared all.
+
+    Raises:
+        ConfigError: naming the first one, and those that there are.
+    """
+    known = sorted(name for name in node._parameters if not _is_of_ros(name))
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not _is_of_ros(name):
+            raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
+
+
+def _is_of_ros(name: str) -> bool:
+    return name in _OF_ROS or name.startswith("qos_overrides.")
 
 
 class Diagnostics:
@@ -113,29 +145,37 @@ def spin(
     Raises:
         Rx90Error: what the node's constructor or its ticks raise.
     """
-    with _rclpy(args):
-        ticking = make()
-        failures: list[BaseException] = []
-        thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
-        executor = make_executor()
-        executor.add_node(ticking.node)
-        # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
-        # everything that was imported in the middle of a tick.
-        sys.setswitchinterval(_SWITCH_INTERVAL)
-        gc.collect()
-        gc.freeze()
-        stopped = _stop_request()
-        thread.start()
-        try:
-            while thread.is_alive() and not stopped.is_set():
-                executor.spin_once(timeout_sec=_SPIN_SLICE)
-        finally:
-            ticking.stop()
-            thread.join(5.0)
-            executor.shutdown()
-            ticking.node.destroy_node()
-        if failures:
-            raise failures[0]
+    start_ros(args)
+    try:
+        _spin(make, make_executor)
+    finally:
+        try_shutdown()
+
+
+def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]) -> None:
+    ticking = make()
+    refuse_unknown_parameters(ticking.node)
+    failures: list[BaseException] = []
+    thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
+    executor = make_executor()
+    executor.add_node(ticking.node)
+    # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
+    # everything that was imported in the middle of a tick.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    gc.collect()
+    gc.freeze()
+    stopped = _stop_request()
+    thread.start()
+    try:
+        while thread.is_alive() and not stopped.is_set():
+            executor.spin_once(timeout_sec=_SPIN_SLICE)
+    finally:
+        ticking.stop()
+        thread.join(5.0)
+        executor.shutdown()
+        ticking.node.destroy_node()
+    if failures:
+        raise failures[0]
 
 
 def _stop_request() -> threading.Event:
@@ -153,40 +193,24 @@ def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
         failures.append(error)
 
 
-@contextlib.contextmanager
-def _rclpy(args: Sequence[str]) -> Iterator[None]:
-    try:
-        # `spin` handles Ctrl-C and ends everything in order; rclpy would pull the context away first.
-        # rcl would print a refusal itself, beside the line that the error becomes.
-        set_logger_level("rcl", LoggingSeverity.FATAL)
-        rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        reason = " ".join(str(error).split(", at /")[0].split())
-        raise ConfigError(f"ROS arguments {' '.join(args)}: refused ({reason})") from error
-    set_logger_level("rcl", LoggingSeverity.UNSET)
-    try:
-        yield
-    finally:
-        try_shutdown()
-
-
-def wait_until_matched(node: Node, topics: Sequence[str], matched: Callable[[], list[int]], attempts: int) -> bool:
+def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: int) -> bool:
     """Wait until every subscription that the graph knows of is matched with our publishers.
 
     A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
-    it must also have stayed as it is for half a second.
+    it must also have stayed as it is for half a second. Who asks for another quality of service than is offered is
+    never matched, and not waited for.
 
     Args:
         node: the publishers' node.
-        topics: resolved names of the topics.
-        matched: matched subscriptions of each topic now.
+        publishers: of all topics.
         attempts: how often to look, 50 ms apart.
     """
     pause = threading.Event()
     before: list[int] = []
     quiet = 0
     for _ in range(attempts):
-        known, have = [node.count_subscribers(topic) for topic in topics], matched()
+        known = [_fitting_subscriptions(node, publisher) for publisher in publishers]
+        have = [publisher.get_subscription_count() for publisher in publishers]
         complete = all(h >= k for h, k in zip(have, known, strict=True))
         quiet = quiet + 1 if complete and have == before else 0
         if quiet >= _SETTLED_LOOKS:
@@ -194,3 +218,20 @@ def wait_until_matched(node: Node, topics: Sequence[str], matched: Callable[[], 
         before = have
         pause.wait(0.05)
     return False
+
+
+def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+    asked = [_asked(info.qos_profile) for info in node.get_subscriptions_info_by_topic(publisher.topic_name)]
+    offered = publisher.qos_profile
+    return sum(qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR for profile in asked)
+
+
+def _asked(profile: QoSProfile) -> QoSProfile:
+    """Return what is asked for: the graph tells times without end where none are, which the check takes for a wish."""
+    times = {name: getattr(profile, name) for name in ("deadline", "liveliness_lease_duration")}
+    return QoSProfile(
+        depth=1,
+        reliability=profile.reliability,
+        durability=profile.durability,
+        **{name: time for name, time in times.items() if time < Infinite},
+    )

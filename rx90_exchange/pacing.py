@@ -61,6 +61,10 @@ class Pacer:
         self._anchor = self._last = self._clock()
         self._ticks = 0
 
+    def shift(self, seconds: float) -> None:
+        """Move the grid, to a later time or, below 0, an earlier one."""
+        self._anchor += seconds
+
     def wait(self) -> None:
         """Wait until the next tick is due."""
         counts = self._counts

@@ -22,4 +22,5 @@ TICK_QOS: Final = _reliable(8000)
 STATE_QOS: Final = _reliable(2000)
 CLOCK_QOS: Final = _reliable(10)
 LATCHED_QOS: Final = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
-TRAJECTORY_QOS: Final = _reliable(10)
+# A burst is answered one by one, each with a line of its own; planning takes longer than sending.
+TRAJECTORY_QOS: Final = _reliable(1000)

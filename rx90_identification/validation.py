@@ -150,8 +150,11 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
     friction = smooth(friction_along(arm.elements(), result.lugre, record.time, record.position))
     inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
-    motion = record.position[kept], record.velocity[kept], acceleration[kept]
-    rigid = arm.torque(*motion) + arm.regressor(*motion) @ result.sliding.inertial
+    position = record.position[kept]
+    nothing = np.zeros_like(position)
+    rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
+    # Sweeps at constant velocity show errors of the weights; what they say of inertias is next to nothing.
+    rigid = rigid + arm.regressor(position, nothing, nothing) @ result.sliding.inertial
     span = 2 * round(0.5 * _EDGE / step) + 1
     moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
     return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept], moves.astype(np.float64)

@@ -44,8 +44,10 @@ class Plant:
         self.state: np.ndarray[Any, Any] = np.zeros(1, STATE_DTYPE)
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper
-        self._element_velocity = np.zeros(ELEMENT_COUNT)
-        self._element_torque = np.zeros(ELEMENT_COUNT)
+        state = self.state
+        self._motor_states = state["motor_position"][0], state["motor_velocity"][0], state["motor_torque"][0]
+        self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
+        self._friction_states = state["z"][0], np.zeros(ELEMENT_COUNT), np.zeros(ELEMENT_COUNT)
         self.reset(np.clip(np.zeros(6), self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
@@ -94,7 +96,7 @@ class Plant:
         raise DivergenceError(
             f"the state of {self.joint_names[joint]} diverged in tick {self.tick}: velocity "
             f"{self.state['v'][0, joint]:g} rad/s; accepted: finite and up to "
-            f"{self.constants['speed_limit'][0, joint]:g} rad/s"
+            f"{self.constants['speed_limit'][0, joint]:g} rad/s; stiff parameters may need more substeps"
         )
 
     @property
@@ -108,16 +110,21 @@ class Plant:
         return np.array(self.state["saturated"][0])
 
     def motor_states(self) -> tuple[Array, Array, Array]:
-        """Return position by the encoder rad, observed velocity rad/s, torque Nm, motor side, shape (6,)."""
-        state = self.state
-        return state["motor_position"][0], state["motor_velocity"][0], state["motor_torque"][0]
+        """Return position by the encoder rad, observed velocity rad/s, torque Nm, motor side, shape (6,).
+
+        Views of the state, always the same ones.
+        """
+        return self._motor_states
 
     def joint_states(self) -> tuple[Array, Array, Array]:
-        """Return joint position rad, velocity rad/s and drive torque at the joint Nm, shape (6,)."""
-        state = self.state
-        return state["q"][0], state["v"][0], state["drive_torque"][0]
+        """Return joint position rad, velocity rad/s and drive torque at the joint Nm, shape (6,); views, as above."""
+        return self._joint_states
 
     def friction_states(self) -> tuple[Array, Array, Array]:
-        """Return bristle deflection rad, input velocity rad/s and friction torque Nm, shape (7,)."""
-        friction_states(self.constants, self.state, self._element_velocity, self._element_torque)
-        return self.state["z"][0], self._element_velocity, self._element_torque
+        """Return bristle deflection rad, input velocity rad/s and friction torque Nm, shape (7,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        _, velocity, torque = self._friction_states
+        friction_states(self.constants, self.state, velocity, torque)
+        return self._friction_states

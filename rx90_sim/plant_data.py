@@ -14,15 +14,15 @@ from rx90_description.robot import RobotModel
 from rx90_description.wrist import coupled_inertia
 from rx90_sim.base_parameters import base_parameters
 from rx90_sim.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
-from rx90_sim.friction.bristle import ELEMENTS_DTYPE
+from rx90_sim.friction.bristle import elements_dtype
 from rx90_sim.friction.lugre import ELEMENT_DTYPE
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
         ("arm", MANIPULATOR_DTYPE),
-        ("friction", ELEMENTS_DTYPE),
-        ("brake", ELEMENTS_DTYPE),  # a closed brake is a stiff bristle element on its motor
+        ("friction", elements_dtype(ELEMENT_COUNT)),
+        ("brake", elements_dtype(ELEMENT_COUNT)),  # a closed brake is a stiff bristle element on its motor
         ("gear", np.float64, 6),
         ("peak_torque", np.float64, 6),
         ("resolution", np.float64, 6),  # of the encoder, motor side, rad
@@ -111,7 +111,7 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
 
 
 def _fill_elements(fields: Any, records: np.ndarray[Any, Any]) -> None:
-    for name in ELEMENTS_DTYPE.names or ():
+    for name in records.dtype.names or ():
         fields[name] = records[name].T
 
 

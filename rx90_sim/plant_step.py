@@ -104,7 +104,7 @@ def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64
     plant, state = plants[0], states[0]
     inputs = _element_velocities(state.v)
     store(velocity, inputs)
-    store(torque, friction_torque(load_elements(plant.friction), load(state.z, 7), inputs))
+    store(torque, friction_torque(load_elements(plant.friction, 7), load(state.z, 7), inputs))
 
 
 @kernel
@@ -164,10 +164,10 @@ def _element_velocities(v: Array) -> Lanes:
 def _add_friction(plant: Any, state: Any, step: float) -> None:
     """Advance the bristles of the seven elements, and of closed brakes, and add their torques."""
     velocity = _element_velocities(state.v_mid)
-    z, torque = bristle_step(load_elements(plant.friction), load(state.z, 7), velocity, step)
+    z, torque = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), velocity, step)
     store(state.z, z)
     if state.brakes_closed:
-        z, brake_torque = bristle_step(load_elements(plant.brake), load(state.brake_z, 7), velocity, step)
+        z, brake_torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), velocity, step)
         store(state.brake_z, z)
         torque = torque + brake_torque
     store(state.rhs, load(state.rhs, 6) - first(torque, 6))

@@ -26,8 +26,8 @@ class Publications:
         self._period_ns = rates.period_ns
         self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, state_hz)
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, clock_hz)
-        self._joint_codec = JointStateCodec(plant.joint_names)
-        self._friction_codec = JointStateCodec(plant.friction_names)
+        self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
+        self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
         self._joints = node.create_publisher(JointState, "joint_states", STATE_QOS)
         self._friction = node.create_publisher(JointState, "friction_states", STATE_QOS)
         self._clock = node.create_publisher(Clock, "/clock", CLOCK_QOS)
@@ -44,9 +44,10 @@ class Publications:
         if tick % self._state_ticks == 0:
             # What nobody listens to is not sent: a message costs the tick more than the plant's step.
             if self._joints.get_subscription_count():
-                self._joints.publish(self._joint_codec.encode(stamp, *self._plant.joint_states()))
+                self._joints.publish(self._encode_joints(stamp))
             if self._friction.get_subscription_count():
-                self._friction.publish(self._friction_codec.encode(stamp, *self._plant.friction_states()))
+                self._plant.friction_states()
+                self._friction.publish(self._encode_friction(stamp))
         if tick % self._clock_ticks == 0:
             message = Clock()
             message.clock.sec, message.clock.nanosec = divmod(stamp, NANOSECONDS)

@@ -31,6 +31,7 @@ class RunControl:
         self._reset = False
         self._stopped = False
         self._last_tick = last_tick
+        self._undisturbed = not paused
 
     @property
     def paused(self) -> bool:
@@ -49,9 +50,14 @@ class RunControl:
 
     def next_turn(self, tick: int, timeout: float) -> Turn:
         """Return what to do before tick `tick`; waits up to `timeout` seconds while paused."""
+        last = self._last_tick is not None and tick >= self._last_tick
+        # Without the lock, which costs the tick as much as the law: a request that comes now counts before the next.
+        if self._undisturbed and not last:
+            return Turn.STEP
         with self._changed:
-            if self._last_tick is not None and tick >= self._last_tick:
+            if last:
                 self._stopped = True
+                self._undisturbed = False
             if self._runnable():
                 return self._take_turn()
             self._changed.wait(timeout)
@@ -94,10 +100,13 @@ class RunControl:
         with self._changed:
             self._reset = False
             self._steps = 0
+            self._look()
             self._changed.notify_all()
 
     def step_done(self) -> None:
         """Say that the tick that `next_turn` asked for has been carried out."""
+        if self._undisturbed:
+            return
         with self._changed:
             if self._steps > 0:
                 self._steps -= 1
@@ -119,8 +128,13 @@ class RunControl:
     def _request(self, change: Callable[[], None]) -> None:
         with self._changed:
             change()
+            self._look()
             self._changed.notify_all()
         self._wake()
+
+    def _look(self) -> None:
+        """Note whether ticks follow each other without anybody's asking for anything."""
+        self._undisturbed = not (self._paused or self._reset or self._stopped or self._steps)
 
     def _wait_until(self, done: Callable[[], bool], timeout: float) -> bool:
         with self._changed:

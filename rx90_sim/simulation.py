@@ -19,8 +19,10 @@ from rx90_exchange.channel import Channel
 from rx90_exchange.joint_state_cdr import JointStateCodec
 from rx90_exchange.lockstep import LockstepSimulation
 from rx90_exchange.node_tools import Diagnostics, declare
+from rx90_exchange.occasionally import Occasionally
 from rx90_exchange.pacing import Pacer
 from rx90_exchange.qos import LATCHED_QOS, TICK_QOS
+from rx90_exchange.time_mode import TimeMode
 from rx90_exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
 from rx90_sim.held_command import HeldCommand
 from rx90_sim.publications import Publications
@@ -49,7 +51,7 @@ class Simulation:
         )
         self._channel = Channel(self.node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
         self._lockstep = LockstepSimulation(self._channel, self._log.info)
-        self._states = JointStateCodec(MOTOR_NAMES)
+        self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*self._plant.motor_states())
         self._commands = JointStateCodec(MOTOR_NAMES)
         self._control = RunControl(self._parameters.paused, self._channel.wake, self._parameters.last_tick)
         lock_step = self._parameters.time_mode == LOCK_STEP
@@ -57,7 +59,7 @@ class Simulation:
         self._published_tick = -1
         timeout = round(self._parameters.command_timeout * rates.base_hz)
         self._held = HeldCommand(self._channel, self._torques, timeout, self._log.info)
-        self._bad_command: str | None = None
+        self._complaints = Occasionally(self._log.error)
         self._latch(robot.urdf)
         self._offer_services()
         self._diagnostics = Diagnostics(self.node, self._status)
@@ -66,7 +68,7 @@ class Simulation:
         self._description = self.node.create_publisher(String, "robot_description", LATCHED_QOS)
         self._description.publish(String(data=urdf))
         self._mode = self.node.create_publisher(String, TIME_MODE, LATCHED_QOS)
-        self._mode.publish(String(data=self._parameters.time_mode))
+        self._mode.publish(String(data=TimeMode(self._parameters.time_mode, self._parameters.rates).text))
 
     def _offer_services(self) -> None:
         node = self.node
@@ -109,8 +111,7 @@ class Simulation:
         plant = self._plant
         self._publish_due()
         stamp = plant.tick * self._period_ns
-        state = self._states.encode(stamp, *plant.motor_states())
-        raw = self._lockstep.exchange(stamp, state, self._control.interrupting)
+        raw = self._lockstep.exchange(stamp, self._encode_states(stamp), self._control.interrupting)
         if raw is None:
             return False
         plant.step(self._torques(raw))
@@ -121,7 +122,7 @@ class Simulation:
         plant = self._plant
         self._pacer.wait()
         self._publish_due()
-        self._channel.publish(self._states.encode(plant.tick * self._period_ns, *plant.motor_states()))
+        self._channel.publish(self._encode_states(plant.tick * self._period_ns))
         plant.step(self._held.take())
         return True
 
@@ -136,11 +137,8 @@ class Simulation:
         try:
             torques = self._commands.decode(raw)[3]
         except ExchangeError as error:
-            if str(error) != self._bad_command:
-                self._bad_command = str(error)
-                self._log.error(f"{MOTOR_COMMANDS}: {error}; the brakes close")
+            self._complaints.say("command", f"{self._channel.subscribe_topic}: {error}; the brakes close")
             return None
-        self._bad_command = None
         return torques
 
     def _reset(self) -> None:
@@ -152,12 +150,7 @@ class Simulation:
 
     def _wait_for_subscribers(self) -> None:
         publishers = [*self._publications.publishers, self._channel.publisher]
-        node_tools.wait_until_matched(
-            self.node,
-            [publisher.topic_name for publisher in publishers],
-            lambda: [publisher.get_subscription_count() for publisher in publishers],
-            _MATCH_ATTEMPTS,
-        )
+        node_tools.wait_until_matched(self.node, publishers, _MATCH_ATTEMPTS)
 
     def _flush(self) -> None:
         """Let the last messages reach a recorder."""
@@ -209,6 +202,8 @@ class Simulation:
         }
         if self._control.paused:
             return DiagnosticStatus.OK, "paused", values
+        if self._held.rivals:
+            return DiagnosticStatus.ERROR, "two controllers send commands", values
         if counts.ticks == 0:
             return DiagnosticStatus.WARN, "waiting for the controller", values
         behind = counts.dropped > 0 and not lock_step

@@ -27,8 +27,6 @@ def main(args: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"rx90_sweep: interrupted; {_how_to_go_on(options)}", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # info into head
-        return 1
     return 0
 
 
@@ -51,9 +49,9 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(options: argparse.Namespace) -> None:
     # What needs pyarrow is imported once it is known to be there.
-    from rx90_sweep.plan_file import load_plan  # noqa: PLC0415
-    from rx90_sweep.running import run_sweep  # noqa: PLC0415
-    from rx90_sweep.sweep import Sweep  # noqa: PLC0415
+    from rx90_sweep.plan_file import load_plan
+    from rx90_sweep.running import run_sweep
+    from rx90_sweep.sweep import Sweep
 
     plan = load_plan(resolve_config(options.plan))
     sweep = Sweep(plan)
@@ -73,7 +71,7 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from rx90_sweep.info import summary  # noqa: PLC0415
+    from rx90_sweep.info import summary
 
     print("\n".join(summary(options.file)))
 

@@ -163,7 +163,7 @@ def _cluster(sweep: Sweep, address: str, distributed: Any) -> Iterator[Pool]:
 
 def _distributed() -> Any:
     try:
-        import distributed  # noqa: PLC0415, an extra that only this needs
+        import distributed  # an extra that only this needs
     except ImportError as error:
         raise SweepError("Dask is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
     return distributed

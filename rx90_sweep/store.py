@@ -45,7 +45,7 @@ def read_results(file: Path) -> pa.Table:
     sources = _sources(file)
     if not sources:
         raise SweepError(f"{file} does not exist; accepted: a result of rx90_sweep run")
-    tables = [read_table(source) for source in sources]
+    tables = [_read_source(source, file) for source in sources]
     identities = {about(t.schema, s)["identity"] for t, s in zip(tables, sources, strict=True)}
     if len(identities) > 1:
         raise SweepError(f"{file} and {parts_folder(file)} hold results of different plans")
@@ -53,6 +53,15 @@ def read_results(file: Path) -> pa.Table:
     # A kill between gathering the parts and removing them leaves runs twice.
     _, first = np.unique(table["index"].to_numpy(), return_index=True)
     return table.take(pa.array(first)).combine_chunks()
+
+
+def _read_source(source: Path, file: Path) -> pa.Table:
+    try:
+        return read_table(source)
+    except SweepError as error:
+        if source == file:
+            raise
+        raise SweepError(f"{error}; accepted: remove this part, resume (--resume) computes its runs again") from error
 
 
 def _sources(file: Path) -> list[Path]:
@@ -112,14 +121,18 @@ class ResultStore:
         self.done[table["index"].to_numpy()] = True
 
     def _open_folder(self) -> int:
+        path = self._parts / ".lock"
         try:
             self._parts.mkdir(exist_ok=True)
-            lock = os.open(self._parts / ".lock", os.O_CREAT | os.O_RDWR)
+            lock = os.open(path, os.O_CREAT | os.O_RDWR)
         except OSError as error:
             raise SweepError(f"{self._parts} cannot be written ({error.strerror})") from error
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            # A sweep that ended between the two calls has taken the folder away, and this lock with it.
+            if not os.path.samestat(path.stat(), os.fstat(lock)):
+                raise FileNotFoundError(path)
+        except (BlockingIOError, FileNotFoundError) as error:
             os.close(lock)
             raise SweepError(f"another sweep is writing to {self.file}; accepted: one at a time") from error
         return lock
@@ -158,13 +171,18 @@ class ResultStore:
     def _gather(self) -> None:
         if any(self._parts.glob("part-*.parquet")):
             self._write(read_results(self.file).replace_schema_metadata(self._schema.metadata), self.file)
-        shutil.rmtree(self._parts)
+        try:
+            shutil.rmtree(self._parts)
+        except OSError as error:
+            raise SweepError(
+                f"{self._parts} cannot be removed ({error.strerror}); its runs are in {self.file}"
+            ) from error
 
     def _write(self, table: pa.Table, target: Path) -> None:
         # Readers of the folder overlook names that begin with a dot.
         temporary = self._parts / f".{target.name}"
         try:
-            pq.write_table(table, temporary, compression="zstd")
+            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
             with temporary.open("rb") as stream:
                 os.fsync(stream.fileno())
             temporary.replace(target)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rx90_common.errors import ConfigError, Rx90Error
+from rx90_common.errors import ConfigError
 from rx90_controller.line import plan_line
 from rx90_controller.line_task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -129,13 +129,13 @@ class Sweep:
         return task, simulate(setup, motion.points, motion.start_pose, motion.duration, substeps=substeps)
 
     def run(self, index: int) -> RunOutcome:
-        """Run one run and measure it; an error of the emulator is an outcome too."""
+        """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
         run = self.runs.describe(index)
         try:
             with np.errstate(all="ignore"):  # a diverging run says so itself
                 return RunOutcome(run, measure(*self._simulate(run)), None)
-        except Rx90Error as error:
-            return RunOutcome(run, None, f"{type(error).__name__}: {error}")
+        except Exception as error:  # the sweep goes on whatever a value has led to
+            return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
 
     def values(self, run: RunDescription) -> tuple[Value | None, ...]:
         """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""

@@ -87,8 +87,10 @@ def read_table(file: Path) -> pa.Table:
         SweepError: if it is missing, damaged or something else.
     """
     try:
-        with file.open("rb") as stream:
-            table = pq.read_table(stream, use_threads=False)
+        # Arrow's own file, and nothing read ahead: after a bad page, a thread that still reads a Python file would
+        # meet an interpreter that is shutting down.
+        with pa.OSFile(str(file)) as stream:
+            table = pq.read_table(stream, use_threads=False, pre_buffer=False, page_checksum_verification=True)
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise SweepError(f"{file}: cannot be read as Parquet ({reason})") from error

@@ -63,21 +63,21 @@ def _wait_for_listeners(publisher: Any, count: int) -> None:
 
 
 def _simulate(ticks: int, period: float, listeners: int) -> None:
-    import rclpy  # noqa: PLC0415 - the environment is prepared first
+    import rclpy  # the environment is prepared first
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepSimulation  # noqa: PLC0415
-    from rx90_exchange.node_tools import wait_until_matched  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
-    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepSimulation
+    from rx90_exchange.node_tools import wait_until_matched
+    from rx90_exchange.qos import TICK_QOS
+    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("simulation")
     channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
     lockstep = LockstepSimulation(channel, say)
     codec = JointStateCodec(["a"])
     publisher = channel.publisher
-    wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+    wait_until_matched(node, [publisher], 100)
     _wait_for_listeners(publisher, listeners)
     state = 1
     for tick in range(ticks):
@@ -98,14 +98,14 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
 
 
 def _control(listeners: int) -> None:
-    import rclpy  # noqa: PLC0415
+    import rclpy
 
-    from rx90_exchange.channel import Channel  # noqa: PLC0415
-    from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: PLC0415
-    from rx90_exchange.lockstep import LockstepController  # noqa: PLC0415
-    from rx90_exchange.node_tools import wait_until_matched  # noqa: PLC0415
-    from rx90_exchange.qos import TICK_QOS  # noqa: PLC0415
-    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES  # noqa: PLC0415
+    from rx90_exchange.channel import Channel
+    from rx90_exchange.joint_state_cdr import JointStateCodec
+    from rx90_exchange.lockstep import LockstepController
+    from rx90_exchange.node_tools import wait_until_matched
+    from rx90_exchange.qos import TICK_QOS
+    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("controller")
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
@@ -118,7 +118,7 @@ def _control(listeners: int) -> None:
         return codec.encode(stamp, effort=np.array([float(law.step(int(position[0])))]))
 
     def begin(stamp: int, _raw: bytes) -> None:
-        wait_until_matched(node, [publisher.topic_name], lambda: [publisher.get_subscription_count()], 100)
+        wait_until_matched(node, [publisher], 100)
         _wait_for_listeners(publisher, listeners)
         law.begin()
         say(f"begin {stamp // PERIOD_NS}")
@@ -131,12 +131,12 @@ def _control(listeners: int) -> None:
 
 def _record(ticks: int, nap: float) -> None:
     """Take both topics, slowly, and say whether every tick was there in order."""
-    import rclpy  # noqa: PLC0415
-    from rclpy.qos import QoSProfile  # noqa: PLC0415
-    from sensor_msgs.msg import JointState  # noqa: PLC0415
+    import rclpy
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
 
-    from rx90_exchange.lockstep import stamp_of  # noqa: PLC0415
-    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES  # noqa: PLC0415
+    from rx90_exchange.lockstep import stamp_of
+    from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("recorder")
     seen: dict[str, list[int]] = {MOTOR_STATES: [], MOTOR_COMMANDS: []}
@@ -169,8 +169,8 @@ def main() -> int:
     prepare()
     if role == "burn":
         _burn()
-    import rclpy  # noqa: PLC0415
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -37,10 +37,10 @@ class Client:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def listen(self, topic: str, kind: type = JointState) -> list[Any]:
-        """Return a list that grows with the messages of a topic."""
+    def listen(self, topic: str, kind: type = JointState, depth: int = 1000) -> list[Any]:
+        """Return a list that grows with the messages of a topic; with a depth of 1, those there is time for."""
         heard: list[Any] = []
-        self.node.create_subscription(kind, topic, heard.append, 1000)
+        self.node.create_subscription(kind, topic, heard.append, depth)
         return heard
 
     def spin_until(self, condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:

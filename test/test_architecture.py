@@ -33,18 +33,24 @@ ROS = {
 }
 LONGEST = 450
 
+FRAME = {"rx90_common.executables", "rx90_common.interrupts", "rx90_common.output"}
+"""The frame of the command-line tools: signals, standard output."""
 MODELS = sorted(
     name
     for name in MODULES
-    if name.startswith(("rx90_common", "rx90_description", "rx90_sim.friction", "rx90_controller.trajectory."))
+    if (
+        name.startswith(("rx90_common", "rx90_description", "rx90_sim.friction", "rx90_controller.trajectory."))
+        and name not in FRAME
+    )
     or name in {"rx90_sim.manipulator", "rx90_controller.trajectory"}
     or name.startswith(("rx90_sim.plant", "rx90_controller.cs7b"))
 )
 """What computes: models, control laws and what they stand on."""
-WITHOUT_ROS = sorted({*MODELS, *(name for name in MODULES if name.startswith("rx90_loop"))})
+WITHOUT_ROS = sorted({*MODELS, *(name for name in MODULES if name.startswith(("rx90_loop", "rx90_perturbation")))})
 PURE = {"abc", "collections", "dataclasses", "enum", "functools", "itertools", "math", "operator", "pathlib", "typing"}
 LIBRARIES_OF_MODELS = PURE | {
     "__future__",
+    "ctypes",
     "hashlib",
     "importlib",
     "llvmlite",

@@ -133,8 +133,8 @@ def test_the_install_space_needs_no_source_tree(workspace: Path, processes: Proc
 @pytest.mark.ros
 def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> None:
     """Simulation and controller out of the install space run in lock-step: joint_states go on in time."""
-    import rclpy  # noqa: PLC0415  only now: it reads the domain when it is first used
-    from sensor_msgs.msg import JointState  # noqa: PLC0415
+    import rclpy  # only now: it reads the domain when it is first used
+    from sensor_msgs.msg import JointState
 
     stamps: list[float] = []
     nodes: list[Running] = []

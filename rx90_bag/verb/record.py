@@ -40,23 +40,27 @@ def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
 
-    from rx90_bag.status import StatusLine  # noqa: PLC0415
-    from rx90_bag.writing import BagWriter  # noqa: PLC0415
+    from rx90_bag.status import StatusLine
+    from rx90_bag.writing import BagWriter
 
     prepare()
     try:
-        from rx90_bag.recording import Recorder  # noqa: PLC0415
+        from rx90_bag.recording import Recorder
     except ImportError as error:
         raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
     with StatusLine() as status:
         recorder = Recorder(args.topics, ros_args, status.say, status.show)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(counts, args.output)
+    return _report(counts, recorder.stalls, args.output)
 
 
-def _report(counts: Sequence[TopicCount], output: str) -> int:
+def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
     print(f"recorded {sum(count.received for count in counts)} messages of {len(counts)} topics to {output}")
-    complete = True
+    complete = not stalls
+    for stall in stalls:
+        print(
+            f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr
+        )
     for count in counts:
         if count.lost:
             complete = False

@@ -22,12 +22,16 @@ class TrajectoryGenerator:
 
     Time is counted in position ticks and never read from a clock. A trajectory replaces the running one at
     its start tick; a refused one leaves everything untouched.
+
+    Attributes:
+        revision: changes whenever set-points that were looked up ahead of their time may be others now.
     """
 
     def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
         """Hold `hold`, rad, shape (6,); `period` is that of the position loop, s."""
         self.limits = limits
         self.period = period
+        self.revision = 0
         self.reset(hold)
 
     def reset(self, hold: Array) -> None:
@@ -35,24 +39,38 @@ class TrajectoryGenerator:
         self._current = _resting(np.array(hold, dtype=np.float64))
         self._start = 0
         self._next: tuple[int, Spline] | None = None
+        self.revision += 1
+
+    def delay(self, count: int, now: int) -> None:
+        """Let `count` ticks, up to tick `now`, pass without set-points: what runs goes on later by as much.
+
+        What waits for its start begins where the running one will then be, and waits longer too; only where the arm
+        rests it starts in time, or now.
+        """
+        self._promote(now - count)
+        resting = (now - count - self._start) * self.period >= self._current.duration
+        self._start += count
+        if self._next is not None:
+            start, spline = self._next
+            self._next = max(start, now) if resting else start + count, spline
+        self.revision += 1
 
     def setpoints(self, tick: int, count: int = 1) -> Array:
         """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
 
-        Ticks must not go back between calls.
+        Ticks must not go back to before the last `accept`.
         """
-        if self._next is not None:
-            start, spline = self._next
-            if tick >= start:
-                self._current, self._start, self._next = spline, start, None
-            elif tick + count > start:
-                head = start - tick
-                return np.concatenate([self._sample(tick, head), self.setpoints(start, count - head)])
-        return self._sample(tick, count)
+        if self._next is None:
+            return self._sample(self._current, self._start, tick, count)
+        start, spline = self._next
+        head = min(max(start - tick, 0), count)
+        before = self._sample(self._current, self._start, tick, head)
+        return np.concatenate([before, self._sample(spline, start, tick + head, count - head)])
 
     def moving(self, tick: int) -> bool:
         """Return whether a trajectory runs or waits for its start at position tick `tick`."""
-        return self._next is not None or (tick - self._start) * self.period < self._current.duration
+        start, spline = self._next or (self._start, self._current)
+        return (tick - start) * self.period < spline.duration
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> int:
         """Take a trajectory; return the position tick at which it starts.
@@ -71,27 +89,39 @@ class TrajectoryGenerator:
             raise TrajectoryError(
                 f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
             )
+        self._promote(now)
         spline = self._connect(points, begin)
-        self._check(spline, points.times)
+        self._check(spline, points.times, self._sample(self._current, self._start, begin, 1)[0, 0])
         self._next = (begin, spline)
+        self.revision += 1
         return begin
 
-    def _sample(self, tick: int, count: int) -> Array:
-        ticks = np.arange(tick - self._start, tick - self._start + count)
-        return self._current.sample(np.asarray(ticks * self.period, dtype=np.float64))
+    def _promote(self, tick: int) -> None:
+        """Make a trajectory that began before position tick `tick` the running one."""
+        if self._next is not None and self._next[0] < tick:
+            (self._start, self._current), self._next = self._next, None
 
-    def _check(self, spline: Spline, knots: Array) -> None:
-        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+    def _sample(self, spline: Spline, start: int, tick: int, count: int) -> Array:
+        ticks = np.arange(tick - start, tick - start + count)
+        return spline.sample(np.asarray(ticks * self.period, dtype=np.float64))
+
+    def _check(self, spline: Spline, knots: Array, held: Array) -> None:
+        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own.
+
+        An arm that was pushed beyond a limit, to `held`, may come back: from there on only inwards.
+        """
+        outside = self.limits.outside(held)
+        allowed = np.where(outside > 0.0, outside + self.limits.start_tolerance, 0.0)
         last = math.ceil(spline.duration / self.period)
         for first in range(0, last, _CHECK_BLOCK):
             # The blocks share a set-point, so that the step from one to the next is checked, too.
             ticks = np.arange(first, min(first + _CHECK_BLOCK, last) + 1)
             times = np.asarray(ticks * self.period, dtype=np.float64)
-            self.limits.check(spline.sample(times), times, knots)
+            allowed = self.limits.check(spline.sample(times), times, knots, allowed)
 
     def _connect(self, points: TrajectoryPoints, begin: int) -> Spline:
         """Return the spline through the points, begun at the set-point the arm will have at tick `begin`."""
-        held = self._sample(begin, 1)[0]
+        held = self._sample(self._current, self._start, begin, 1)[0]
         if points.times[0] > 0:
             return interpolate(
                 np.concatenate([[0.0], points.times]),

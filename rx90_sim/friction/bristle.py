@@ -15,11 +15,14 @@ from rx90_common.elementary import exponential, power
 from rx90_common.lanes import Lanes, absolute, fma, load, select
 from rx90_sim.friction.lugre import ELEMENT_DTYPE
 
-ELEMENTS_DTYPE = np.dtype(
-    [(name, ELEMENT_DTYPE[name].base, (*ELEMENT_DTYPE[name].shape, 7)) for name in ELEMENT_DTYPE.names or ()],
-    align=True,
-)
-"""Seven elements, field by field: the element is the last index."""
+
+def elements_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of a record of `width` elements, field by field: the element is the last index."""
+    names = ELEMENT_DTYPE.names or ()
+    return np.dtype(
+        [(name, ELEMENT_DTYPE[name].base, (*ELEMENT_DTYPE[name].shape, width)) for name in names], align=True
+    )
+
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
@@ -40,17 +43,17 @@ class Elements(NamedTuple):
 
 
 @inlined
-def load_elements(records: Any) -> Elements:
-    """Return the seven elements of a record of ELEMENTS_DTYPE."""
+def load_elements(records: Any, width: int) -> Elements:
+    """Return the elements of a record of `elements_dtype(width)`; `width` is a literal."""
     return Elements(
-        (load(records.tau_c[0], 7), load(records.tau_c[1], 7)),
-        (load(records.tau_s[0], 7), load(records.tau_s[1], 7)),
-        load(records.inverse_omega_s, 7),
-        load(records.delta, 7),
-        load(records.c0, 7),
-        load(records.c1, 7),
-        load(records.c2, 7),
-        load(records.inverse_omega_d, 7),
+        (load(records.tau_c[0], width), load(records.tau_c[1], width)),
+        (load(records.tau_s[0], width), load(records.tau_s[1], width)),
+        load(records.inverse_omega_s, width),
+        load(records.delta, width),
+        load(records.c0, width),
+        load(records.c1, width),
+        load(records.c2, width),
+        load(records.inverse_omega_d, width),
     )
 
 

@@ -86,14 +86,30 @@ class TestBoard:
 
 
 @pytest.fixture
+def make_mutant(tmp_path: Path, make_board: Callable[..., TestBoard]) -> Callable[..., TestBoard]:
+    """Return a maker of a board with a firmware, built by its own Makefile, in which one text is replaced."""
+
+    def make(target: str, file: str, old: str, new: str) -> TestBoard:
+        require(target, have(TOOLS[target][0]))
+        out = tmp_path / "mutant_firmware"
+        sources = mutate(tmp_path / "mutant", file, old, new)
+        command = ["make", "-s", "-C", str(sources), target, f"OUT={out}"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return make_board(target, binary=out / {"mcs51": "rig_mcs51.ihx", "avr": "rig_avr.hex"}[target])
+
+    return make
+
+
+@pytest.fixture
 def make_board(firmware: Callable[[str], Path], tmp_path: Path) -> Iterator[Callable[[str], TestBoard]]:
     """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 
-        def make(target: str, seed: int = 1) -> TestBoard:
+        def make(target: str, seed: int = 1, binary: Path | None = None) -> TestBoard:
             if target == "native":
                 return TestBoard(NativeBoard())
-            binary = firmware(target)
+            binary = binary or firmware(target)
             shim = tmp_path / f"{target}.so"
             if target == "mcs51":
                 require(target, ucsim.simulator() is not None)
@@ -115,16 +131,21 @@ def rig() -> Rig:
     return load_rig(REPOSITORY / "config" / "rig" / "gm8224.yaml")
 
 
+def mutate(folder: Path, file: str, old: str, new: str) -> Path:
+    """Copy the firmware's sources into `folder` with one text replaced; return the folder."""
+    shutil.copytree(firmware_directory(), folder, dirs_exist_ok=True)
+    text = (folder / file).read_text()
+    assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times"
+    (folder / file).write_text(text.replace(old, new))
+    return folder
+
+
 @pytest.fixture
 def mutant(tmp_path: Path) -> Callable[[str, str, str], NativeBoard]:
     """Return a builder of a native board whose firmware has one text replaced."""
 
     def build(file: str, old: str, new: str) -> NativeBoard:
-        sources = tmp_path / "mutant"
-        shutil.copytree(firmware_directory(), sources, dirs_exist_ok=True)
-        text = (sources / file).read_text()
-        assert text.count(old) == 1, f"{file} holds {old!r} {text.count(old)} times"
-        (sources / file).write_text(text.replace(old, new))
+        sources = mutate(tmp_path / "mutant", file, old, new)
         library = tmp_path / "mutant.so"
         compile_core(sources, library)
         return NativeBoard(library=library)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
+from friction_bench import experiment, ramp_command
+from friction_bench.client import RigClient
+from friction_bench.emulated import EmulatedRig, VirtualPort
 from friction_bench.ramp_command import main
+from friction_bench.rig import Rig
 from rx90_bag.reading import read_joint_states
 from rx90_common.share import config_path
 from rx90_sim.friction import load_friction
@@ -85,18 +91,29 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--end-torque", "0.5"], "--end-torque is 0.5"),
         (["--rig", "nothing.yaml"], "no file 'nothing.yaml'"),
         (["--port", "/dev/nothing"], "/dev/nothing: cannot be opened"),
-        (["--end-torque", "0.19"], "RAMP: a value is outside the firmware's limits"),
+        (["--repeats", "1001"], "--repeats is 1001; accepted: 1 to 1000"),
+        (["--seed", "-1"], "--seed is -1; accepted: 0 to"),
+        (["--baud", "0"], "--baud is 0; accepted: 1200 to 1000000"),
+        (["--slopes", "nan"], "slope nan Nm/s; accepted"),
+        (["--slopes", "inf", "0.1"], "slope inf Nm/s; accepted"),
+        (["--end-torque", "nan"], "--end-torque is nan"),
+        (["--end-torque", "0.19"], "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),
+        (["--text", "counts"], "--text is given without a file"),
+        (["--port", "/etc/hostname"], "/etc/hostname: cannot be opened"),
+        (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
+        (["--out", "/proc/friction"], "/proc/friction: cannot be written to"),
+        (["--out", "/dev/null"], "/dev/null: cannot be written to"),
         (["--end-torque", "0.02", "--load", "none"], "no break-away"),
         (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
         (["--no-load-file", "nothing.csv"], "accepted: slope:file"),
-        (["--element", "joint_9", *QUICK, "--load", "none"], "element is 'joint_9'"),
+        (["--element", "joint_9", *QUICK, "--load", "none"], "--element is 'joint_9'"),
     ],
 )
 def test_mistakes_get_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A user's mistake is answered by one line and exit code 1."""
-    assert main([*arguments, "--out", str(tmp_path / "out")]) == 1
+    assert main(["--out", str(tmp_path / "out"), *arguments]) == 1
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
     assert error.startswith("friction_ramp: ")
@@ -106,3 +123,59 @@ def test_existing_bag_is_not_overwritten(measured: Path, capsys: pytest.CaptureF
     """A second run into the same folder is refused before the rig moves."""
     assert main([*QUICK, "--out", str(measured)]) == 1
     assert "bag exists" in capsys.readouterr().err
+
+
+def test_ramps_of_a_run_that_was_killed_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each ramp is a file as soon as it is done; without its bag it still keeps the folder for itself."""
+    (tmp_path / "ramp_01.csv").write_text("time,counts\n")
+    assert main([*QUICK, "--out", str(tmp_path)]) == 1
+    assert "ramp_01.csv exists" in capsys.readouterr().err
+    assert (tmp_path / "ramp_01.csv").read_text() == "time,counts\n"
+
+
+def test_interrupted_measurement_keeps_what_it_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 130."""
+    run_ramp = experiment.run_ramp
+    done = 0
+
+    def third_time(*arguments: Any) -> Any:
+        nonlocal done
+        done += 1
+        if done == 3:
+            raise KeyboardInterrupt
+        return run_ramp(*arguments)
+
+    monkeypatch.setattr(experiment, "run_ramp", third_time)
+    assert main([*QUICK, "--load", "none", "--out", str(tmp_path)]) == 130
+    assert "switched off" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.glob("*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
+    assert read_joint_states(tmp_path / "bag", "friction_bench/joint_states").stamp_ns.size > 100
+
+
+def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
+    emulated = EmulatedRig(rig, 1)
+    monkeypatch.setattr(ramp_command, "SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main([*QUICK, "--port", "somewhere", "--load", "none", "--out", str(tmp_path / "a")]) == 0
+    assert main([*QUICK, "--port", "somewhere", "--out", str(tmp_path / "b")]) == 1
+    assert "nobody there to couple the joint" in capsys.readouterr().err
+
+
+def test_latched_fault_is_named_and_cleared_by_option(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a killed program left latched is refused by its name, and --clear runs all the same."""
+    emulated = EmulatedRig(rig, 1)
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    client.arm()
+    emulated.advance(0.3)  # nobody pumps: as after kill -9
+    monkeypatch.setattr(ramp_command, "EmulatedRig", lambda *_: emulated)
+    assert main([*QUICK, "--load", "none", "--out", str(tmp_path / "a")]) == 1
+    assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
+    assert main([*QUICK, "--load", "none", "--clear", "--out", str(tmp_path / "b")]) == 0

@@ -290,6 +290,13 @@ def test_csv_gives_the_record_back(tmp_path: Path, rig: Rig) -> None:
     assert fit_asymptote(again).b == pytest.approx(fit_asymptote(record).b, rel=1e-12)
 
 
+def test_csv_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    """A file that Excel saved as UTF-8 is read like any other."""
+    path = tmp_path / "excel.csv"
+    path.write_bytes(b"\xef\xbb\xbftime,counts\r\n0,0\r\n0.02,3\r\n,\r\n")
+    assert read_csv(path, 0.1, STEP).angle == pytest.approx([0.0, 3 * STEP])
+
+
 @pytest.mark.parametrize("kind", ["increments", "counts", "velocity"])
 @pytest.mark.parametrize("with_time", [True, False])
 def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool, tmp_path: Path) -> None:
@@ -318,6 +325,8 @@ def test_plain_text_of_every_kind_gives_the_same_fit(kind: str, with_time: bool,
         ("1\n1 2\n", "line 2 holds 2 numbers"),
         ("", "0 readings"),
         ("1\n", "1 readings"),
+        ("20 1\n40 2\n60 3\n", "advances by 20 a line; accepted: s, about 0.02"),
+        ("0,5\n1,7\n2,9\n3,1\n", "advances by 1 a line; accepted: s, about 0.02 a line, and a point"),
     ],
 )
 def test_unreadable_text_is_refused_by_line(text: str, message: str, tmp_path: Path) -> None:
@@ -335,6 +344,8 @@ def test_unreadable_text_is_refused_by_line(text: str, message: str, tmp_path: P
         ("time,pulses\n0,1\n", "column 'counts' is missing"),
         ("time,counts\n0,1\n0.02\n", "line 3, column counts holds 'nothing'"),
         ("", "is empty"),
+        ("# made by hand\n\ntime,counts\n0,1\n\n# pause\n0.02,x\n", "line 7, column counts holds 'x'"),
+        ("time;counts\n0;1\n", "column 'time' is missing, found 'time;counts'"),
     ],
 )
 def test_unreadable_csv_is_refused_by_line(text: str, message: str, tmp_path: Path) -> None:

@@ -24,3 +24,22 @@ def test_a_silent_controller_closes_the_brakes_and_a_late_one_opens_them(process
     client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > stopped + 0.5, "time to run on")
     controller.signal(signal.SIGCONT)
     simulation.wait_for("the brakes open")
+
+
+@pytest.mark.ros
+def test_a_trajectory_goes_on_after_a_pause(processes: Processes, client: Client) -> None:
+    """While time stands still the motion rests; then the set-points go on where they were, on to the last point."""
+    processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
+    controller = processes.start("rx90_controller")
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference), "the controller to hold")
+    client.send([(1.0, [0.1] * 6)])
+    controller.wait_for("trajectory accepted")
+    client.spin_until(lambda: reference[-1].position[0] > 0.03, "the motion")
+    assert client.call("rx90_sim/pause", data=True).success
+    controller.wait_for("the loops rest")
+    resting = seconds(reference[-1])
+    assert 0.03 < reference[-1].position[0] < 0.099
+    assert client.call("rx90_sim/pause", data=False).success
+    client.spin_until(lambda: seconds(reference[-1]) > resting + 1.2, "the end of the motion")
+    assert list(reference[-1].position) == pytest.approx([0.1] * 6, abs=1e-12)

@@ -19,6 +19,9 @@ from processes import Processes
         ("rx90_sim", ["initial_position:=[0.0]"], ["initial_position", "six"]),
         ("rx90_sim", ["real_time_factor:=-1.0"], ["real_time_factor", "-1"]),
         ("rx90_sim", ["real_time_factor:=fast"], ["real_time_factor", "fast"]),
+        ("rx90_sim", ["initial_position:=[]"], ["initial_position is empty", "list of numbers"]),
+        ("rx90_sim", ["initial_position:=[0, 9, 0, 0, 0, 0]"], ["joint_2", "9"]),
+        ("rx90_sim", ["real_time_facto:=1.0"], ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
         ("rx90_sim", ["friction:=nowhere.yaml"], ["nowhere.yaml"]),
         ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
@@ -36,6 +39,39 @@ def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments:
 
 
 @pytest.mark.ros
+@pytest.mark.parametrize(
+    ("variable", "value", "told"),
+    [("ROS_DOMAIN_ID", "500", "0 to 232"), ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp")],
+)
+@pytest.mark.parametrize(
+    ("name", "arguments", "code"),
+    [
+        ("rx90_sim", [], 1),
+        ("rx90_line", ["--from-file", "task/reference_line.yaml"], 1),
+        ("rx90_bag", ["record", "--output", "never_made"], 2),
+        ("rx90_demo", ["--output", "never_made"], 1),
+    ],
+)
+def test_an_environment_that_cannot_be_is_one_line(
+    processes: Processes,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    arguments: list[str],
+    code: int,
+    variable: str,
+    value: str,
+    told: str,
+) -> None:
+    """A DDS domain that has no ports, or a middleware that is not there, is named with what is accepted."""
+    monkeypatch.setenv(variable, value)
+    done = processes.run(name, *arguments)
+    assert done.returncode == code
+    (line,) = done.stderr.strip().splitlines()
+    assert all(word in line for word in (name, variable, value, told)), line
+    assert not Path("never_made").exists()
+
+
+@pytest.mark.ros
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     processes: Processes, edited_yaml: Any, shipped_files: Any
 ) -> None:
@@ -43,6 +79,6 @@ def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "c1"), 1.0e9)
     simulation = processes.start("rx90_sim", "--ros-args", "-p", f"friction:={file}", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
-    simulation.wait_for(r"rx90_sim: the state of joint_\d diverged in tick \d+")
+    simulation.wait_for(r"rx90_sim: the state of joint_\d diverged in tick \d+.*substeps")
     assert simulation.wait() == 1
     assert "Traceback" not in simulation.output

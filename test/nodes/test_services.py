@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from processes import Processes
 from ros_client import Client, seconds
+from trajectory_msgs.msg import JointTrajectory
 
 PAUSED = ("--ros-args", "-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", "step_ticks:=8")
 
@@ -64,3 +66,32 @@ def test_a_refused_trajectory_leaves_the_running_motion_alone(processes: Process
     client.spin_until(lambda: seconds(reference[-1]) > begun + 2.5, "the end of the motion")
     assert list(reference[-1].position) == pytest.approx(target, abs=1e-12)
     assert list(reference[-1].velocity) == [0.0] * 6
+
+
+@pytest.mark.ros
+def test_diagnostics_tell_the_controllers_rate_in_lock_step(processes: Processes, client: Client) -> None:
+    """The controller's rate is that of the ticks it answers, here those of the paced simulation."""
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.1")
+    processes.start("rx90_controller")
+    heard = client.listen("/diagnostics", DiagnosticArray)
+
+    def rates() -> list[float]:
+        of_controller = [m.status[0] for m in heard if m.status[0].name == "rx90_controller"]
+        return [float(pair.value) for status in of_controller for pair in status.values if pair.key == "rate, Hz"]
+
+    client.spin_until(lambda: any(300.0 < rate < 500.0 for rate in rates()), "a rate near 400 Hz")
+
+
+@pytest.mark.ros
+def test_a_burst_of_trajectories_is_answered_one_by_one(processes: Processes, client: Client) -> None:
+    """Each of 40 trajectories sent at once is answered; the nodes run with integers where reals are asked for."""
+    processes.start(
+        "rx90_sim", *("--ros-args", "-p", "real_time_factor:=1", "-p", "initial_position:=[0, 0, 0, 0, 0, 0]")
+    )
+    controller = processes.start("rx90_controller")
+    publisher = client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1000)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference) and publisher.get_subscription_count() > 0, "the controller to hold")
+    for _ in range(40):
+        publisher.publish(JointTrajectory(joint_names=["elbow"]))
+    client.spin_until(lambda: controller.output.count("trajectory rejected") == 40, "40 answers")

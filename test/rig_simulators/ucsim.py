@@ -136,6 +136,19 @@ class UcsimBoard:
         *_, self._clock, self._dac, self._port3 = self._console(lines)
         self._target = float(self._clock)
 
+    def clock_when(self, address: int, value: int, not_before: int = 0) -> int:
+        """Run until the byte of internal RAM at `address` is `value`; return the clock then.
+
+        Up to the clock `not_before` in large steps, afterwards by single instructions.
+        """
+        for _ in range(100_000):
+            count = 250 if self._clock < not_before else 1
+            *_, found, self._clock = self._console([f"step {count}", f"expr iram[{address}]", "expr sim_ticks"])
+            if self._clock >= not_before and found & 0xFF == value:
+                self._target = float(self._clock)
+                return self._clock
+        raise RuntimeError(f"the byte at {address} never became {value}")
+
     @property
     def time(self) -> float:
         """Return simulated time, s."""

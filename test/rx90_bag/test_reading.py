@@ -103,7 +103,7 @@ def test_bulk_of_mixed_layouts(tmp_path: Path, storage: str) -> None:
 
 def test_padding_and_slack_do_not_matter(tmp_path: Path) -> None:
     """Uninitialised padding and unused bytes at the end, as serialisers leave them, change no value."""
-    from bag_making import JOINT_STATE, ROS2  # noqa: PLC0415
+    from bag_making import JOINT_STATE, ROS2
 
     messages: list[tuple[str, int, Any]] = []
     for i in range(50):

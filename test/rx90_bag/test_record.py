@@ -287,3 +287,20 @@ def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:
     assert recorder.finish()[0] == 0
     os.close(terminal)
     os.close(controller)
+
+
+def test_a_recorder_that_did_not_run_for_long_says_so_and_fails(tmp_path: Path, start: Start) -> None:
+    """After a stop beyond the lease, in which nobody sent, nothing is known to be lost: that is told, and it fails."""
+    publisher = start_publisher(start, depth=1)
+    recorder = start_recorder(start, tmp_path / "bag", "motor_states")
+    recorder.wait_for("ready: all 1 topics")
+    publisher.tell("100 1000")
+    publisher.wait_for("done")
+    stopped = time.monotonic()
+    recorder.signal(signal.SIGSTOP)
+    wait_until(lambda: time.monotonic() > stopped + 4.5, "a stop that is too long")
+    recorder.signal(signal.SIGCONT)
+    recorder.signal(signal.SIGTERM)
+    code, _, err = recorder.finish()
+    assert code == 1
+    assert "lost: an unknown number of messages, in " in err

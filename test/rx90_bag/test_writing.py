@@ -64,7 +64,7 @@ def test_equal_calls_give_equal_files(tmp_path: Path, storage: str) -> None:
 def test_messages_are_those_of_rclpy(tmp_path: Path) -> None:
     """For rclpy a written message is the same JointState, and its own bytes differ in the padding alone."""
     serialization = pytest.importorskip("rclpy.serialization")
-    from sensor_msgs.msg import JointState  # noqa: PLC0415
+    from sensor_msgs.msg import JointState
 
     written = series(2)
     write_joint_states(tmp_path / "bag", [written])

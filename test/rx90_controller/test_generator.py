@@ -237,3 +237,53 @@ def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None
     generator.reset(ZERO)
     got = generator.setpoints(0, 1000)
     assert np.all(got == 0.0)
+
+
+@pytest.mark.parametrize("beyond", [1e-6, 0.05])
+def test_an_arm_beyond_a_limit_may_come_back(beyond: float) -> None:
+    """From a held position beyond a limit a trajectory that begins there, or a joint move, leads inwards."""
+    held = HOME.copy()
+    held[2] = LIMITS.upper[2] + beyond
+    for back in (points([1.0], [HOME], [ZERO]), points([0.0, 1.0], [held + 2e-4, HOME], [ZERO, ZERO])):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, held)
+        generator.accept(back, 0, None)
+        assert generator.setpoints(0, 1200)[-1, 0] == pytest.approx(HOME)
+
+
+def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
+    """From beyond a limit neither a motion outwards nor one that turns back outwards is accepted."""
+    held = HOME.copy()
+    held[2] = LIMITS.upper[2] + 0.05
+    inwards, out_again = held.copy(), held.copy()
+    inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
+    generator = TrajectoryGenerator(LIMITS, PERIOD, held)
+    for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
+        with pytest.raises(TrajectoryError, match="joint_3 gets a set-point position"):
+            generator.accept(bad, 0, None)
+    with pytest.raises(TrajectoryError, match="joint_3"):
+        TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)
+
+
+def test_a_delay_moves_the_running_trajectory_and_leaves_no_jump(generator: TrajectoryGenerator) -> None:
+    """Ticks that pass without set-points make what runs, and what was to replace it, come later by as much."""
+    runs = []
+    for delay in (0, 2000):
+        generator.reset(HOME)
+        generator.accept(move(0.4, 0.5), now=0, start=None)
+        first = generator.setpoints(0, 100)[:, 0]
+        generator.accept(move(0.1, 0.5), now=100, start=300)
+        generator.delay(delay, 100 + delay)
+        runs.append(np.vstack([first, generator.setpoints(100 + delay, 900)[:, 0]]))
+    assert np.array_equal(*runs)
+
+
+def test_a_trajectory_that_waits_at_rest_starts_in_time_after_a_delay(generator: TrajectoryGenerator) -> None:
+    """Where the arm rests, a delay does not move the start of what waits, unless that has passed."""
+    generator.accept(move(0.4, 0.5), now=0, start=3000)
+    generator.delay(2000, 2000)
+    assert np.all(generator.setpoints(2000, 1000)[:, 0] == HOME)
+    assert generator.setpoints(3500)[0, 0] == pytest.approx(HOME + 0.4)
+    generator.accept(move(0.0, 0.5), now=3600, start=4000)
+    generator.delay(2000, 5700)
+    assert generator.setpoints(5700)[0, 0] == pytest.approx(HOME + 0.4)
+    assert generator.setpoints(6200)[0, 0] == pytest.approx(HOME)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -109,6 +108,9 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 1, "cannot be written"),
         ("--from-file task/reference_line.yaml --start-time -1", 1, "start time is -1 s"),
         ("--from-file task/reference_line.yaml --timeout 0", 1, "timeout is 0 s"),
+        ("--from-file task/reference_line.yaml --controller bad/-name", 1, "--controller is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --ros-args -r", 1, "ROS arguments "),
+        ("--from-file task/reference_line.yaml --ros-args -p foo", 1, "ROS arguments "),
     ],
 )
 def test_a_mistake_gives_one_line_and_a_status(
@@ -134,10 +136,10 @@ def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], argu
 class Listener:
     """A controller's ears and a simulation's mouth: takes trajectories, tells joint states."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, namespace: str) -> None:
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node("rx90_controller", context=self.context)
+        self.node = Node("rx90_controller", context=self.context, namespace=namespace)
         self.taken: list[JointTrajectory] = []
         self.states = self.node.create_publisher(JointState, "joint_states", 10)
         self._executor = SingleThreadedExecutor(context=self.context)
@@ -176,27 +178,17 @@ class Listener:
 
 
 @pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """Return a ROS domain of this test process's own, on this machine only."""
-    number = os.getpid() % 101 + 1
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
-    monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    return number
-
-
-@pytest.fixture
-def listener(domain: int) -> Iterator[Listener]:
-    """Return a listener in the test's domain."""
-    listener = Listener(domain)
+def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listener]:
+    """Return a listener in the test's domain, and in the namespace that is its parameter."""
+    listener = Listener(ros_domain, getattr(request, "param", "/"))
     yield listener
     listener.close()
 
 
 @pytest.fixture
-def start_line(domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Return a function that starts `rx90_line` on the reference task; what is left of it is ended."""
-    assert domain
+    assert ros_domain
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
@@ -303,3 +295,18 @@ def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) 
     _, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert err == "rx90_line: interrupted\n"
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("listener", ["/cell"], indirect=True)
+def test_a_controller_in_a_namespace_has_its_arm_beside_it(
+    shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
+) -> None:
+    """For a controller that is named with its namespace the joint states of that namespace are asked."""
+    plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
+    listener.tell(shipped.robot.joint_names, plan.start_pose)
+    listener.listen()
+    process = start_line("--controller", "/cell/rx90_controller", "--timeout", str(PATIENCE))
+    out, err = process.communicate(timeout=2 * PATIENCE)
+    assert process.returncode == 0, err
+    assert "sent 72 points to /cell/rx90_controller/joint_trajectory" in out

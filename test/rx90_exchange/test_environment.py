@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
+from rx90_common.errors import ConfigError
 from rx90_exchange.environment import prepare
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -61,8 +63,9 @@ def test_a_second_call_and_a_child_process_change_nothing() -> None:
         {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
     ],
 )
-def test_what_the_user_has_set_stays(own: dict[str, str]) -> None:
+def test_what_the_user_has_set_stays(own: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Profiles of the user's own and another middleware are left as they are."""
+    monkeypatch.setattr(ctypes, "CDLL", lambda _name: None)  # any middleware is installed
     os.environ.update(own)
     prepare()
     assert now() == own
@@ -90,3 +93,19 @@ def test_both_profiles_have_the_same_writers() -> None:
         names.append([ET.tostring(writer) for writer in tree.iter(f"{space}data_writer")])
     assert names[0] == names[1]
     assert len(names[0]) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "accepted"),
+    [
+        ("ROS_DOMAIN_ID", "233", "0 to 232"),
+        ("ROS_DOMAIN_ID", "-1", "0 to 232"),
+        ("ROS_DOMAIN_ID", "home", "0 to 232"),
+        ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp"),
+    ],
+)
+def test_what_cannot_be_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str, accepted: str) -> None:
+    """A domain without ports and a middleware that is not installed are named with what is accepted."""
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ConfigError, match=f"{name} is '{value}'.*{accepted}"):
+        prepare()

@@ -73,7 +73,7 @@ def test_encoding_equals_the_one_of_rosbags(message):
 def test_encoding_equals_the_one_of_rclpy(message):
     """The same message is read by rclpy and written again, all but the padding that it leaves undefined."""
     rclpy_serialization = pytest.importorskip("rclpy.serialization")
-    from sensor_msgs.msg import JointState  # noqa: PLC0415 - only where ROS is installed
+    from sensor_msgs.msg import JointState  # only where ROS is installed
 
     names, frame_id, stamp_ns, arrays = message
     codec = JointStateCodec(names, frame_id)

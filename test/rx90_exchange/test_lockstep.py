@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from rx90_common.errors import ExchangeError
+from rx90_common.errors import ExchangeError, MessageError
 
 lockstep = pytest.importorskip("rx90_exchange.lockstep", reason="needs rclpy", exc_type=ImportError)
 from rx90_exchange.channel import Matches  # noqa: E402
@@ -23,7 +23,7 @@ def message(tick: int, value: float = 0.0) -> bytes:
 
 
 def _array(value: float):  # type: ignore[no-untyped-def]
-    import numpy as np  # noqa: PLC0415
+    import numpy as np
 
     return np.array([value])
 
@@ -82,14 +82,19 @@ class Controller:
         self.said: list[str] = []
         self.answered: list[int] = []
         self.begun: list[int] = []
+        self.unusable: set[bytes] = set()
         self.channel = channel
         self.side = lockstep.LockstepController(channel, self.said.append, self._answer, self._begin, PERIOD)
 
-    def _answer(self, stamp: int, _raw: bytes) -> bytes:
+    def _answer(self, stamp: int, raw: bytes) -> bytes:
+        if raw in self.unusable:
+            raise MessageError("no states")
         self.answered.append(stamp // PERIOD)
         return message(stamp // PERIOD, float(len(self.answered)))
 
-    def _begin(self, stamp: int, _raw: bytes) -> None:
+    def _begin(self, stamp: int, raw: bytes) -> None:
+        if raw in self.unusable:
+            raise MessageError("no states")
         self.begun.append(stamp // PERIOD)
 
     def hear(self, *messages: bytes) -> None:
@@ -282,3 +287,13 @@ def test_repetitions_of_an_accepted_command_are_no_second_controller(channel: Fa
         channel.inbox.extend([message(tick)] * 3)
         assert simulation.exchange(tick * PERIOD, message(tick), never) is not None
     assert simulation.ignored == 98
+
+
+def test_states_that_cannot_be_used_are_left_out(channel: FakeChannel) -> None:
+    """A message that the law refuses changes nothing, whatever its stamp: the next tick's states are answered."""
+    controller = Controller(channel)
+    controller.unusable = {message(2, 7.0), message(1, 7.0), message(0, 7.0), b"garbage"}
+    controller.hear(message(0), message(1), *controller.unusable, *controller.unusable, message(2), message(3))
+    assert controller.answered == [0, 1, 2, 3]
+    assert controller.begun == [0]
+    assert controller.said == []

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rx90_bag.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_identification.reading import BagLayout, read_record
 from rx90_identification.rigid_arm import RigidArm
 from rx90_identification.sliding import identify_sliding
 from rx90_loop.closed_loop import simulate
-from rx90_loop.run_bag import write_run
+from rx90_loop.run_bag import run_series
 from rx90_loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ def sweep_program(direction: Array, speeds: Array) -> tuple[list[float], list[Ar
 
 @pytest.fixture(scope="module")
 def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Return a bag for each direction, as the nodes would record it."""
+    """Return a bag of the motor states for each direction."""
     folder = tmp_path_factory.mktemp("sweeps")
     paths = []
     names = shipped.robot.joint_names
@@ -56,7 +57,8 @@ def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
         )
         result = simulate(shipped, points, HOME, times[-1] + 0.2, 0.1, record_fast=True)
         paths.append(folder / f"bag_{k}")
-        write_run(result, paths[-1])
+        motors = [series for series in run_series(result) if series.topic == "/motor_states"]
+        write_joint_states(paths[-1], motors)
     return paths
 
 

@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
+from benchmarks.decoupled import decoupled_setup, negligible_element
 from rx90_common.rates import Rates
 from rx90_loop.setup import Setup
 from rx90_sim.friction import FrictionSet, LuGreElement
@@ -112,38 +113,11 @@ def lugre_oracle() -> type[LuGreOracle]:
     return LuGreOracle
 
 
-def negligible_element() -> LuGreElement:
-    """Return friction so small that it does not show."""
-    return LuGreElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
-
-
 @pytest.fixture(scope="session")
 def frictionless() -> FrictionSet:
     """Return seven elements without noticeable friction."""
     names = tuple(f"element_{i}" for i in range(7))
     return FrictionSet(names, (negligible_element(),) * 7)
-
-
-def decoupled_setup(shipped: Setup, elements: Sequence[LuGreElement], inertia: float) -> Setup:
-    """Return six unit-gear rotors that do not know of each other: joints 1 to 4 carry the given elements.
-
-    The links weigh nothing, there is neither gravity nor spring, the torques are not limited. What is left of
-    the plant is, joint by joint, the textbook's mass with friction.
-    """
-    nothing, six = np.zeros((6, 3)), np.ones(6)
-    chain = shipped.robot.chain._replace(mass=np.zeros(6), com=nothing, inertia=np.zeros((6, 6)), gravity=np.zeros(3))
-    robot = dataclasses.replace(shipped.robot, chain=chain, lower=-1e9 * six, upper=1e9 * six, max_velocity=1e4 * six)
-    drives = dataclasses.replace(
-        shipped.drives,
-        gear=six,
-        rotor_inertia=inertia * six,
-        torque_constant=six,
-        peak_current=1e6 * six,
-        spring_torque=0.0,
-    )
-    padded = [*elements, *[negligible_element()] * (7 - len(elements))]
-    friction = FrictionSet(shipped.friction.names, tuple(padded))
-    return Setup(robot, drives, friction, shipped.controller, shipped.rates)
 
 
 @pytest.fixture(scope="session")

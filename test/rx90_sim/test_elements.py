@@ -22,7 +22,7 @@ STEP = 2.5e-4
 @numba.njit(error_model="numpy")
 def together(fields: Any, z: Array, velocity: Array, out: Array) -> None:
     """Write new deflections, mean torques and torques of now, shape (3, 7)."""
-    elements, deflection, speed = load_elements(fields[0].friction), load(z, 7), load(velocity, 7)
+    elements, deflection, speed = load_elements(fields[0].friction, 7), load(z, 7), load(velocity, 7)
     new, torque = bristle_step(elements, deflection, speed, STEP)
     store(out[0], new)
     store(out[1], torque)

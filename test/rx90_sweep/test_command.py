@@ -67,8 +67,8 @@ def start() -> Iterator[Start]:
 
 
 def until(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
-    """Wait until a condition holds; fail if it does not within a minute, or the process ends before."""
-    deadline = time.monotonic() + 60.0
+    """Wait until a condition holds; fail if it does not within two minutes, or the process ends before."""
+    deadline = time.monotonic() + 120.0
     while not condition():
         assert time.monotonic() < deadline
         assert process is None or process.poll() is None, process.communicate()

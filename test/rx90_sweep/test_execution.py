@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import pytest
 from rx90_common.errors import ConfigError
 from rx90_sweep import execution
 from rx90_sweep.errors import SweepError
-from rx90_sweep.execution import local_pool
+from rx90_sweep.execution import dask_pool, local_pool
 from rx90_sweep.plan import Block, Parameter, SweepBase, SweepPlan
 from rx90_sweep.running import run_sweep
 from rx90_sweep.spaces import Values
@@ -36,13 +38,13 @@ def assert_same(table: pa.Table, expected: pa.Table) -> None:
 
 
 def test_workers_change_nothing(tmp_path: Path, sweep: Sweep, expected: pa.Table) -> None:
-    """One worker and two write the same file, byte for byte, with the results of runs in this process."""
-    for workers in (1, 2):
+    """One worker, two and three write the same file, byte for byte, with the results of runs in this process."""
+    for workers in (1, 2, 3):
         counts = run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True)
         assert counts == (len(sweep), 4)
     assert_same(read_results(tmp_path / "1.parquet"), expected)
-    assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "2.parquet"]
+    assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "2.parquet", "3.parquet"]
 
 
 def test_order_changes_nothing(sweep: Sweep, outcomes: list[RunOutcome]) -> None:
@@ -101,6 +103,8 @@ def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) ->
         ("friction.joint_1.tau_c", True, (1.0, 2.0), "ConfigError: friction.joint_1: tau_s_positive is 32.0"),
         ("task.end[0]", False, (0.604, 3.0), "LineError: the line cannot be travelled at"),
         ("controller.start_tolerance", False, (1e-3, 0.0), "TrajectoryError: point 0"),
+        ("task.speed", False, (0.1, 1e-12), "LineError: the line takes 2.00112e+10 s"),
+        ("task.end[0]", False, (0.604, 1e30), "LineError: the line's length is 1e+30 m"),
     ],
 )
 def test_a_failing_run_is_a_row(
@@ -116,6 +120,35 @@ def test_a_failing_run_is_a_row(
     assert bad["error"].startswith(said)
     assert all(bad[metric.name] is None for metric in sweep.metrics)
     assert bad["swept"] == values[1]
+
+
+def test_an_error_that_nobody_thought_of_is_a_row(sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a run raises becomes one line of its own row."""
+
+    def fail(*_: object) -> None:
+        raise MemoryError("no room for\n7 TiB")
+
+    monkeypatch.setattr("rx90_sweep.sweep.measure", fail)
+    outcome = sweep.run(0)
+    assert outcome.metrics is None
+    assert outcome.error == "MemoryError: no room for 7 TiB"
+
+
+def test_a_cluster_that_loses_a_process_goes_on(
+    sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process of the cluster that is killed with work in hand costs no run: another one takes it over."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[2]))
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        victim = next(iter(cluster.workers.values())).process.pid
+        with dask_pool(sweep, cluster.scheduler_address) as pool:
+            chunks = [[index] for index in range(len(sweep))]
+            futures = [pool.submit(chunk) for chunk in chunks]
+            os.kill(victim, signal.SIGKILL)
+            outcomes = [outcome for future in futures for outcome in future.result(timeout=120)]
+    assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
 def test_a_lost_worker_is_said(sweep: Sweep) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -119,6 +121,40 @@ def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
             ResultStore(file, sweep, resume=True)
         assert "\n" not in str(error.value)
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
+    """A part with one flipped bit in its data is refused with what to do about it, and doing that goes on."""
+    file = tmp_path / "out.parquet"
+    store_of_killed = ResultStore(file, sweep)
+    for first in (0, 20):
+        store_of_killed.add(outcomes[first : first + 20])
+        store_of_killed.flush()
+    os.close(store_of_killed._lock)  # as the end of a killed process does
+    part = parts_folder(file) / "part-000001.parquet"
+    data = bytearray(part.read_bytes())
+    data[100] ^= 1
+    part.write_bytes(data)
+    with pytest.raises(SweepError, match=r"part-000001.* cannot be read .*; accepted: remove this part") as error:
+        ResultStore(file, sweep, resume=True)
+    assert "\n" not in str(error.value)
+    part.unlink()
+    with ResultStore(file, sweep, resume=True) as kept:
+        assert kept.done.sum() == 20
+
+
+def test_a_lock_that_went_with_its_folder_locks_nothing(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sweep that starts while another one takes its folder away is turned away, not left without a lock."""
+    file = tmp_path / "out.parquet"
+
+    def remove_then_lock(*_: object) -> None:
+        shutil.rmtree(parts_folder(file))
+
+    monkeypatch.setattr(store.fcntl, "flock", remove_then_lock)
+    with pytest.raises(SweepError, match="another sweep is writing"):
+        ResultStore(file, sweep)
 
 
 def test_no_place_to_write(tmp_path: Path, sweep: Sweep) -> None:

@@ -1,0 +1,268 @@
+"""The integrator's own error: the plant step against a stiff variable-step solver, in the same closed loop.
+
+    python -m benchmarks.accuracy [--plot FILE]
+
+The reference line is run with 1 to 16 plant steps in a tick and with the plant solved by LSODA between ticks.
+Without the encoders' rounding this shows the order of the plant step. With it, a difference of any size, however
+small, at last moves one encoder count to another tick, and from there on two runs differ by about a count.
+That belongs to the robot and not to its integrator: the solver differs as much from itself when the start is
+moved by 1e-11 rad. So the comparison is repeated from several such starts, and the solver against itself is a
+row of the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from benchmarks.closed_loop import Work
+from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, hybrid_reference
+from benchmarks.report import merge, print_table
+from rx90_description.kinematics import forward
+from rx90_loop.closed_loop import simulate
+from rx90_loop.setup import Setup
+from rx90_report.drawing import COLOURS, make_figure
+from rx90_sim.friction import FrictionSet
+
+Array = NDArray[np.float64]
+
+SUBSTEPS = (1, 2, 4, 8, 16)
+STARTS = 6
+DISPLACEMENT = 1e-11
+"""How far the starts lie apart, rad: far below everything the arm could notice."""
+FINE_COUNTS = 2.0**40
+"""Encoder counts per turn that are finer than the solver's tolerance."""
+COAST = 0.02
+"""How long the arm coasts from full speed, s."""
+
+
+class Miss(NamedTuple):
+    """How far two runs are apart.
+
+    Attributes:
+        tip: worst distance of the tool centre points, m.
+        tip_rms: its root mean square, m.
+        joints: worst difference of each joint position, rad, shape (6,).
+        bristles: worst difference of each bristle deflection, rad, shape (7,).
+    """
+
+    tip: float
+    tip_rms: float
+    joints: Array
+    bristles: Array
+
+
+class Convergence(NamedTuple):
+    """What the comparison found.
+
+    Attributes:
+        exact: without the encoders' rounding: the miss of each number of substeps.
+        solver: there, the difference of the solver to itself at a hundred times the tolerance: its own error.
+        counts: with encoders as shipped: the misses of each number of substeps, over all pairs of starts.
+        solver_counts: there, those of the solver to itself.
+    """
+
+    exact: dict[int, Miss]
+    solver: Miss
+    counts: dict[int, list[Miss]]
+    solver_counts: list[Miss]
+
+
+def compare(setup: Setup, a: ReferenceRun, b: ReferenceRun) -> Miss:
+    """Return how far two runs are apart."""
+    chain = setup.robot.chain
+    distance = np.linalg.norm(forward(chain, a.q).position - forward(chain, b.q).position, axis=1)
+    worst = (np.abs(x - y).max(axis=0) for x, y in ((a.q, b.q), (a.z, b.z)))
+    return Miss(float(distance.max()), float(np.sqrt(np.mean(distance**2))), *worst)
+
+
+def without_rounding(setup: Setup) -> Setup:
+    """Return the setup with encoders so fine that they do not round."""
+    drives = dataclasses.replace(setup.drives, encoder_counts=np.full(6, FINE_COUNTS))
+    return dataclasses.replace(setup, drives=drives)
+
+
+def run_plant(work: Work, start: Array, substeps: int) -> ReferenceRun:
+    """Run the closed loop with the plant step."""
+    slow = simulate(work.setup, work.points, start, work.duration, substeps=substeps).slow
+    return ReferenceRun(slow.joint_states[:, 0], slow.joint_states[:, 1], slow.friction_states[:, 0])
+
+
+def converge(work: Work, starts: int = STARTS, quiet: bool = False) -> Convergence:
+    """Run everything; some 10 s for each start."""
+    fine = work._replace(setup=without_rounding(work.setup))
+    rng = np.random.default_rng(1)
+    moved = [work.start + DISPLACEMENT * rng.uniform(-1.0, 1.0, 6) * (k > 0) for k in range(starts)]
+    rows = round(work.duration * work.setup.rates.position_hz)
+    # None: shown on a terminal only.
+    bar = tqdm(total=(starts + 2) * rows, desc="stiff solver", unit="ms", disable=True if quiet else None, leave=False)
+
+    def solve(work: Work, start: Array, tolerance: float = TOLERANCE) -> ReferenceRun:
+        return hybrid_reference(work.setup, work.points, start, work.duration, tolerance=tolerance, bar=bar)
+
+    with bar:
+        exact = solve(fine, work.start)
+        solver = compare(work.setup, solve(fine, work.start, 100.0 * TOLERANCE), exact)
+        references = [solve(work, start) for start in moved]
+    return Convergence(
+        {n: compare(work.setup, run_plant(fine, work.start, n), exact) for n in SUBSTEPS},
+        solver,
+        {n: _all_pairs(work.setup, [run_plant(work, start, n) for start in moved], references) for n in SUBSTEPS},
+        [compare(work.setup, a, b) for a, b in itertools.combinations(references, 2)],
+    )
+
+
+def _all_pairs(setup: Setup, ours: list[ReferenceRun], references: list[ReferenceRun]) -> list[Miss]:
+    return [compare(setup, a, b) for a, b in itertools.product(ours, references)]
+
+
+class FullSpeed(NamedTuple):
+    """The plant step where the bristles are far faster than the tick.
+
+    Attributes:
+        rate: the largest bristle rate |v| / g times the tick.
+        joints: worst difference to the solver, rad.
+        torque: worst difference of a friction torque to the solver's, after the first two ticks, over its value.
+    """
+
+    rate: float
+    joints: float
+    torque: float
+
+
+def full_speed(setup: Setup, stiffening: float = 1.0) -> FullSpeed:
+    """Let the arm coast from its full joint speeds, the bristles `stiffening` times as stiff, beside the solver."""
+    elements = tuple(dataclasses.replace(e, c0=stiffening * e.c0) for e in setup.friction.elements)
+    setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
+    plant, twin = setup.plant(), setup.plant()
+    for one in (plant, twin):
+        one.reset(np.array([0.0, 0.5, 1.2, 0.0, 0.9, 0.0]))
+        # Motor 6 turns with joints 5 and 6 together, so at full speed these two run against each other.
+        one.state["v"][0] = setup.robot.max_velocity * [1, -1, 1, 1, -1, 1]
+    stiff = StiffPlant(setup, twin, 1e-9)
+    sliding = [e.sliding_torque(s) for e, s in zip(elements, setup.robot.max_velocity, strict=False)]
+    rate = max(e.c0 * s / g for e, s, g in zip(elements, setup.robot.max_velocity, sliding, strict=False))
+    joints, torque = 0.0, 0.0
+    for tick in range(round(COAST * setup.rates.base_hz)):
+        plant.step(np.zeros(6))
+        stiff.step(np.zeros(6))
+        twin.state["q"][0], twin.state["v"][0], twin.state["z"][0] = stiff.y[:6], stiff.y[6:12], stiff.y[12:]
+        joints = max(joints, float(np.abs(plant.state["q"][0] - stiff.y[:6]).max()))
+        own, other = plant.friction_states()[2], twin.friction_states()[2]
+        if tick >= 2:
+            torque = max(torque, float(np.max(np.abs(own - other) / np.abs(other))))
+    return FullSpeed(float(rate * setup.rates.period), joints, torque)
+
+
+def draw(found: Convergence, file: Path) -> None:
+    """Draw the convergence as a PNG."""
+    figure, (tip, states) = make_figure(2, 6.4)
+    steps = np.array(SUBSTEPS)
+    spread = np.array([m.tip for m in found.solver_counts]) * 1e6
+    shipped = np.array([[m.tip for m in found.counts[n]] for n in SUBSTEPS]) * 1e6
+    exact = [found.exact[n] for n in SUBSTEPS]
+    tip.axhspan(*np.percentile(spread, [0, 100]), color=COLOURS[6], alpha=0.25, lw=0)
+    tip.axhline(float(np.median(spread)), color=COLOURS[6], lw=1, label="encoders as shipped: solver against itself")
+    middle = np.median(shipped, axis=1)
+    tip.errorbar(
+        steps,
+        middle,
+        [middle - shipped.min(axis=1), shipped.max(axis=1) - middle],
+        fmt="s",
+        capsize=3,
+        color=COLOURS[1],
+        label="encoders as shipped: plant step, median and range",
+    )
+    _lines(tip, steps, "without rounding: plant step", [m.tip * 1e6 for m in exact], COLOURS[0])
+    tip.set_ylabel("worst tip difference, µm")
+    _lines(states, steps, "joint positions", [m.joints.max() * 1e6 for m in exact], COLOURS[0])
+    _lines(states, steps, "bristle deflections", [m.bristles.max() * 1e6 for m in exact], COLOURS[2])
+    states.set_ylabel("worst difference, µrad")
+    states.set_xlabel("plant steps in a tick of 250 µs")
+    for axes, first in ((tip, exact[0].tip), (states, exact[0].joints.max())):
+        axes.plot(steps, 2e6 * first / steps**2.0, "k:", lw=1, label="order 2")
+        axes.set(xscale="log", yscale="log")
+        axes.set_xticks(steps, [str(n) for n in steps])
+        axes.minorticks_off()
+        axes.legend(fontsize=8)
+    figure.savefig(file, dpi=130, metadata={"Software": None})
+
+
+def _lines(axes: Any, steps: NDArray[np.int64], label: str, values: list[float], colour: str) -> None:
+    axes.plot(steps, values, "o-", color=colour, label=label)
+
+
+def _exact_table(found: Convergence) -> None:
+    rows, last = [], None
+    for name, miss in (*((f"{n} steps in a tick", m) for n, m in found.exact.items()), ("solver itself", found.solver)):
+        order = "" if last is None or name.startswith("solver") else f"{np.log2(last / miss.tip):.2f}"
+        rows.append((name, *_micro(miss.tip, miss.tip_rms, miss.joints.max(), miss.bristles.max()), order))
+        last = miss.tip
+    print_table(("without the encoders' rounding", "tip um", "RMS um", "joints urad", "bristles urad", "order"), rows)
+
+
+def _micro(*values: float) -> list[str]:
+    return [f"{value * 1e6:.2g}" if value < 1e-10 else f"{value * 1e6:.4f}" for value in values]
+
+
+def _counts_table(found: Convergence) -> None:
+    rows = []
+    runs = [(f"{n} steps in a tick", misses) for n, misses in found.counts.items()]
+    for name, misses in (*runs, ("solver against itself", found.solver_counts)):
+        tip = np.array([m.tip for m in misses])
+        others = np.median([(m.tip_rms, m.joints.max(), m.bristles.max()) for m in misses], axis=0)
+        rows.append((name, *(f"{v * 1e6:.2f}" for v in (np.median(tip), tip.min(), tip.max(), *others))))
+    headers = ("encoders as shipped", "tip um", "least", "most", "RMS um", "joints urad", "bristles urad")
+    print_table(headers, rows)
+
+
+def _by_element(work: Work, miss: Miss) -> None:
+    names = (*work.setup.robot.joint_names, work.setup.friction.names[-1])
+    joints = (*(f"{v * 1e6:.3f}" for v in miss.joints), "")
+    bristles = (f"{v * 1e6:.3f}" for v in miss.bristles)
+    print_table(
+        ("one step in a tick, no rounding", "joint urad", "bristle urad"),
+        list(zip(names, joints, bristles, strict=True)),
+    )
+
+
+def main() -> int:
+    """Compare, print the tables, merge the figures and draw the plot if it is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.accuracy", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--plot", type=Path, help="PNG to draw the convergence into")
+    options = parser.parse_args()
+    work = Work.load()
+    found = converge(work)
+    _exact_table(found)
+    print()
+    _by_element(work, found.exact[1])
+    print()
+    _counts_table(found)
+    print()
+    coasts = [(factor, full_speed(work.setup, factor)) for factor in (1.0, 100.0)]
+    print_table(
+        ("coasting from full joint speed", "bristle rate x tick", "joints urad", "friction torque"),
+        [(f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}") for f, c in coasts],
+    )
+    merge(
+        {
+            "integrator_tip_error_um": 1e6 * float(np.median([m.tip for m in found.counts[1]])),
+            "integrator_tip_error_unrounded_um": 1e6 * found.exact[1].tip,
+            "reference_tip_spread_um": 1e6 * float(np.median([m.tip for m in found.solver_counts])),
+        }
+    )
+    if options.plot is not None:
+        draw(found, options.plot)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""One joint with LuGre friction beside an implementation that is not ours: MuJoCo's `dcmotor` with `lugre`.
+
+    python -m benchmarks.mujoco_lugre
+
+A rotor is driven by the same torques, held over the same ticks of 250 us, in the plant, in MuJoCo (with its default
+integrator and with `implicitfast`) and by a stiff variable-step solver. MuJoCo has one friction torque for both
+signs of the velocity, a Stribeck exponent of 2 and a constant c1, so the element has them here, too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.decoupled import decoupled_setup
+from benchmarks.hybrid_reference import StiffPlant
+from benchmarks.report import print_table
+from rx90_loop.setup import Setup
+from rx90_sim.friction import LuGreElement
+
+Array = NDArray[np.float64]
+
+INERTIA = 11.0
+"""Of joint 1 with the arm stretched out, kg m^2."""
+_FINE = 16
+_TOLERANCE = 1e-11
+
+
+class States(NamedTuple):
+    """Position rad, velocity rad/s and bristle deflection rad after each tick, shape (n,)."""
+
+    q: Array
+    v: Array
+    z: Array
+
+
+class Scenario(NamedTuple):
+    """What is asked of the joint: a name, a torque in Nm as a function of time in s, and a duration in s."""
+
+    name: str
+    torque: Callable[[float], float]
+    duration: float
+
+    def torques(self, period: float) -> Array:
+        """Return the torque held over each tick."""
+        return np.array([self.torque(k * period) for k in range(round(self.duration / period))])
+
+
+SCENARIOS = (
+    Scenario("sliding", lambda t: 60.0 * min(1.0, t / 0.1), 1.0),
+    Scenario("presliding", lambda t: 20.0 * math.sin(4.0 * math.pi * t), 1.0),
+    Scenario("reversal", lambda t: 60.0 * math.sin(2.0 * math.pi * t), 2.0),
+    Scenario("stick", lambda t: 50.0 if t < 0.3 else 10.0, 1.5),
+)
+
+
+def element_of(setup: Setup) -> LuGreElement:
+    """Return the friction of joint 1 as far as MuJoCo can express it."""
+    first = setup.friction.elements[0]
+    return dataclasses.replace(
+        first,
+        tau_c_negative=first.tau_c_positive,
+        tau_s_negative=first.tau_s_positive,
+        delta=2.0,
+        omega_d=math.inf,
+    )
+
+
+def run_plant(setup: Setup, torques: Array, substeps: int = 1) -> States:
+    """Run the plant step of a decoupled setup, joint 1."""
+    plant = setup.plant(substeps)
+    rows, command = [], np.zeros(6)
+    for command[0] in torques:
+        plant.step(command)
+        state = plant.state[0]
+        rows.append((state["q"][0], state["v"][0], state["z"][0]))
+    return States(*np.array(rows).T)
+
+
+def run_solver(setup: Setup, torques: Array) -> States:
+    """Run a decoupled setup through the stiff solver, joint 1."""
+    stiff = StiffPlant(setup, setup.plant(), _TOLERANCE)
+    rows, command = [], np.zeros(6)
+    for command[0] in torques:
+        stiff.step(command)
+        rows.append(stiff.y[[0, 6, 12]])
+    return States(*np.array(rows).T)
+
+
+def mujoco_joint(
+    element: LuGreElement, period: float, integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
+) -> mujoco.MjModel:
+    """Return a rotor with MuJoCo's LuGre friction."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.integrator = period, integrator
+    spec.option.gravity = np.zeros(3)
+    body = spec.worldbody.add_body(mass=1e-9, inertia=[1e-9] * 3, explicitinertial=True)
+    joint = body.add_joint(name="joint", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=INERTIA)
+    friction = spec.add_actuator(name="friction", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    friction.set_to_dcmotor(
+        motorconst=(1e-9, 1e-9),  # no motor to speak of: there for its friction alone
+        resistance=1.0,
+        lugre=[element.c0, element.c1, element.tau_c_positive, element.tau_s_positive, element.omega_s],
+        ctrlspec=mujoco.mjtCtrlInput.mjINPUT_NONE,
+    )
+    friction.damping[0] = element.c2
+    return spec.compile()
+
+
+def run_mujoco(
+    element: LuGreElement,
+    period: float,
+    torques: Array,
+    substeps: int = 1,
+    integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER,
+) -> States:
+    """Run MuJoCo's joint with `substeps` of its steps in a tick."""
+    model = mujoco_joint(element, period / substeps, integrator)
+    data, rows = mujoco.MjData(model), []
+    for torque in torques:
+        data.qfrc_applied[0] = torque
+        mujoco.mj_step(model, data, nstep=substeps)
+        rows.append((data.qpos[0], data.qvel[0], data.act[0]))
+    return States(*np.array(rows).T)
+
+
+def miss(a: States, b: States) -> tuple[float, float, float]:
+    """Return the worst differences of position, velocity and bristle deflection."""
+    return tuple(float(np.abs(x - y).max()) for x, y in zip(a, b, strict=True))  # type: ignore[return-value]
+
+
+def main() -> int:
+    """Run all scenarios and print who is how far from whom."""
+    shipped = Setup.load()
+    element, period = element_of(shipped), shipped.rates.period
+    setup = decoupled_setup(shipped, (element,), INERTIA)
+    implicit = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    rows = []
+    for scenario in SCENARIOS:
+        torques = scenario.torques(period)
+        exact, ours = run_solver(setup, torques), run_plant(setup, torques)
+        theirs = run_mujoco(element, period, torques)
+        pairs = {
+            "this project - solver": (ours, exact),
+            "MuJoCo Euler - solver": (theirs, exact),
+            "MuJoCo implicitfast - solver": (run_mujoco(element, period, torques, 1, implicit), exact),
+            f"MuJoCo Euler, {_FINE} steps - solver": (run_mujoco(element, period, torques, _FINE), exact),
+            "this project - MuJoCo Euler": (ours, theirs),
+        }
+        largest = (f"{np.abs(x).max():.3g}" for x in exact)
+        rows.append((f"{scenario.name}: largest value", *largest))
+        rows += [(f"  {name}", *(f"{x:.1e}" for x in miss(*pair))) for name, pair in pairs.items()]
+    print_table(("one joint, 250 us", "q rad", "v rad/s", "z rad"), rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,327 @@
+"""Speed and error of the perturbation method beside the full closed loop, and where it stops being valid.
+
+    python -m benchmarks.perturbation [--plot FILE]
+
+Speed: a prepared model against `simulate`, CPU times of one thread, taking turns; every run of a batch has another
+friction. Error: the tip's distance from the path and from the nominal motion, on the reference line and on the same
+line at 300 mm/s. Validity: line speed by friction, with five controllers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from benchmarks.report import merge, print_table
+from rx90_common.share import config_path
+from rx90_controller.cs7b_parameters import CS7BParameters, FeedForward
+from rx90_controller.line import plan_line
+from rx90_controller.line_task import LineTask, load_task
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_loop.closed_loop import RunResult, simulate
+from rx90_loop.setup import Setup
+from rx90_loop.task_run import SETTLING, line_points, path_accuracy
+from rx90_perturbation.agreement import Agreement, agreement
+from rx90_perturbation.model import PerturbationModel, prepare
+from rx90_report.drawing import COLOURS, make_figure
+from rx90_sim.friction import FrictionSet
+
+Array = NDArray[np.float64]
+
+ROUNDS = 9
+BATCH = 64
+ACCEPTED_SPEEDUP, ACCEPTED_ERROR = 5.0, 0.05
+SPEEDS = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
+SCALES = (0.5, 1.0, 2.0, 4.0)
+SPACINGS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+RAMP = 0.1
+"""How long a line of the validity table takes to reach its speed, s."""
+
+
+class Work(NamedTuple):
+    """A line, planned."""
+
+    setup: Setup
+    task: LineTask
+    points: TrajectoryPoints
+    start: Array
+    duration: float
+
+    @classmethod
+    def plan(cls, setup: Setup, task: LineTask) -> Work:
+        """Plan the line."""
+        plan = plan_line(setup.robot, task, setup.rates.position_period)
+        return cls(setup, task, line_points(plan), plan.start_pose, plan.duration)
+
+    def full(self) -> RunResult:
+        """Run the full closed loop."""
+        return simulate(self.setup, self.points, self.start, self.duration)
+
+    def prepare(self, spacing: float = 0.01) -> PerturbationModel:
+        """Prepare the perturbation model."""
+        return prepare(self.setup, self.points, self.start, self.duration, spacing=spacing)
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Return from when to when the line counts, s."""
+        begin = self.task.rest_before
+        return begin, begin + self.task.profile().duration + min(SETTLING, self.task.rest_after)
+
+
+def scaled(friction: FrictionSet, scale: float) -> FrictionSet:
+    """Return a friction set with all torques scaled; deflections and velocities stay."""
+    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    elements = tuple(
+        dataclasses.replace(element, **{name: scale * getattr(element, name) for name in names})
+        for element in friction.elements
+    )
+    return FrictionSet(friction.names, elements)
+
+
+def controllers(shipped: CS7BParameters) -> dict[str, CS7BParameters]:
+    """Return the controllers of the validity table."""
+    blind = dataclasses.replace(shipped, feed_forward=FeedForward.off())
+    weak = dataclasses.replace(blind, kp=0.3 * shipped.kp, kv=0.3 * shipped.kv, ki=0.1 * shipped.ki)
+    soft, softer = (
+        dataclasses.replace(blind, kp=share * shipped.kp, kv=share * shipped.kv, ki=0.0 * shipped.ki)
+        for share in (0.2, 0.06)
+    )
+    return {
+        "as shipped": shipped,
+        "no feed-forward": blind,
+        "no feed-forward, weak gains": weak,
+        "no feed-forward, no integral, soft gains": soft,
+        "no feed-forward, no integral, softer gains": softer,
+    }
+
+
+def _seconds_per_tick(run: Callable[[], object], ticks: float) -> float:
+    began = time.process_time()
+    run()
+    return (time.process_time() - began) / ticks
+
+
+def speed(work: Work, rounds: int = ROUNDS) -> dict[str, list[float]]:
+    """Return the times per tick and run of all rounds, s."""
+    model = work.prepare()
+    scales = np.linspace(0.8, 1.2, BATCH).tolist()
+    frictions = [scaled(work.setup.friction, scale) for scale in scales]
+    ticks = work.duration * work.setup.rates.base_hz
+    runs: dict[str, tuple[Callable[[], object], float]] = {
+        "full closed loop": (work.full, ticks),
+        "perturbation, one run": (lambda: model.run(frictions[:1]), ticks),
+        f"perturbation, batch of {BATCH}": (lambda: model.run(frictions), ticks * BATCH),
+        "perturbation, preparation": (work.prepare, ticks),
+    }
+    times: dict[str, list[float]] = {name: [] for name in runs}
+    for run, _ in runs.values():
+        run()
+    for _ in range(rounds):
+        for name, (run, count) in runs.items():
+            times[name].append(_seconds_per_tick(run, count))
+    return times
+
+
+class PathError(NamedTuple):
+    """Worst and RMS distance of the tip from the line, m: full simulation and perturbation method."""
+
+    worst: tuple[float, float]
+    rms: tuple[float, float]
+
+    @property
+    def relative(self) -> float:
+        """Return the larger of the two relative differences."""
+        return max(abs(pair[1] / pair[0] - 1.0) for pair in self)
+
+
+def line_error(work: Work) -> tuple[PathError, Agreement]:
+    """Compare both methods on a line."""
+    full, result = work.full(), work.prepare().run_one()
+    chain, task = work.setup.robot, work.task
+    ours, theirs = (
+        path_accuracy(chain, task, full.times, position)
+        for position in (result.joint_position(0), full.slow.joint_states[:, 0])
+    )
+    error = PathError((theirs.worst, ours.worst), (theirs.rms, ours.rms))
+    return error, agreement(full, result, 0, *work.window)
+
+
+class Case(NamedTuple):
+    """One cell of the validity table."""
+
+    controller: str
+    scale: float
+    speed: float
+    agreement: Agreement
+    lost: bool
+
+
+def at_speed(task: LineTask, line_speed: float) -> LineTask:
+    """Return the line at a speed, m/s, reached in RAMP."""
+    return dataclasses.replace(task, speed=line_speed, acceleration=line_speed / RAMP)
+
+
+def validity(setup: Setup, task: LineTask) -> list[Case]:
+    """Compare both methods over speed, friction and controller."""
+    cases = []
+    for line_speed in SPEEDS:
+        work = Work.plan(setup, at_speed(task, line_speed))
+        model = work.prepare()
+        grid = [(name, c, scale) for name, c in controllers(setup.controller).items() for scale in SCALES]
+        frictions = [scaled(setup.friction, scale) for *_, scale in grid]
+        result = model.run(frictions, [controller for _, controller, _ in grid])
+        for run, (name, controller, scale) in enumerate(grid):
+            full = work._replace(
+                setup=dataclasses.replace(setup, friction=frictions[run], controller=controller)
+            ).full()
+            compared = agreement(full, result, run, *work.window)
+            cases.append(Case(name, scale, line_speed, compared, bool(result.lost[run])))
+    return cases
+
+
+def print_validity(cases: list[Case]) -> None:
+    """Print how far the methods disagree, one table for each controller."""
+    for name in dict.fromkeys(case.controller for case in cases):
+        print(f"\n{name}: largest tip deviation, um; disagreement about largest and RMS, and tips apart, %")
+        rows = []
+        for line_speed in SPEEDS:
+            row = [f"{line_speed * 1e3:.0f} mm/s"]
+            for case in cases:
+                if case.controller == name and case.speed == line_speed:
+                    a = case.agreement
+                    row += [
+                        f"{a.worst[0] * 1e6:.0f}",
+                        f"{max(a.relative_worst, a.relative_rms) * 100:.2f}",
+                        f"{a.relative_difference * 100:.2f}",
+                    ]
+            rows.append(row)
+        headers = ["line"]
+        for scale in SCALES:
+            headers += [f"friction x {scale:g}", "%", "tips %"]
+        print_table(headers, rows)
+
+
+def plot(cases: list[Case], spacing: list[tuple[float, float]], file: Path) -> None:
+    """Draw the disagreement over speed, over the size of the deviation, and over the spacing of the coarse points."""
+    names = list(dict.fromkeys(case.controller for case in cases))
+    figure, (over_speed, over_size, over_spacing) = make_figure(3, 9.5, share_x=False)
+    for scale, colour in zip(SCALES, COLOURS, strict=False):
+        line = [c for c in cases if c.controller == names[0] and c.scale == scale]
+        apart = [c.agreement.relative_difference * 100 for c in line]
+        over_speed.loglog([c.speed * 1e3 for c in line], apart, "o-", color=colour, label=f"friction x {scale:g}")
+    _ticks(over_speed, [s * 1e3 for s in SPEEDS])
+    _label(over_speed, "Controller as shipped", "line speed, mm/s", "tips apart, % of deviation")
+    for name, colour in zip(names, COLOURS, strict=False):
+        line = [c for c in cases if c.controller == name]
+        apart = [c.agreement.relative_difference * 100 for c in line]
+        over_size.loglog([c.agreement.worst[0] * 1e3 for c in line], apart, "o", color=colour, label=name)
+    _label(over_size, "All speeds, frictions and controllers", "largest deviation of the tip, mm", "tips apart, %")
+    for axes in (over_speed, over_size):
+        axes.axhline(ACCEPTED_ERROR * 100, color="black", linewidth=0.8, label="accepted")
+        axes.set_ylim(0.05, 30.0)
+        axes.legend(fontsize=8, ncols=2, loc="upper left")
+    over_spacing.semilogx([s * 1e3 for s, _ in spacing], [d * 1e6 for _, d in spacing], "o-", color=COLOURS[0])
+    over_spacing.set_ylim(bottom=0.0)
+    _ticks(over_spacing, [s * 1e3 for s in SPACINGS])
+    _label(
+        over_spacing,
+        f"As shipped, {SPEEDS[-1] * 1e3:.0f} mm/s",
+        "from coarse point to coarse point, ms",
+        "tips apart, um",
+    )
+    figure.savefig(file, dpi=110)
+
+
+def _ticks(axes: Axes, values: list[float]) -> None:
+    axes.set_xticks(values, [f"{value:g}" for value in values])
+    axes.minorticks_off()
+
+
+def _label(axes: Axes, title: str, x: str, y: str) -> None:
+    axes.set_title(title, loc="left")
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+
+
+def spacings(work: Work) -> list[tuple[float, float]]:
+    """Return (spacing in s, largest distance of the tips in m) of one line."""
+    full = work.full()
+    return [(s, agreement(full, work.prepare(s).run_one(), 0, *work.window).difference) for s in SPACINGS]
+
+
+def main() -> int:
+    """Measure, print the tables, merge the figures and draw the plot if asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.perturbation", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("--plot", type=Path, help="picture to write")
+    options = parser.parse_args()
+    setup = Setup.load()
+    task = load_task(config_path("task/reference_line.yaml"))
+    works = [Work.plan(setup, task), Work.plan(setup, dataclasses.replace(task, speed=0.3))]
+    times = speed(works[0])
+    full, batch = times["full closed loop"], times[f"perturbation, batch of {BATCH}"]
+    ratios = {n: [a / b for a, b in zip(full, series, strict=True)] for n, series in times.items()}
+    speedup = statistics.median(a / b for a, b in zip(full, batch, strict=True))
+    print_table(
+        ("perturbation method, per run", "us per tick", "best", "x real time", "x full"),
+        [
+            (
+                name,
+                f"{statistics.median(series) * 1e6:.3f}",
+                f"{min(series) * 1e6:.3f}",
+                f"{setup.rates.period / statistics.median(series):.0f}",
+                f"{statistics.median(ratios[name]):.1f}",
+            )
+            for name, series in times.items()
+        ],
+    )
+    errors = [line_error(work) for work in works]
+    print()
+    print_table(
+        (
+            "tip, um: full / perturbation",
+            "path worst",
+            "path RMS",
+            "deviation worst",
+            "RMS",
+            "tips apart",
+            "relative %",
+        ),
+        [
+            (
+                f"{work.task.speed * 1e3:.0f} mm/s",
+                *(f"{a * 1e6:.2f} / {b * 1e6:.2f}" for a, b in (*line, *deviation[:2])),
+                f"{deviation.difference * 1e6:.2f}",
+                f"{_relative(line, deviation) * 100:.2f}",
+            )
+            for work, (line, deviation) in zip(works, errors, strict=True)
+        ],
+    )
+    relative = max(_relative(*pair) for pair in errors)
+    print(f"accepted: at least {ACCEPTED_SPEEDUP:g} x the full closed loop, relative at most {ACCEPTED_ERROR:.0%}")
+    cases = validity(setup, task)
+    print_validity(cases)
+    if options.plot:
+        fastest = Work.plan(setup, at_speed(task, SPEEDS[-1]))
+        plot(cases, spacings(fastest), options.plot)
+    merge({"perturbation_speedup": speedup, "perturbation_tip_error_relative": relative})
+    return 0
+
+
+def _relative(line: PathError, deviation: Agreement) -> float:
+    return max(line.relative, deviation.relative_worst, deviation.relative_rms)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,41 @@
+"""The command friction_rig_emulator and the pseudo-terminal that it serves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from friction_bench.emulated import EmulatedRig
+from friction_bench.emulator_command import main
+from friction_bench.pty_rig import PtyRig
+from friction_bench.rig import Rig
+
+
+def test_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:
+    """A rig that ends takes its link away, but not one that another rig has taken over meanwhile."""
+    link = tmp_path / "rig"
+    first = PtyRig(EmulatedRig(rig, 1), link)
+    second = PtyRig(EmulatedRig(rig, 2), link)
+    first.close()
+    assert str(link.readlink()) == second.path
+    second.close()
+    assert not link.is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seed", "-1"], "--seed is -1; accepted: 0 to 2147483647"),
+        (["--rig", "nothing.yaml"], "no file 'nothing.yaml'"),
+        (["--link", "/dev/null"], "/dev/null: cannot point to the emulated rig"),
+        (["--link", "/proc/rig"], "/proc/rig: cannot point to the emulated rig"),
+    ],
+)
+def test_mistakes_get_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A user's mistake is answered by one line and exit code 1."""
+    assert main(arguments) == 1
+    error = capsys.readouterr().err.strip()
+    assert error.startswith("friction_rig_emulator: ")
+    assert message in error
+    assert "\n" not in error

@@ -1,0 +1,47 @@
+"""The friction element against MuJoCo's own: `dcmotor` with `lugre`, one joint, the same torques."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+if not hasattr(mujoco.MjsActuator, "set_to_dcmotor"):
+    pytest.skip("this MuJoCo has no dcmotor with LuGre friction", allow_module_level=True)
+
+from benchmarks import mujoco_lugre as bench  # noqa: E402, after the check for MuJoCo
+from benchmarks.decoupled import decoupled_setup  # noqa: E402
+from rx90_loop.setup import Setup  # noqa: E402
+
+
+@pytest.mark.parametrize("scenario", bench.SCENARIOS, ids=[s.name for s in bench.SCENARIOS])
+def test_mujoco_converges_to_the_plant(shipped: Setup, scenario: bench.Scenario) -> None:
+    """At the same step both agree to 3 % of the largest value, and 16 times finer MuJoCo is 16 times nearer to us.
+
+    MuJoCo's scheme is of first order, so halving its step halves its distance from the common solution; the
+    plant step stays at one step in a tick, and what it misses itself is far below.
+    """
+    element, period = bench.element_of(shipped), shipped.rates.period
+    torques = scenario.torques(period)
+    ours = bench.run_plant(decoupled_setup(shipped, (element,), bench.INERTIA), torques)
+    coarse = np.array(bench.miss(ours, bench.run_mujoco(element, period, torques)))
+    fine = np.array(bench.miss(ours, bench.run_mujoco(element, period, torques, 16)))
+    largest = np.abs(np.array(ours)).max(axis=1)
+    assert np.all(coarse < 0.03 * largest)
+    assert np.all(fine < 0.003 * largest)
+    assert coarse / fine == pytest.approx(16.0, rel=0.25)
+
+
+def test_the_scenarios_are_what_they_are_called(shipped: Setup) -> None:
+    """Sliding leaves the bristles behind, presliding stays on them, reversal turns, stick comes to rest."""
+    element, period = bench.element_of(shipped), shipped.rates.period
+    setup = decoupled_setup(shipped, (element,), bench.INERTIA)
+    runs = {s.name: bench.run_plant(setup, s.torques(period)) for s in bench.SCENARIOS}
+    deflection = element.tau_s_positive / element.c0
+    assert runs["sliding"].v[-1] > 20 * element.omega_s
+    assert np.abs(runs["presliding"].q).max() < 1.5 * deflection
+    assert np.count_nonzero(np.diff(np.sign(runs["presliding"].v))) >= 4
+    fast = runs["reversal"].v[np.abs(runs["reversal"].v) > element.omega_s]
+    assert np.count_nonzero(np.diff(np.sign(fast))) >= 2
+    assert np.abs(runs["stick"].v).max() > 5 * element.omega_s
+    assert np.abs(runs["stick"].v[-200:]).max() < 1e-2 * element.omega_s
