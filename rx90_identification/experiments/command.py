@@ -22,7 +22,7 @@ from rx90_loop.setup import Setup, SetupFiles
 
 REFUSED, NOT_RUN, INTERRUPTED = 1, 3, 130
 _QUICK = PlanOptions(
-    speeds=6,
+    speeds=8,
     poses=PlanOptions().poses[:1],
     presliding_cycles=(2e-3,),
     tone_amplitudes=(4e-5,),
@@ -126,11 +126,11 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
-    from rx90_exchange.environment import prepare  # noqa: PLC0415 (planning and the engine need no ROS)
+    from rx90_exchange.environment import prepare
 
     prepare()
     try:
-        from rx90_identification.experiments.nodes import ExperimentRunner  # noqa: PLC0415
+        from rx90_identification.experiments.nodes import ExperimentRunner
     except ImportError as error:
         raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
     runner = ExperimentRunner(setup.robot, options.controller, options.timeout)

@@ -18,8 +18,8 @@ from rx90_identification.experiments.motion import Motion
 Array = NDArray[np.float64]
 
 HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-POSES = ((0.0, 0.3, 0.6, 0.0, 0.5, 0.0), (0.4, -0.35, -0.7, 0.5, -0.7, 0.4))
-"""Where sweeps take place, rad: leaning to either side, so that weights change their sign and friction does not."""
+POSES = ((0.0, 0.2, 0.6, 0.0, 0.5, 0.0), (0.4, -0.3, 1.1, 0.5, -0.7, 0.4))
+"""Where sweeps take place, rad: one near the upright, one with other gravity torques."""
 VALIDATION_POSES = (
     (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
     (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),

@@ -68,7 +68,7 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, tmp_path: Path)
     processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
     folder = tmp_path / "series"
-    arguments = ["run", "--nodes", "--quick", "--speeds", "5", "--group", "joint_4", "--output", folder]
+    arguments = ["run", "--nodes", "--quick", "--group", "joint_4", "--output", folder]
     run = processes.start(sys.executable, "-m", "rx90_identification.experiments.command", *arguments)
     assert run.wait(timeout=300.0) == 0
     output = tmp_path / "friction.yaml"

@@ -126,6 +126,6 @@ def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureF
 
 def test_kinds_have_topics() -> None:
     """Every kind of experiment says what is recorded of it."""
-    from rx90_identification.experiments.folder import TOPICS  # noqa: PLC0415
+    from rx90_identification.experiments.folder import TOPICS
 
     assert set(TOPICS) == set(Kind)
