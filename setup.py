@@ -78,6 +78,8 @@ setup(
             "rx90_bag = rx90_common.executables:rx90_bag",
             "rx90_demo = rx90_common.executables:rx90_demo",
             "rx90_sweep = rx90_common.executables:rx90_sweep",
+            "rx90_experiment = rx90_common.executables:rx90_experiment",
+            "rx90_identify = rx90_common.executables:rx90_identify",
         ],
     },
 )

@@ -1,6 +1,7 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
     python -m benchmarks [closed_loop] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [sweep] [friction_ramp]
+                         [identification] [identification_time]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
 """
@@ -14,7 +15,17 @@ from pathlib import Path
 
 from benchmarks.report import BENCH_FILE, ROOT
 
-NAMES = ("closed_loop", "accuracy", "mujoco_lugre", "perturbation", "lockstep", "sweep", "friction_ramp")
+NAMES = (
+    "closed_loop",
+    "accuracy",
+    "mujoco_lugre",
+    "perturbation",
+    "lockstep",
+    "sweep",
+    "friction_ramp",
+    "identification",
+    "identification_time",
+)
 
 
 def main() -> int:

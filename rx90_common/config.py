@@ -111,6 +111,13 @@ class Section:
             self.refuse(key, value, accepted)
         return str(value)
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """Return a list of strings."""
+        value = self._get(key, "a list of texts")
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.refuse(key, value, "a list of texts")
+        return tuple(value)
+
     def finish(self) -> None:
         """Refuse keys that nobody asked for."""
         unknown = sorted(set(self._data) - self._used)

@@ -36,11 +36,17 @@ def to_joint_torque(gear: NDArray[np.float64], motor: NDArray[np.float64], joint
     joint[4] += joint[5]
 
 
+def coupling_matrix() -> NDArray[np.float64]:
+    """Return motor turns for joint turns without the gears, shape (6, 6)."""
+    coupling = np.eye(6)
+    coupling[5, 4] = 1.0
+    return coupling
+
+
 def coupled_inertia(rotor: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotors' share of the mass matrix, shape (6, 6), for joint-side rotor inertias, kg m^2.
 
     Rotor 6 turns with q5 + q6, so its inertia appears in M55, M56, M65 and M66.
     """
-    coupling = np.eye(6)
-    coupling[5, 4] = 1.0
+    coupling = coupling_matrix()
     return np.asarray(coupling.T @ np.diag(rotor) @ coupling)

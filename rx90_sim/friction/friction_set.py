@@ -83,6 +83,8 @@ def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
         )
     elements = tuple(load_element(section.section(name)) for name in names)
     section.finish()
+    if "identification" in root:
+        root.section("identification")  # how the values were found and how well they are known; for readers
     root.finish()
     return FrictionSet(names, elements, path)
 

@@ -1,0 +1,168 @@
+"""Records of sweeps made without the code under test: an analytic Stribeck curve, Pinocchio, noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from rx90_identification.record import JointRecord
+from rx90_loop.setup import Setup
+from rx90_sim.friction import FrictionSet, LuGreElement
+
+Array = NDArray[np.float64]
+
+INPUT = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
+WRIST = np.eye(6)
+WRIST[5, 4] = 1.0
+PERIOD = 1e-3
+SLOWEST = 0.003
+STUCK = np.array([5.0, 5.0, 3.0, 1.0, 0.5, 0.3, 0.2])
+"""What elements at rest carry, Nm: any torque below the static one, and nobody knows it."""
+STEADY_TORQUE = np.array([318.0, 166.0, 76.0, 34.0, 29.0, 11.0])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of the motors' sensors.
+
+    Attributes:
+        torque: standard deviation of a sample at 1 kHz, in parts of the steady torque. The friction rig's is
+            0.002 Nm of 0.18 Nm.
+        common: standard deviation of what all samples of a stretch at constant velocity have in common.
+        counts: of the encoder, per motor revolution.
+    """
+
+    torque: float = 0.002 / 0.18
+    common: float = 0.0
+    counts: float = 65536.0
+
+
+def stribeck(element: LuGreElement, velocity: Array) -> Array:
+    """Return the torque of steady sliding by equations 17 to 19, Nm; none at rest."""
+    up = velocity > 0
+    coulomb = np.where(up, element.tau_c_positive, element.tau_c_negative)
+    static = np.where(up, element.tau_s_positive, element.tau_s_negative)
+    decay = np.exp(-((np.abs(velocity) / element.omega_s) ** element.delta))
+    return np.sign(velocity) * (coulomb + (static - coulomb) * decay) + element.c2 * velocity
+
+
+def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array], payload: float = 0.0) -> Array:
+    """Return joint torques of the drives; elements at rest carry STUCK.
+
+    Args:
+        setup: robot and drives.
+        friction: its elements.
+        motion: positions and velocities.
+        payload: a point mass on the flange that the setup knows nothing of, kg.
+    """
+    q, v = motion
+    model = setup.robot.model.copy()
+    if payload:
+        point = pin.Inertia(payload, np.array([0.03, -0.02, 0.15]), np.zeros((3, 3)))
+        model.inertias[6] = model.inertias[6] + point
+    data, zero = model.createData(), np.zeros(6)
+    # Gravity and velocity torques are smooth: every tenth sample and straight lines between them.
+    few = np.unique(np.append(np.arange(0, len(q), 10), len(q) - 1))
+    coarse = np.array([pin.rnea(model, data, q[k], v[k], zero) for k in few])
+    torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
+    torque[:, 1] += setup.drives.spring_torque * np.sin(q[:, 1])
+    inputs = v @ INPUT.T
+    sliding = np.column_stack([stribeck(e, inputs[:, k]) for k, e in enumerate(friction.elements)])
+    return torque + np.where(inputs == 0.0, STUCK, sliding) @ INPUT
+
+
+def sweep(start: Array, velocity: Array, travel: float, longest: float) -> tuple[Array, Array]:
+    """Return positions and velocities of a rest, a stretch at constant velocity and its way back."""
+    fastest = np.abs(INPUT @ velocity).max()
+    duration = min(travel / fastest, longest)
+    moving = int(duration / PERIOD)
+    profile = np.concatenate([np.zeros(100), np.ones(moving), np.zeros(100), -np.ones(moving), np.zeros(100)])
+    v = profile[:, None] * velocity
+    return start - velocity * duration / 2.0 + np.cumsum(v, axis=0) * PERIOD, v
+
+
+@dataclass(frozen=True)
+class Program:
+    """Sweeps of single joints, and for the wrist of joints 5 and 6 together and against each other.
+
+    Attributes:
+        joints: which, counted from 0.
+        count: speeds on a logarithmic range.
+        poses: how often, at random poses.
+        longest: s of a stretch at constant velocity.
+        backward: whether the arm also goes back at the same speed.
+    """
+
+    joints: Sequence[int]
+    count: int = 14
+    poses: int = 2
+    longest: float = 4.0
+    backward: bool = True
+
+    def motion(self, setup: Setup, seed: int = 0) -> tuple[Array, Array]:
+        """Return positions and velocities at 1 kHz, shape (m, 6)."""
+        rng = np.random.default_rng(seed)
+        parts = []
+        for joint in self.joints:
+            directions = [np.eye(6)[joint]]
+            if joint == 5:
+                directions += [np.array([0, 0, 0, 0, 1.0, -1.0]), np.array([0, 0, 0, 0, 0.6, 0.4])]
+            for direction in directions:
+                moving = direction != 0.0
+                fastest = 0.5 * (setup.robot.max_velocity[moving] / np.abs(direction[moving])).min()
+                for _ in range(self.poses):
+                    pose = rng.uniform(-0.8, 0.8, 6)
+                    for speed in np.geomspace(SLOWEST, fastest, self.count):
+                        parts.append(sweep(pose, direction * speed, 1.6, self.longest))
+        q, v = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        if not self.backward:
+            kept = (v >= 0.0).all(axis=1)
+            q, v = q[kept], v[kept]
+        return q, v
+
+
+def measured(
+    setup: Setup, motion: tuple[Array, Array], torque: Array, rng: np.random.Generator, noise: Noise
+) -> JointRecord:
+    """Return what the encoders and current sensors of the motors make of it."""
+    q, v = motion
+    gear = setup.drives.gear
+    step = 2.0 * np.pi / noise.counts
+    motor = np.round((q @ WRIST.T) * gear / step) * step
+    position = np.linalg.solve(WRIST, (motor / gear).T).T
+    stretch = np.cumsum(np.append(0, np.any(np.diff(v, axis=0) != 0.0, axis=1)))
+    common = rng.normal(size=(stretch[-1] + 1, 6))[stretch]
+    errors = noise.torque * rng.normal(size=q.shape) + noise.common * common
+    disturbed = torque + (errors * STEADY_TORQUE) @ WRIST
+    velocity = np.gradient(position, PERIOD, axis=0)
+    time = np.arange(len(q)) * PERIOD
+    return JointRecord(setup.robot.joint_names, time, position, velocity, disturbed, Path("synthetic"), "0" * 64)
+
+
+def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
+    """Return elements with every parameter moved at random, the signs of the velocity told apart."""
+    elements = []
+    for name, element in zip(base.names, base.elements, strict=True):
+        up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c_positive
+        if name == "joint_5_6":
+            down = up  # the difference is a constant torque that joints 5 and 6 may as well have
+        rise = rng.uniform(0.2, 0.5, 2)
+        elements.append(
+            LuGreElement(
+                tau_c_positive=up,
+                tau_c_negative=down,
+                tau_s_positive=up * (1 + rise[0]),
+                tau_s_negative=down * (1 + rise[1]),
+                omega_s=element.omega_s * rng.uniform(0.7, 1.5),
+                delta=rng.uniform(0.8, 1.8),
+                c0=element.c0,
+                c1=element.c1,
+                c2=element.c2 * rng.uniform(0.6, 1.5),
+            )
+        )
+    return FrictionSet(base.names, tuple(elements))

@@ -1,0 +1,137 @@
+"""Trajectories put together from rests, moves, constant-velocity sweeps and micro-oscillations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_controller.trajectory import TrajectoryPoints
+
+Array = NDArray[np.float64]
+
+_QUINTIC_PEAK_SPEED = 15.0 / 8.0  # of a rest-to-rest quintic, times mean speed
+_QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time squared
+_RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
+_KNOT_ANGLE = 0.55  # of the fastest sine between two knots, rad: exact knots' quintics miss it by 1e-6 of its amplitude
+_LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
+
+
+class Motion:
+    """A trajectory that grows from a pose at rest; every piece begins and ends at rest.
+
+    Knots carry position, velocity and acceleration, so that the controller interpolates with quintics, which run
+    exactly straight between two knots of equal velocity.
+
+    Args:
+        start: joint positions at time 0, rad, shape (n,).
+    """
+
+    def __init__(self, start: ArrayLike) -> None:
+        self._pose: Array = np.array(start, dtype=np.float64)
+        self._time = 0.0
+        rest = np.zeros_like(self._pose)
+        self._knots: list[tuple[float, Array, Array, Array]] = [(0.0, self._pose, rest, rest)]
+
+    @property
+    def duration(self) -> float:
+        """Return how long the motion takes so far, s."""
+        return self._time
+
+    @property
+    def pose(self) -> Array:
+        """Return where it ends, rad, shape (n,)."""
+        return self._pose.copy()
+
+    def rest(self, duration: float) -> None:
+        """Stay for `duration`, s."""
+        self._add(duration, self._pose)
+
+    def move(self, target: ArrayLike, speed: ArrayLike, acceleration: float) -> None:
+        """Go to `target`, rad, on a straight line in the joints, within speeds, rad/s, and an acceleration, rad/s²."""
+        goal = np.array(target, dtype=np.float64)
+        distance = np.abs(goal - self._pose)
+        if not distance.any():
+            return
+        by_speed = float(np.max(distance / np.asarray(speed))) * _QUINTIC_PEAK_SPEED
+        by_acceleration = math.sqrt(float(distance.max()) * _QUINTIC_PEAK_ACCELERATION / acceleration)
+        self._add(_on_tick(max(by_speed, by_acceleration)), goal)
+
+    def sweep(self, direction: Array, speed: float, plateau: float, acceleration: float) -> None:
+        """Move along `direction`, shape (n,), with `speed`, rad/s, held for `plateau`, s.
+
+        The speed, in units of the direction's, may be negative. It is reached and left by quintic ramps.
+        """
+        ramp = _on_tick(max(0.05, _RAMP_PEAK_ACCELERATION * abs(speed) / acceleration))
+        velocity = direction * speed
+        self._add(ramp, self._pose + 0.5 * ramp * velocity, velocity)
+        self._add(_on_tick(plateau), self._pose + _on_tick(plateau) * velocity, velocity)
+        self._add(ramp, self._pose + 0.5 * ramp * velocity)
+
+    def oscillate(self, direction: Array, amplitudes: Sequence[float], tones: Sequence[float], duration: float) -> None:
+        """Oscillate about the pose along `direction` with a sum of sines, faded in and out over a quarter each.
+
+        Args:
+            direction: shape (n,).
+            amplitudes: of the sines, rad.
+            tones: their frequencies, Hz.
+            duration: s.
+        """
+        fastest = 2.0 * math.pi * max(tones)
+        period = math.floor(1e3 * min(_LONGEST_KNOT_PERIOD, _KNOT_ANGLE / fastest)) / 1e3
+        count = math.ceil(duration / period)
+        time = np.arange(1, count + 1) * period
+        s, s_dot, s_ddot = _faded_sines(time, count * period, amplitudes, tones)
+        centre, begin = self._pose, self._time
+        for row in range(count - 1):
+            knot = (begin + time[row], centre + direction * s[row], direction * s_dot[row], direction * s_ddot[row])
+            self._knots.append(knot)
+        self._time = begin + float(time[-1])
+        rest = np.zeros_like(centre)
+        self._knots.append((self._time, centre, rest, rest))
+
+    def points(self, names: Sequence[str]) -> TrajectoryPoints:
+        """Return the motion as the points that the controller takes."""
+        times, position, velocity, acceleration = zip(*self._knots, strict=True)
+        return TrajectoryPoints.create(
+            names,
+            names,
+            list(times),
+            np.array(position).tolist(),
+            np.array(velocity).tolist(),
+            np.array(acceleration).tolist(),
+        )
+
+    def _add(self, duration: float, pose: Array, velocity: Array | None = None) -> None:
+        self._time += duration
+        self._pose = pose
+        rest = np.zeros_like(pose)
+        self._knots.append((self._time, pose, rest if velocity is None else velocity, rest))
+
+
+def _on_tick(duration: float) -> float:
+    """Round up to whole milliseconds: knots then lie on set-points."""
+    return math.ceil(round(duration * 1e3, 6)) / 1e3
+
+
+def _faded_sines(
+    time: NDArray[Any], duration: float, amplitudes: Sequence[float], tones: Sequence[float]
+) -> tuple[Array, Array, Array]:
+    """Return the sum of sines times its fade, and both derivatives, each shape (m,)."""
+    omega = 2.0 * np.pi * np.asarray(tones)
+    phase = np.outer(time, omega)
+    amplitude = np.asarray(amplitudes)
+    s = np.sin(phase) @ amplitude
+    s_dot = np.cos(phase) @ (amplitude * omega)
+    s_ddot = -np.sin(phase) @ (amplitude * omega**2)
+    quarter = duration / 4.0
+    x = np.clip(np.minimum(time, duration - time) / quarter, 0.0, 1.0)
+    sign = np.where(time < duration / 2.0, 1.0, -1.0) / quarter
+    inside = x < 1.0
+    w = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    w_dot = np.where(inside, 30.0 * x**2 * (1.0 - x) ** 2, 0.0) * sign
+    w_ddot = np.where(inside, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x), 0.0) * sign**2
+    return w * s, w_dot * s + w * s_dot, w_ddot * s + 2.0 * w_dot * s_dot + w * s_ddot

@@ -1,0 +1,245 @@
+"""The plan of an identification: which motions, how long, and how near to the arm's limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_description.robot import RobotModel
+from rx90_identification.errors import IdentificationError
+from rx90_identification.experiments.motion import Motion
+
+Array = NDArray[np.float64]
+
+HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+POSES = ((0.0, 0.2, 0.6, 0.0, 0.5, 0.0), (0.4, -0.3, 1.1, 0.5, -0.7, 0.4))
+"""Where sweeps take place, rad: one near the upright, one with other gravity torques."""
+VALIDATION_POSES = (
+    (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
+    (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),
+    (0.2, 0.25, 0.4, 0.2, 0.5, 0.3),
+)
+
+
+class Kind(str, Enum):
+    """What an experiment is for."""
+
+    SLIDING = "sliding"
+    PRESLIDING = "presliding"
+    VALIDATION = "validation"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What can be chosen.
+
+    Attributes:
+        speeds: how many speeds, spaced logarithmically.
+        lowest_speed: slowest sweep, rad/s.
+        highest_share: fastest sweep as a share of the joint's speed limit.
+        acceleration: of sweeps and moves, rad/s².
+        home: where every experiment begins and ends, rad.
+        poses: where the sweeps take place, rad.
+        groups: which joints, by name of the direction; all of them if empty.
+        presliding_cycles: amplitudes of the slow presliding cycles, rad.
+        tones: frequencies of the micro-oscillation, Hz.
+        tone_amplitudes: of the micro-oscillations that follow the cycles, rad, summed over the tones. Several, because
+            the controller's own Coulomb compensation may break a joint away where another one only bends its bristles.
+        burst: how long the micro-oscillation lasts, s.
+    """
+
+    speeds: int = 14
+    lowest_speed: float = 0.004
+    highest_share: float = 0.4
+    acceleration: float = 6.0
+    home: tuple[float, ...] = HOME
+    poses: tuple[tuple[float, ...], ...] = POSES
+    groups: tuple[str, ...] = ()
+    presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3)
+    tones: tuple[float, ...] = (3.0, 8.0, 14.0, 22.0)
+    tone_amplitudes: tuple[float, ...] = (1.2e-4, 4e-5, 2e-5, 1e-5)
+    burst: float = 4.0
+
+    def __post_init__(self) -> None:
+        for spec in fields(self):
+            value = getattr(self, spec.name)
+            if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
+                raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
+        if self.speeds < 4:
+            raise IdentificationError(
+                f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns"
+            )
+        if self.highest_share > 1.0:
+            raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
+        if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
+            raise IdentificationError(
+                f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
+                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, and a tone"
+            )
+        if not self.poses:
+            raise IdentificationError("no pose; accepted: one or more")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One trajectory, recorded in a bag of its own.
+
+    Attributes:
+        name: also the name of the bag.
+        kind: what it is for.
+        points: the trajectory; begins and ends at rest at the home pose.
+        sweeps: how many runs at constant velocity, or presliding cycles and bursts, it holds.
+    """
+
+    name: str
+    kind: Kind
+    points: TrajectoryPoints
+    sweeps: int
+
+    @property
+    def duration(self) -> float:
+        """Return how long the trajectory takes, s."""
+        return float(self.points.times[-1])
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction in the joints' space: one joint, or joints 5 and 6 with or against each other."""
+
+    name: str
+    vector: Array = field(compare=False)
+
+
+def directions(names: Sequence[str]) -> tuple[Direction, ...]:
+    """Return the directions whose motions tell the seven elements apart.
+
+    Element 7 has q5' + q6' as input. Joint 5 alone moves elements 5 and 7, joint 6 alone 6 and 7, both against each
+    other 5 and 6 but not 7, both together all three, 7 at twice the speed.
+    """
+    unit = np.eye(len(names))
+    found = [Direction(name, unit[i]) for i, name in enumerate(names)]
+    pair = "_".join(names[k].removeprefix("joint_") for k in (4, 5))
+    found.append(Direction(f"joints_{pair}_together", unit[4] + unit[5]))
+    found.append(Direction(f"joints_{pair}_against", unit[4] - unit[5]))
+    return tuple(found)
+
+
+def make_plan(robot: RobotModel, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
+    """Plan all experiments for an arm.
+
+    Raises:
+        IdentificationError: for an option or a pose that does not fit the arm.
+    """
+    chosen = options or PlanOptions()
+    _check_poses(robot, chosen)
+    known = directions(robot.joint_names)
+    names = [direction.name for direction in known]
+    for name in chosen.groups:
+        if name not in names:
+            raise IdentificationError(f"unknown group {name!r}; accepted: {', '.join(names)}")
+    picked = [direction for direction in known if not chosen.groups or direction.name in chosen.groups]
+    plan = [_sliding(robot, chosen, direction) for direction in picked]
+    plan += [_presliding(robot, chosen, direction) for direction in picked if "together" not in direction.name]
+    plan.append(_validation(robot, chosen))
+    return tuple(plan)
+
+
+def sweep_speeds(robot: RobotModel, options: PlanOptions, direction: Direction) -> Array:
+    """Return the speeds of a direction's sweeps, rad/s, shape (options.speeds,)."""
+    moving = direction.vector != 0.0
+    highest = options.highest_share * float(robot.max_velocity[moving].min())
+    return np.geomspace(options.lowest_speed, highest, options.speeds)
+
+
+def plateau(speed: float) -> float:
+    """Return for how long a speed is held, s: long enough to slide far beyond the bristles, and to average."""
+    return float(np.clip(0.014 / speed, 0.3, 4.0))
+
+
+def _sliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
+    motion = Motion(options.home)
+    count = 0
+    for pose in options.poses:
+        for speed in sweep_speeds(robot, options, direction):
+            for start, signed in _both_ways(robot, options, direction, pose, float(speed)):
+                _approach(robot, options, motion, start)
+                motion.rest(0.1)
+                motion.sweep(direction.vector, signed, plateau(speed), options.acceleration)
+                count += 1
+            motion.rest(0.1)
+    _approach(robot, options, motion, options.home)
+    return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), count)
+
+
+def _both_ways(
+    robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float
+) -> Iterator[tuple[Array, float]]:
+    """Yield start and signed speed of the way there and the way back; the travel is centred on the pose."""
+    probe = Motion(np.zeros(len(pose)))
+    probe.sweep(direction.vector, speed, plateau(speed), options.acceleration)
+    travel = probe.pose
+    # Near a limit the travel moves away from it.
+    slack = 0.02
+    low, high = robot.lower + slack, robot.upper - slack
+    begin = np.asarray(pose) - travel / 2.0
+    begin = np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
+    yield begin, speed
+    yield begin + travel, -speed
+
+
+def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
+    motion = Motion(options.home)
+    pose = np.asarray(options.poses[0])
+    _approach(robot, options, motion, pose - 0.03 * direction.vector)
+    motion.rest(0.2)
+    count = 0
+    # Sliding first: the bristles then have forgotten what was before.
+    motion.sweep(direction.vector, 0.05, 0.6, options.acceleration)
+    for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
+        # Each one fades out, which leaves the bristles near zero. At rest under load they would creep: they feel
+        # vibrations that are below the resolution of the encoders.
+        motion.oscillate(direction.vector, [amplitude], [1.0], 2.0)
+        amplitudes = [tone_amplitude / len(options.tones)] * len(options.tones)
+        motion.oscillate(direction.vector, amplitudes, options.tones, options.burst)
+        count += 2
+    motion.rest(0.2)
+    _approach(robot, options, motion, options.home)
+    return Experiment(f"presliding_{direction.name}", Kind.PRESLIDING, motion.points(robot.joint_names), count)
+
+
+def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
+    """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
+    motion = Motion(options.home)
+    for pose, share in zip(VALIDATION_POSES, (0.3, 0.12, 0.04), strict=True):
+        motion.move(pose, robot.max_velocity * share, options.acceleration)
+        motion.rest(0.15)
+    wave = np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02])
+    motion.oscillate(wave, [1.0], [0.5], 6.0)
+    motion.rest(0.2)
+    _approach(robot, options, motion, options.home)
+    return Experiment("validation", Kind.VALIDATION, motion.points(robot.joint_names), len(VALIDATION_POSES) + 1)
+
+
+def _approach(robot: RobotModel, options: PlanOptions, motion: Motion, pose: Sequence[float] | Array) -> None:
+    motion.move(pose, 0.3 * robot.max_velocity, options.acceleration)
+
+
+def _check_poses(robot: RobotModel, options: PlanOptions) -> None:
+    named = [("home", options.home), *((f"pose {i + 1}", pose) for i, pose in enumerate(options.poses))]
+    for what, pose in named:
+        if len(pose) != len(robot.joint_names):
+            raise IdentificationError(f"{what} has {len(pose)} angles; accepted: {len(robot.joint_names)}")
+        for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+            if not low <= value <= high:
+                raise IdentificationError(
+                    f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+                )

@@ -1,0 +1,220 @@
+"""Find the micro-oscillations of a record and prepare them for a simulation from the recorded torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from rx90_identification.errors import IdentificationError
+from rx90_identification.record import JointRecord
+from rx90_identification.rigid_arm import RigidArm
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LOWEST_RATE = 500.0
+"""Samples per second below which the damping of the bristles cannot be told from a delay."""
+_SPAN = 0.5  # s, over which excursions and oscillations are measured
+_LARGEST_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift takes over
+_SMALLEST_OSCILLATION = 5e-6  # rad, RMS; smaller ones drown in the resolution of usual encoders
+_SHORTEST, _LONGEST = 0.8, 3.0  # s
+_SLIDES = 0.8  # of the break-away torque: beyond it a simulation from torque drifts
+_FAINT = 0.25  # of the strongest motion of a group
+_MOST = 2  # motions of a group in a bag
+_FINEST = 0.0005  # s, step of the simulation: recorded faster, torques are averaged over it
+_SLOW, _FAST = 2.0, 60.0  # Hz, the band of micro-oscillations
+_SMOOTH = 150.0  # Hz, for start values and for what the joints beside do
+_ACROSS_GAP = 1.5  # sample periods
+
+
+@dataclass(frozen=True, eq=False)
+class MicroMotion:
+    """One micro-oscillation, for the k joints of a group.
+
+    Attributes:
+        joints: indices of the group's joints, k of them.
+        step: sample period, s.
+        position: rad, at the end of each step, shape (m, k).
+        drive: drive torque less weight and less what the other joints' accelerations take, held over each step, Nm,
+            shape (m, k).
+        mass: mass matrix of the group, kg m^2, shape (k, k).
+        start: position and velocity at the beginning, shape (2, k).
+        smooth: low-passed position, velocity and acceleration, shape (3, m, k), for first guesses and plots.
+        known: whether the sample was recorded, shape (m,).
+        record: the bag's record.
+        interval: s, of the record's time.
+    """
+
+    joints: tuple[int, ...]
+    step: float
+    position: Array
+    drive: Array
+    mass: Array
+    start: Array
+    smooth: Array
+    known: Mask
+    record: JointRecord
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """A record on equal steps."""
+
+    step: float
+    time: Array
+    position: Array
+    torque: Array
+    known: Mask
+
+
+def find_micro_motions(
+    record: JointRecord, arm: RigidArm, groups: Sequence[Sequence[int]], torque_delay: float = 0.0
+) -> list[MicroMotion]:
+    """Return the micro-oscillations of each group of joints.
+
+    Args:
+        record: a bag's record; the torque of a sample is what acted until its stamp.
+        arm: for weight and mass matrix; its joints are the record's.
+        groups: indices of joints that share friction elements.
+        torque_delay: how much later than recorded the torque acted, s.
+
+    Raises:
+        IdentificationError: if the record is too slow.
+    """
+    grid = _on_grid(record, torque_delay)
+    sections = butter(4, min(_SMOOTH, 0.4 / grid.step), fs=1.0 / grid.step, output="sos")
+    smooth = sosfiltfilt(sections, grid.position, axis=0)
+    velocity = np.gradient(smooth, grid.step, axis=0)
+    acceleration = np.gradient(velocity, grid.step, axis=0)
+    active = _active(grid)
+    found = []
+    for group in groups:
+        for first, last in _runs(np.asarray(active[:, list(group)].any(axis=1)), round(_SHORTEST / grid.step)):
+            end = min(last, first + round(_LONGEST / grid.step))
+            found.append(_motion(record, arm, tuple(group), grid, (smooth, velocity, acceleration), first, end))
+    return found
+
+
+def most_telling(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
+    """Return the motions that bend the bristles well without breaking away, at most two of each bag.
+
+    Args:
+        motions: of one group of k joints.
+        break_away: friction torque at which each joint slides, Nm, shape (k,).
+    """
+    loads = [_load(motion, break_away) for motion in motions]
+    gentle = [load for load in loads if load <= _SLIDES]
+    # Echoes of other joints' motions are faint; where everything slides the least is best.
+    faintest = _FAINT * max(gentle) if gentle else 0.0
+    limit = _SLIDES if gentle else 1.5 * min(loads)
+    chosen: dict[tuple[str, str], list[MicroMotion]] = {}
+    for load, motion in sorted(zip(loads, motions, strict=True), key=lambda pair: -pair[0]):
+        bag = chosen.setdefault((motion.record.sha256, str(motion.record.source)), [])
+        if faintest <= load <= limit and len(bag) < _MOST:
+            bag.append(motion)
+    return [motion for bag in chosen.values() for motion in bag]
+
+
+def _load(motion: MicroMotion, break_away: Array) -> float:
+    """Return the amplitude of the friction torque over the torque of break-away, of the joint that has most."""
+    torque = uniform_filter1d(motion.drive, max(1, round(0.004 / motion.step)), axis=0)
+    friction = torque - motion.smooth[2] @ motion.mass.T
+    low, high = np.percentile(friction, (1.0, 99.0), axis=0)
+    return float(np.max(0.5 * (high - low) / break_away))
+
+
+def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
+    step = float(np.median(np.diff(record.time))) if len(record.time) > 1 else np.inf
+    if 1.0 / step < LOWEST_RATE:
+        raise IdentificationError(
+            f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
+            "presliding regime, such as motor_states"
+        )
+    count = round((record.time[-1] - record.time[0]) / step) + 1
+    time = record.time[0] + step * np.arange(count)
+    before = np.clip(np.searchsorted(record.time, time + 0.5 * step) - 1, 0, len(record.time) - 1)
+    known = np.abs(time - record.time[before]) < _ACROSS_GAP * step
+    joints = range(len(record.names))
+    position = np.column_stack([np.interp(time, record.time, record.position[:, j]) for j in joints])
+    torque = np.column_stack([np.interp(time - torque_delay, record.time, record.torque[:, j]) for j in joints])
+    return _coarser(_Grid(step, time, position, torque, known))
+
+
+def _coarser(grid: _Grid) -> _Grid:
+    """Average the torque over the simulation's steps; a torque acts until its stamp."""
+    factor = max(1, int(_FINEST / grid.step + 1e-6))
+    count = (len(grid.time) - 1) // factor
+    last = 1 + factor * count
+    torque = grid.torque.copy()
+    torque[factor:last:factor] = grid.torque[1:last].reshape(count, factor, -1).mean(axis=1)
+    known = grid.known.copy()
+    known[factor:last:factor] = grid.known[1:last].reshape(count, factor).all(axis=1)
+    rows = slice(0, last, factor)
+    return _Grid(grid.step * factor, grid.time[rows], grid.position[rows], torque[rows], known[rows])
+
+
+def _active(grid: _Grid) -> Mask:
+    """Return where each joint oscillates without going far, shape (m, n)."""
+    span = max(3, round(_SPAN / grid.step))
+    excursion = maximum_filter1d(grid.position, span, axis=0) - minimum_filter1d(grid.position, span, axis=0)
+    band = butter(2, (_SLOW, _FAST), btype="band", fs=1.0 / grid.step, output="sos")
+    centred = grid.position - grid.position.mean(axis=0)
+    power = uniform_filter1d(sosfiltfilt(band, centred, axis=0) ** 2, span, axis=0)
+    low = butter(2, _SLOW, fs=1.0 / grid.step, output="sos")
+    slow = sosfiltfilt(low, centred, axis=0)
+    drift = uniform_filter1d((slow - uniform_filter1d(slow, span, axis=0)) ** 2, span, axis=0)
+    quiet = (excursion < _LARGEST_EXCURSION).all(axis=1, keepdims=True)
+    return np.asarray(quiet & (power > _SMALLEST_OSCILLATION**2) & (power > drift))
+
+
+def _runs(mask: Mask, shortest: int) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= shortest]
+
+
+def _motion(
+    record: JointRecord,
+    arm: RigidArm,
+    group: tuple[int, ...],
+    grid: _Grid,
+    smooth: tuple[Array, Array, Array],
+    first: int,
+    last: int,
+) -> MicroMotion:
+    joints = list(group)
+    beside = [j for j in range(len(record.names)) if j not in group]
+    pose = smooth[0][first:last].mean(axis=0)[None]
+    nothing = np.zeros_like(pose)
+    weight = arm.torque(pose, nothing, nothing)[0]
+    unit = np.eye(len(record.names))
+    mass = arm.torque(np.repeat(pose, len(unit), axis=0), np.zeros_like(unit), unit) - weight
+    begin, end = slice(first, last - 1), slice(first + 1, last)
+    drive = grid.torque[end][:, joints] - weight[joints]
+    drive = drive - (smooth[0][begin] - pose) @ _stiffness(arm, pose)[joints].T
+    drive = drive - smooth[2][begin][:, beside] @ mass[np.ix_(joints, beside)].T
+    return MicroMotion(
+        joints=group,
+        step=grid.step,
+        position=np.ascontiguousarray(grid.position[end][:, joints]),
+        drive=np.ascontiguousarray(drive),
+        mass=np.ascontiguousarray(mass[np.ix_(joints, joints)]),
+        start=np.stack([smooth[k][first, joints] for k in range(2)]),
+        smooth=np.stack([smooth[k][end][:, joints] for k in range(3)]),
+        known=grid.known[end],
+        record=record,
+        interval=(float(grid.time[first]), float(grid.time[last - 1])),
+    )
+
+
+def _stiffness(arm: RigidArm, pose: Array) -> Array:
+    """Return the derivative of the weight by the pose, Nm/rad, shape (n, n)."""
+    small = 1e-4 * np.eye(pose.shape[1])
+    nothing = np.zeros_like(small)
+    ahead, behind = (arm.torque(pose + shift, nothing, nothing) for shift in (small, -small))
+    return np.asarray((ahead - behind).T / 2e-4)

@@ -1,0 +1,163 @@
+"""Identify the presliding regime, c0 and c1, from micro-oscillations (paper, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_identification.errors import IdentificationError
+from rx90_identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
+from rx90_identification.micro_motion import MicroMotion, find_micro_motions, most_telling
+from rx90_identification.presliding_solver import GroupSolution, solve_group
+from rx90_identification.record import JointRecord
+from rx90_identification.rigid_arm import RigidArm
+from rx90_sim.friction import LuGreElement
+
+Array = NDArray[np.float64]
+
+_UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not tell it
+_WORST_TORQUE = 0.3  # RMS misfit as a share of the motion's own size from which the model does not hold
+
+
+@dataclass(frozen=True, eq=False)
+class HysteresisLoop:
+    """One micro-motion of one joint, measured and simulated.
+
+    Attributes:
+        joint: its name.
+        position: measured, rad from the mean, shape (m,).
+        torque: friction torque: drive less weight and measured acceleration, Nm, shape (m,).
+        simulated_position: rad from the mean, shape (m,).
+        simulated_torque: the same of the simulation, Nm, shape (m,).
+    """
+
+    joint: str
+    position: Array
+    torque: Array
+    simulated_position: Array
+    simulated_torque: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PreslidingFit:
+    """The presliding regime of all elements.
+
+    Attributes:
+        estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
+        loops: the largest micro-motion of each joint that has any.
+        motions: how many micro-motions were used.
+    """
+
+    estimates: tuple[ElementEstimate, ...]
+    loops: tuple[HysteresisLoop, ...]
+    motions: int
+
+
+def identify_presliding(
+    records: Sequence[JointRecord],
+    arm: RigidArm,
+    sliding: Sequence[LuGreElement],
+    torque_delay: float = 0.0,
+) -> PreslidingFit:
+    """Fit c0 and c1 of every element whose joints make micro-oscillations.
+
+    Args:
+        records: motion with reversals far within the bristles' reach, 500 samples per second or more.
+        arm: rigid-body model of the same joints.
+        sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not looked at.
+        torque_delay: how much later than its stamp a recorded torque acted, s.
+
+    Raises:
+        IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
+    """
+    for record in records:
+        if tuple(record.names) != tuple(arm.names):
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
+            )
+    groups = joint_groups(arm)
+    motions = [motion for record in records for motion in find_micro_motions(record, arm, groups, torque_delay)]
+    if not motions:
+        where = ", ".join(str(record.source) for record in records) or "no bag"
+        raise IdentificationError(
+            f"{where}: no velocity reversals small enough for the presliding regime; accepted: oscillations of "
+            "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
+        )
+    unknown = "no micro-oscillation of its joints in the bags"
+    nothing = np.full((2, 2), np.nan)
+    estimates = [
+        ElementEstimate(name, dict.fromkeys(PRESLIDING, Estimate.unknown(unknown)), nothing, ())
+        for name in arm.element_names
+    ]
+    loops: list[HysteresisLoop] = []
+    used = 0
+    for group in groups:
+        own = [motion for motion in motions if motion.joints == group]
+        if not own:
+            continue
+        members = _members(arm, group)
+        inputs = arm.elements()[members][:, list(group)]
+        fitted = [sliding[e] for e in members]
+        chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
+        solution = solve_group(chosen, inputs, fitted)
+        used += len(chosen)
+        for place, e in enumerate(members):
+            estimates[e] = _estimate(arm.element_names[e], solution, place, chosen)
+        loops += _loops(arm, chosen, solution)
+    return PreslidingFit(tuple(estimates), tuple(loops), used)
+
+
+def joint_groups(arm: RigidArm) -> list[tuple[int, ...]]:
+    """Return the joints in groups that share no friction element, from base to tip."""
+    groups = [{j} for j in range(len(arm.names))]
+    for row in arm.elements():
+        joined: set[int] = set(np.flatnonzero(row).tolist())
+        touched = [group for group in groups if group & joined]
+        groups = [group for group in groups if not group & joined] + [set().union(*touched)]
+    return sorted(tuple(sorted(group)) for group in groups)
+
+
+def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
+    return np.flatnonzero(arm.elements()[:, list(group)].any(axis=1)).tolist()
+
+
+def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[MicroMotion]) -> ElementEstimate:
+    block = solution.covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
+    relative = np.sqrt(np.maximum(np.diag(block), 0.0))
+    size = float(np.median([motion.position.std(axis=0).max() for motion in motions]))
+    fits = solution.residual < _WORST_TORQUE * size
+    parameters = {}
+    for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
+        if not fits:
+            reason = f"the simulation misses the motion by {solution.residual * 1e6:.2g} um of {size * 1e6:.2g} um"
+            parameters[key] = Estimate.unknown(reason)
+        elif not deviation < _UNTOLD:
+            parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
+        else:
+            parameters[key] = Estimate(float(value), float(value * deviation))
+    known = np.array([parameters[key].identifiable for key in PRESLIDING])
+    scale = np.where(known & (relative > 0.0), relative, np.nan)
+    sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
+    return ElementEstimate(name, parameters, block / np.outer(scale, scale), sources)
+
+
+def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolution) -> list[HysteresisLoop]:
+    loops = []
+    for place, joint in enumerate(motions[0].joints):
+        largest = int(np.argmax([motion.smooth[0][:, place].std() for motion in motions]))
+        motion, simulated = motions[largest], solution.simulated[largest][:, place]
+        accelerated = motion.smooth[2] @ motion.mass.T
+        position = motion.smooth[0][:, place]
+        loops.append(
+            HysteresisLoop(
+                arm.names[joint],
+                position - position.mean(),
+                (motion.drive - accelerated)[:, place],
+                simulated - simulated.mean(),
+                solution.torque[largest][:, place],
+            )
+        )
+    return loops

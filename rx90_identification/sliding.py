@@ -1,0 +1,158 @@
+"""Identify the sliding regime of all friction elements from sweeps at constant velocity (paper, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_identification import stribeck
+from rx90_identification.errors import IdentificationError
+from rx90_identification.estimate import ElementEstimate, Source
+from rx90_identification.identifiability import element_estimate, without_stribeck
+from rx90_identification.plateaus import Blocks, find_blocks
+from rx90_identification.record import JointRecord
+from rx90_identification.rigid_arm import RigidArm
+from rx90_identification.sliding_rows import SlidingRows, sliding_rows
+from rx90_identification.sliding_solver import Solution, predicted, solve
+
+Array = NDArray[np.float64]
+
+LEAST_SPEEDS = 5
+"""Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
+_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
+_SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Measured against fitted friction torque of one element, one point for each plateau.
+
+    Attributes:
+        velocity: rad/s, shape (p,).
+        torque: what is left for this element, Nm, shape (p,).
+        deviation: its standard deviation by the noise, Nm, shape (p,).
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        source: number of the record, shape (p,).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    source: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingFit:
+    """The sliding regime of all elements.
+
+    Attributes:
+        estimates: for each element of the arm, in its order; the parameters are those in SLIDING.
+        curves: for each element; empty where the element could not be identified.
+        inertial: error of the arm's inertial parameters as far as it shows, to be added to them, shape (10 n,):
+            rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
+        plateaus: how many stretches of constant velocity were used.
+    """
+
+    estimates: tuple[ElementEstimate, ...]
+    curves: tuple[CurvePoints, ...]
+    inertial: Array
+    plateaus: int
+
+
+def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
+    """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
+
+    An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
+    the friction. What the data cannot tell is reported as such in the estimates.
+
+    Args:
+        records: sweeps at constant velocity, both directions, several speeds.
+        arm: rigid-body model of the same joints.
+        required: elements that must have sweeps at enough speeds; others may lack them.
+
+    Raises:
+        IdentificationError: for other joints than the arm's, no sweep, and too few speeds or only one direction
+            of a required element or of all elements.
+    """
+    for record in records:
+        if record.names != arm.names:
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
+            )
+    for name in required:
+        if name not in arm.element_names:
+            raise IdentificationError(f"element {name!r}; accepted: {', '.join(arm.element_names)}")
+    blocks = find_blocks(records, arm.element_matrix)
+    blocks, lacking = _enough(blocks, arm)
+    for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:
+        if name in lacking:
+            where = ", ".join(str(record.source) for record in records)
+            raise IdentificationError(f"{where}: {name} {lacking[name]}")
+    rows = sliding_rows(blocks, arm)
+    free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
+    solution = solve(rows, free)
+    flat = without_stribeck(solution, free)
+    if flat.any():
+        free[np.ix_(flat, _SHAPED)] = False
+        solution = solve(rows, free)
+    sources = tuple(Source.of(record) for record in records)
+    estimates = tuple(
+        element_estimate(rows, solution, free, arm.element_names, e, sources, lacking.get(name))
+        for e, name in enumerate(arm.element_names)
+    )
+    curves = tuple(_curve(rows, solution, e) for e in range(len(arm.element_names)))
+    return SlidingFit(estimates, curves, rows.directions @ solution.nuisance, len(np.unique(rows.plateau)))
+
+
+def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
+    """Return the blocks with elements that move too little marked as not sliding, and why by their names."""
+    velocity = blocks.velocity @ arm.element_matrix.T
+    sliding = blocks.sliding.copy()
+    lacking = {}
+    for e, name in enumerate(arm.element_names):
+        signed = velocity[sliding[:, e], e]
+        counts = {sign: _speeds(np.abs(signed[np.sign(signed) == sign])) for sign in (1, -1)}
+        if max(counts.values()) == 0:
+            lacking[name] = "does not slide at constant velocity; accepted: sweeps in both directions"
+        elif min(counts.values()) == 0:
+            only = "positive" if counts[1] else "negative"
+            lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
+        elif min(counts.values()) < LEAST_SPEEDS:
+            lacking[name] = (
+                f"slides at {counts[1]} speeds in positive and {counts[-1]} in negative direction; "
+                f"accepted: {LEAST_SPEEDS} or more in each"
+            )
+        if name in lacking:
+            sliding[:, e] = False
+    return replace(blocks, sliding=sliding), lacking
+
+
+def _speeds(speed: Array) -> int:
+    """Return how many different speeds there are."""
+    if len(speed) == 0:
+        return 0
+    return 1 + int(np.sum(np.diff(np.log(np.sort(speed))) > np.log(_SAME_SPEED)))
+
+
+def _curve(rows: SlidingRows, solution: Solution, element: int) -> CurvePoints:
+    """Take everything but one element off the equations, plateau by plateau."""
+    gain = rows.gain[:, element]
+    mine = np.flatnonzero(gain)
+    own = stribeck.torque(rows.velocity[mine, element], solution.parameters[element])
+    left = (rows.value - predicted(rows, solution.parameters, solution.nuisance))[mine] + gain[mine] * own
+    plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
+    power = np.bincount(number, gain[mine] ** 2, len(plateau))
+    velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
+    source = np.zeros(len(plateau), dtype=np.int64)
+    source[number] = rows.source[mine]
+    return CurvePoints(
+        velocity=velocity,
+        torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
+        deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
+        fitted=stribeck.torque(velocity, solution.parameters[element]),
+        source=source,
+    )

@@ -1,0 +1,41 @@
+"""The result as a table for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rx90_identification.estimate import PARAMETERS
+from rx90_identification.identify import Identification
+from rx90_identification.validation import Validation
+
+
+def summary(result: Identification, checks: Sequence[Validation]) -> str:
+    """Return values with standard deviations, what the bags do not tell, and the verdicts."""
+    lines = [f"{'element':<10}" + "".join(f"{name:>22}" for name in PARAMETERS)]
+    untold = []
+    for name, one in zip(result.arm.element_names, result.elements, strict=True):
+        cells = []
+        for parameter in PARAMETERS:
+            estimate = one.estimates[parameter]
+            told = f"{estimate.value:.4g} +- {estimate.deviation:.2g}" if estimate.identifiable else "not told"
+            cells.append(f"{told:>22}")
+            if not estimate.identifiable:
+                untold.append(f"not told: {parameter} of {name}: {estimate.reason}")
+        lines.append(f"{name:<10}" + "".join(cells))
+    return "\n".join([*lines, *untold, *(_verdict(check) for check in checks)])
+
+
+def _verdict(check: Validation) -> str:
+    limits = check.tolerances
+    joint = int(check.rms_share.argmax())
+    worst = int(check.worst_share.argmax())
+    tip = (
+        "no set-points, so no tip path"
+        if not len(check.tip_distance)
+        else f"tip worst {check.tip_worst * 1e6:.2f} um (limit {limits.tip * 1e6:g}), RMS {check.tip_rms * 1e6:.2f} um"
+    )
+    return (
+        f"validation {check.source}: {'confirmed' if check.passed else 'NOT CONFIRMED'}: torque RMS "
+        f"{check.rms_share[joint]:.2%} ({check.names[joint]}, limit {limits.torque:.0%}), worst "
+        f"{check.worst_share[worst]:.2%} ({check.names[worst]}, limit {limits.worst_torque:.0%}); {tip}"
+    )

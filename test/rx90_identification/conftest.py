@@ -1,0 +1,44 @@
+"""Sweeps with known friction for the tests of the identification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from rx90_identification.record import JointRecord
+from rx90_identification.rigid_arm import RigidArm
+from rx90_loop.setup import Setup
+from rx90_sim.friction import FrictionSet
+
+Sweeps = Callable[..., tuple[JointRecord, FrictionSet]]
+
+
+@pytest.fixture(scope="session")
+def arm(shipped: Setup) -> RigidArm:
+    """Return the rigid model of the shipped arm."""
+    return RigidArm.from_setup(shipped)
+
+
+@pytest.fixture(scope="session")
+def sweeps(shipped: Setup) -> Sweeps:
+    """Return a maker of synthetic records: `sweeps(joints, seed, noise, payload, **program)`."""
+
+    def make(
+        joints: Sequence[int],
+        seed: int = 0,
+        noise: Noise | None = None,
+        payload: float = 0.0,
+        friction: FrictionSet | None = None,
+        **program: float,
+    ) -> tuple[JointRecord, FrictionSet]:
+        rng = np.random.default_rng(seed)
+        friction = friction or random_friction(shipped.friction, rng)
+        short = {"count": 12, "poses": 1, "longest": 2.0}
+        motion = Program(joints, **(short | program)).motion(shipped, seed)  # type: ignore[arg-type]
+        torque = drive_torque(shipped, friction, motion, payload)
+        return measured(shipped, motion, torque, rng, noise or Noise()), friction
+
+    return make
