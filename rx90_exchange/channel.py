@@ -17,9 +17,11 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from rx90_exchange.arrivals import Arrivals
 from rx90_exchange.claim import claim_topic
 
 _NS_PER_S = 1_000_000_000
+_clock = time.perf_counter_ns
 _MOMENT_NS = 200_000
 _REST = 50  # waits after one that took longer
 
@@ -72,6 +74,8 @@ class Channel:
         self._raw_subscription = self._subscription.handle
         self._take = self._raw_subscription.take_message
         self._publish_raw = self._publisher.handle.publish_raw
+        self._arrivals = Arrivals(self._subscription)
+        self._seen = 0
 
     @property
     def publisher(self) -> Publisher:
@@ -110,19 +114,22 @@ class Channel:
         return None if taken is None else taken[0]
 
     def _look_for_a_moment(self) -> Any:
-        """Ask again and again for the time an answer usually takes, if the last time was not in vain.
+        """Look again and again for the time an answer usually takes, if the last time was not in vain.
 
         A processor that went to sleep in the wait set takes longer to wake than the other side takes to answer.
         """
         if self._resting > 0:
             self._resting -= 1
             return None
-        deadline = time.perf_counter_ns() + _MOMENT_NS
-        while time.perf_counter_ns() < deadline:
-            os.sched_yield()
-            taken = self._take(JointState, True)
-            if taken is not None:
-                return taken
+        counter, counted, clock, give_way = self._arrivals.counter, self._arrivals.counted, _clock, os.sched_yield
+        deadline = clock() + _MOMENT_NS
+        while clock() < deadline:
+            if counter.value != self._seen or not counted:
+                self._seen = counter.value
+                taken = self._take(JointState, True)
+                if taken is not None:
+                    return taken
+            give_way()
         self._resting = _REST
         return None
 
