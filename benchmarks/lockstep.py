@@ -33,16 +33,19 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
         ExchangeError: if a node does not start.
     """
     rates = Rates()
-    bare, nodes = [], []
+    bare, channel, nodes = [], [], []
     for _ in range(rounds):
-        bare.append(measure_ping_pong(exchanges=6000, rounds=1).bare)
+        ping_pong = measure_ping_pong(exchanges=6000, rounds=1)
+        bare.append(ping_pong.bare)
+        channel.append(ping_pong.channel)
         nodes.append(_ticks_per_second(SIMULATED))
-    ratio = statistics.median(n / b for n, b in zip(nodes, bare, strict=True))
     return {
         "ping_pong_exchanges_per_s": statistics.median(bare),
+        "channel_ping_pong_exchanges_per_s": statistics.median(channel),
         "lockstep_ticks_per_s": statistics.median(nodes),
         "lockstep_real_time_factor": statistics.median(nodes) / rates.base_hz,
-        "lockstep_vs_ping_pong": ratio,
+        "lockstep_vs_ping_pong": statistics.median(n / b for n, b in zip(nodes, bare, strict=True)),
+        "lockstep_vs_channel_ping_pong": statistics.median(n / b for n, b in zip(nodes, channel, strict=True)),
         "free_running_rate_hz": _free_running_rate(FREE_SECONDS),
     }
 

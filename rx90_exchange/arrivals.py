@@ -15,36 +15,34 @@ from rclpy.subscription import Subscription
 from rx90_common.compiled import c_function
 
 _OK = 0
+# Some bytes for each subscription, never given back: nobody tells when the middleware has called for the last time.
+_kept: list[ctypes.c_int64] = []
 
 
 @c_function(types.int64(types.voidptr, types.int64))
 def _count(counter_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
-    """Be the callback: rcl's has no result, and who calls does not look at this one."""
+    """Be the callback: rcl's has no result, and who calls does not look at this one.
+
+    Told of messages that came before it was set, it counts them as one; taking in vain sets that right.
+    """
     counter = carray(counter_at, (1,), np.int64)
     counter[0] += 1
     return 0
 
 
-class Arrivals:
-    """How often the middleware has told of new messages for a subscription.
+def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
+    """Add 1 to `counter` with each message that arrives from now on, on the middleware's thread.
 
-    Attributes:
-        counter: its value changes after each arrival.
-        counted: whether it does: not every middleware tells.
+    Returns:
+        Whether it is counted: not every middleware tells of new messages.
     """
-
-    def __init__(self, subscription: Subscription) -> None:
-        self.counter = ctypes.c_int64(0)
-        self.counted = _set_callback(subscription, ctypes.addressof(self.counter))
-
-
-def _set_callback(subscription: Subscription, counter_at: int) -> bool:
     try:
         set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback
     except (OSError, AttributeError):
         return False
     set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
     set_callback.restype = ctypes.c_int32
+    _kept.append(counter)
     callback = ctypes.cast(_count, ctypes.c_void_p)  # type: ignore[arg-type]  # a function of ctypes
     with subscription.handle:
-        return bool(set_callback(subscription.handle.pointer, callback, counter_at) == _OK)
+        return bool(set_callback(subscription.handle.pointer, callback, ctypes.addressof(counter)) == _OK)
