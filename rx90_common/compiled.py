@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.event import Event, Listener, register
 
 _ROOMS = (
     "rx90_common",
@@ -25,6 +26,7 @@ _ROOMS = (
     "rx90_loop",
     "rx90_perturbation",
     "rx90_exchange",
+    "rx90_identification",
     "friction_bench",
 )
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -50,10 +52,29 @@ def cache_directory() -> Path:
 setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
+class _Announcement(Listener):
+    """Says once that kernels are compiled, when the first one is; those on disk are loaded without a word."""
+
+    def __init__(self, program: str) -> None:
+        self._program = program
+        self._said = False
+
+    def on_start(self, event: Event) -> None:  # noqa: ARG002 - the interface of Listener
+        if not self._said:
+            self._said = True
+            print(
+                f"{self._program}: compiling the numerical kernels, once on this machine, about 20 s ...",
+                file=sys.stderr,
+                flush=True,
+            )
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
 def announce_compilation(program: str) -> None:
-    """Say on stderr that the kernels are about to be compiled, if these sources never were on this machine."""
-    if not any(cache_directory().rglob("*.nbi")):
-        print(f"{program}: compiling the numerical kernels, once on this machine, about 20 s ...", file=sys.stderr)
+    """From now on say on stderr, once, that kernels are compiled, if any has to be: none may be on disk, or others."""
+    register("numba:compile", _Announcement(program))  # type: ignore[no-untyped-call]  # numba has no types there
 
 
 def kernel(function: _Function) -> _Function:

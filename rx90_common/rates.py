@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from rx90_common.errors import ConfigError
@@ -63,3 +64,25 @@ class Rates:
     def position_period(self) -> float:
         """Return the period of the position loop in s."""
         return 1.0 / self.position_hz
+
+    def ticks_of(self, duration: float) -> int:
+        """Return the base ticks of a run of `duration` seconds.
+
+        Raises:
+            ConfigError: if it is not finite or shorter than a tick.
+        """
+        if not self.period <= duration < math.inf:
+            raise ConfigError(
+                f"duration is {duration} s; accepted: a finite number, at least a tick, {self.period:g} s"
+            )
+        return round(duration * self.base_hz)
+
+    def start_tick(self, start_time: float) -> int:
+        """Return the position tick of a start time in s.
+
+        Raises:
+            ConfigError: if it is not finite.
+        """
+        if not math.isfinite(start_time):
+            raise ConfigError(f"start time is {start_time} s; accepted: a finite number")
+        return round(start_time * self.position_hz)

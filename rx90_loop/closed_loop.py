@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.compiled import kernel
-from rx90_common.errors import ConfigError
 from rx90_controller.cs7b import CS7B
 from rx90_controller.cs7b_law import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryPoints
@@ -150,19 +149,16 @@ def simulate(
         record_fast: also keep the series on base ticks.
 
     Raises:
-        ConfigError: if the duration is not positive.
+        ConfigError: if the duration is shorter than a tick, or a time is not finite.
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
     """
-    if not duration > 0:
-        raise ConfigError(f"duration is {duration} s; accepted: a number > 0")
     rates = setup.rates
+    start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
-    start = round(start_time * rates.position_hz)
     controller.trajectory.accept(points, 0, start)
-    ticks = round(duration * rates.base_hz)
     fast, slow = empty_series(ticks, rates.ratio, record_fast)
     _run(plant, controller, ticks, fast, slow)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated)

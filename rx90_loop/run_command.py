@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rx90_common.compiled import announce_compilation
-from rx90_common.errors import Rx90Error
+from rx90_common.errors import ConfigError, Rx90Error
 from rx90_common.rates import Rates
 from rx90_common.share import resolve_config
 from rx90_controller.cs7b_parameters import FeedForward
@@ -57,6 +57,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(options: argparse.Namespace) -> None:
+    if options.decimation < 1:
+        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
     files = {
         key: resolve_config(getattr(options, key))
         for key in ("urdf", "tool", "drives", "friction", "controller")

@@ -153,23 +153,20 @@ def prepare(
         spacing: from one point of the linearisation to the next, s.
 
     Raises:
-        ConfigError: if the duration is not positive, the spacing is shorter than a tick, or the initial position
-            is not six numbers within the joint limits.
+        ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
+            not six numbers within the joint limits.
         TrajectoryError: if the trajectory is refused.
     """
     rates = setup.rates
-    if not duration > 0:
-        raise ConfigError(f"duration is {duration} s; accepted: a number > 0")
-    if not spacing >= rates.period:
-        raise ConfigError(f"spacing is {spacing} s; accepted: at least a tick, {rates.period:g} s")
+    start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
+    if not rates.period <= spacing < np.inf:
+        raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
     controller.reset(encoders)
     hold = controller.trajectory.setpoints(0)[0, 0]
-    start = round(start_time * rates.position_hz)
     controller.trajectory.accept(points, 0, start)
-    ticks = round(duration * rates.base_hz)
     setpoints = controller.trajectory.setpoints(0, -(-ticks // rates.ratio))
     motion = nominal_motion(points, hold, start * rates.ratio, ticks, rates)
     slow = motion.position[: -1 : rates.ratio]

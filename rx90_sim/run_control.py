@@ -23,7 +23,7 @@ class RunControl:
     """
 
     def __init__(self, paused: bool, wake: Callable[[], None], last_tick: int | None = None) -> None:
-        """`wake` interrupts whatever the ticking thread waits for; it pauses for good before `last_tick`."""
+        """`wake` interrupts whatever the ticking thread waits for; the run ends before `last_tick`."""
         self._changed = threading.Condition()
         self._wake = wake
         self._paused = paused
@@ -58,6 +58,8 @@ class RunControl:
             if last:
                 self._stopped = True
                 self._undisturbed = False
+                # Who waits for ticks beyond the last one waits in vain.
+                self._changed.notify_all()
             if self._runnable():
                 return self._take_turn()
             self._changed.wait(timeout)

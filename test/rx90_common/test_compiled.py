@@ -1,8 +1,11 @@
-"""The cache of compiled kernels never serves stale code."""
+"""The cache of compiled kernels never serves stale code, and compilation is announced."""
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 from rx90_common import compiled
@@ -14,7 +17,34 @@ def test_every_room_with_a_kernel_decides_on_the_cache() -> None:
     rooms = {
         path.relative_to(root).parts[0]
         for path in root.glob("*/**/*.py")
-        if re.search(r"^@(kernel|inlined)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        if re.search(r"^@(kernel$|inlined$|c_function)", path.read_text(encoding="utf-8"), re.MULTILINE)
     }
     assert {"rx90_sim", "rx90_description"} <= rooms
     assert rooms - {"test", "benchmarks"} <= set(compiled._ROOMS)
+
+
+def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) -> None:
+    """A program says once that it compiles, whatever else is in the cache; with its kernels there, nothing."""
+    kernels = "from rx90_common.compiled import kernel\n\n" + "".join(
+        f"@kernel\ndef {name}(x):\n    return x + 1.0\n\n\n" for name in ("first", "second")
+    )
+    (tmp_path / "their_kernels.py").write_text(kernels)
+    # The codec's own functions are compiled, and in the cache, when it is imported.
+    program = (
+        "import rx90_exchange.joint_state_cdr\n"
+        "from rx90_common.compiled import announce_compilation\n"
+        "announce_compilation('program')\n"
+        "import their_kernels\n"
+        "print(their_kernels.first(1.0), their_kernels.second(1.0))\n"
+    )
+    path = os.pathsep.join([str(tmp_path), str(Path(compiled.__file__).resolve().parent.parent)])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+    said = []
+    for _ in range(2):
+        run = subprocess.run(
+            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120, check=True
+        )
+        assert run.stdout == "2.0 2.0\n"
+        said.append(run.stderr)
+    assert re.fullmatch(r"program: compiling the numerical kernels, .*\n", said[0])
+    assert said[1] == ""

@@ -151,11 +151,18 @@ def test_more_substeps_change_little(shipped: Setup) -> None:
     assert 0.0 < np.abs(paths[0] - paths[1]).max() < 1e-5
 
 
-@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan")])
+@pytest.mark.parametrize("duration", [0.0, -1.0, 1e-9, float("nan"), float("inf")])
 def test_a_duration_that_is_none_is_refused(shipped: Setup, duration: float) -> None:
-    """A duration that is not positive is refused with its value."""
-    with pytest.raises(ConfigError, match=rf"duration is {duration} s; accepted: a number > 0"):
+    """A duration without an end, or shorter than a tick, is refused with its value."""
+    with pytest.raises(ConfigError, match=rf"duration is {duration} s; accepted: a finite number, at least a tick"):
         simulate(shipped, there_and_back(), HOME, duration)
+
+
+@pytest.mark.parametrize("start", [float("nan"), float("inf")])
+def test_a_start_time_that_is_none_is_refused(shipped: Setup, start: float) -> None:
+    """A start time that is not finite is refused with its value."""
+    with pytest.raises(ConfigError, match=rf"start time is {start} s; accepted: a finite number"):
+        simulate(shipped, there_and_back(), HOME, 0.5, start)
 
 
 def test_what_the_controller_refuses_the_run_refuses(shipped: Setup) -> None:

@@ -232,6 +232,10 @@ def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: Perturbation
         "duration is 0.0 s": lambda: prepare(shipped, stay(), HOME, 0.0),
         "spacing is 0.0001 s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=1e-4),
         "spacing is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=float("nan")),
+        "spacing is inf s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=float("inf")),
+        "duration is 1e-09 s": lambda: prepare(shipped, stay(), HOME, 1e-9),
+        "duration is inf s": lambda: prepare(shipped, stay(), HOME, float("inf")),
+        "start time is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, float("nan")),
         "initial position of joint_2 is 9.0 rad": lambda: prepare(shipped, stay(), [0, 9, 0, 0, 0, 0], 0.1),
     }
     for text, call in calls.items():

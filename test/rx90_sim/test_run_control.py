@@ -1,0 +1,79 @@
+"""Requests to the ticking thread are carried out however they fall between its steps."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+
+from rx90_sim.run_control import RunControl, Turn
+
+
+class Ticking:
+    """A thread that counts ticks as the node's does."""
+
+    def __init__(self, last_tick: int | None = None) -> None:
+        self.control = RunControl(paused=True, wake=lambda: None, last_tick=last_tick)
+        self.tick = 0
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        while (turn := self.control.next_turn(self.tick, 0.01)) is not Turn.STOP:
+            if turn is Turn.RESET:
+                self.tick = 0
+                self.control.reset_done()
+            elif turn is Turn.STEP:
+                self.tick += 1
+                self.control.step_done()
+
+    def still(self) -> int:
+        """Return the tick at which time stands, once the one that was under way is done."""
+        before = -1
+        while before != self.tick:
+            before = self.tick
+            time.sleep(0.02)
+        return before
+
+
+def test_steps_are_exact_and_a_pause_holds_in_whatever_order_requests_come() -> None:
+    """After random requests time stands when paused, goes on by as many steps as asked for, and runs when resumed."""
+    ticking, dice = Ticking(), random.Random(1)
+    control = ticking.control
+    try:
+        for _ in range(40):
+            for _ in range(dice.randrange(6)):
+                request = dice.choice(("pause", "resume", "step", "reset"))
+                if request == "step":
+                    assert control.step(dice.randint(1, 50), 10.0)
+                elif request == "reset":
+                    assert control.reset(10.0)
+                else:
+                    getattr(control, request)()
+            control.pause()
+            before = ticking.still()
+            steps = dice.randint(1, 200)
+            assert control.step(steps, 10.0)
+            assert ticking.still() == before + steps
+            assert control.paused
+        control.resume()
+        before, deadline = ticking.tick, time.monotonic() + 10.0
+        while ticking.tick == before and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert ticking.tick > before
+    finally:
+        control.stop()
+        ticking.thread.join(10.0)
+    assert not ticking.thread.is_alive()
+
+
+def test_steps_beyond_the_last_tick_do_not_wait_for_their_timeout() -> None:
+    """Who asks for more steps than the run has is answered when the run ends, not after the timeout."""
+    ticking = Ticking(last_tick=100)
+    answers: list[bool] = []
+    asking = threading.Thread(target=lambda: answers.append(ticking.control.step(1000, 3600.0)), daemon=True)
+    asking.start()
+    ticking.thread.join(30.0)
+    asking.join(30.0)
+    assert answers == [False]
+    assert ticking.tick == 100
