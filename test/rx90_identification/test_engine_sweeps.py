@@ -33,7 +33,7 @@ def sweep_program(direction: Array, speeds: Array) -> tuple[list[float], list[Ar
         velocities.append(velocity)
 
     for speed in speeds:
-        ramp, moving = 0.05 + 0.1 * speed, min(0.9, 0.5 / speed)
+        ramp, moving = 0.05 + 0.1 * speed, min(1.2, 0.7 / speed)
         for sign in (1.0, -1.0):
             velocity = sign * speed * direction
             start = positions[-1] + velocity * ramp / 2.0

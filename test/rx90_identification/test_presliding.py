@@ -26,7 +26,7 @@ def micro_records(setup: Setup, groups: Sequence[str], noise: float, seed: int) 
     generator = np.random.default_rng(seed)
     gear = setup.drives.gear
     records = []
-    for experiment in make_plan(setup.robot, PlanOptions(groups=tuple(groups))):
+    for experiment in make_plan(setup.robot, setup.drives, PlanOptions(groups=tuple(groups))):
         if experiment.kind != "presliding":
             continue
         run = simulate(setup, experiment.points, np.zeros(6), experiment.duration, record_fast=True)
