@@ -16,9 +16,11 @@ from rx90_identification.record import JointRecord
 Array = NDArray[np.float64]
 
 _BIN = 0.02  # s, over which velocities are compared
-_RELATIVE = 0.05  # change of velocity that ends a plateau
+_RELATIVE = 0.02  # change of velocity that ends a plateau
 _NOISE = 6.0  # or this many standard deviations of a bin's velocity
-_SETTLE_TIME = 0.1  # s, for the servo loops after a change of velocity
+_AT_REST = 0.01  # or this part of the fastest joint's velocity: joints at rest are shaken by those that move
+_END = 3  # bins at the end of a plateau in which the next change of velocity may have begun
+_SETTLE_TIME = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
 _SETTLE_SHARE = 0.5  # of a plateau that the bristles may take to settle; beyond, the element does not slide
 _LONGEST_BLOCK = 0.25  # s
 _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is as good as linear in it
@@ -101,15 +103,21 @@ def plateau_ranges(record: JointRecord) -> list[tuple[int, int]]:
     last = np.minimum(first + size, len(record.time) - 1)
     gap = record.time[last] - record.time[first] > 2.0 * size * period
     number = np.empty(bins, dtype=np.int64)
-    _number_plateaus(velocity, tolerance, gap, _RELATIVE, number)
+    _number_plateaus(velocity, tolerance, gap, _RELATIVE, _AT_REST, number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
-    # The first and the last bin may hold a part of the change of velocity.
-    return [(int(start + 1) * size, int(stop - 1) * size) for start, stop in pairwise(edges) if stop - start > 3]
+    # The first bin and the last ones may hold a part of the change of velocity.
+    cut = [(int(start + 1), int(stop - _END)) for start, stop in pairwise(edges)]
+    return [(start * size, stop * size) for start, stop in cut if stop - start > 1]
 
 
 @kernel
 def _number_plateaus(
-    velocity: Array, tolerance: Array, gap: NDArray[np.bool_], relative: float, number: NDArray[np.int64]
+    velocity: Array,
+    tolerance: Array,
+    gap: NDArray[np.bool_],
+    relative: float,
+    at_rest: float,
+    number: NDArray[np.int64],
 ) -> None:
     """Number the runs of bins whose velocities stay near the run's mean, shape (bins, n) to (bins,)."""
     bins, joints = velocity.shape
@@ -118,8 +126,9 @@ def _number_plateaus(
     number[0] = 0
     for k in range(1, bins):
         same = not gap[k] and not gap[k - 1]
+        fastest = np.abs(mean).max()
         for j in range(joints):
-            if abs(velocity[k, j] - mean[j]) > max(tolerance[j], relative * abs(mean[j])):
+            if abs(velocity[k, j] - mean[j]) > max(tolerance[j], relative * abs(mean[j]), at_rest * fastest):
                 same = False
         if same:
             held += 1

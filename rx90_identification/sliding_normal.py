@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from rx90_identification.sliding_rows import SlidingRows
@@ -74,11 +75,14 @@ class NormalForm:
         value = operator @ rows.value[:, None]
         friction = operator @ design
         nuisance = operator @ rows.nuisance
-        inverse = np.linalg.inv(nuisance.T @ nuisance + np.eye(nuisance.shape[1]))
-        back = inverse @ np.hstack([nuisance.T @ value, nuisance.T @ friction])
-        cross = friction.T @ nuisance
-        form = (friction.T @ friction).toarray() - cross @ back[:, 1:]
-        pull = (friction.T @ value - cross @ back[:, :1])[:, 0]
+        # By an orthogonal basis: the normal equations of parameters that are known as badly as these, and tell as
+        # much, lose all their digits.
+        basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
+        basis = basis[: len(value)]
+        along = np.hstack([basis.T @ value, basis.T @ friction])
+        back = solve_triangular(upper, along)
+        form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
+        pull = (friction.T @ value)[:, 0] - along[:, 1:].T @ along[:, 0]
         values, vectors = np.linalg.eigh((form + form.T) / 2.0)
         good = values > _RANK * values[-1]
         scale = np.sqrt(values[good])

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares, lsq_linear
 from rx90_identification import stribeck
 from rx90_identification.sliding_normal import NormalForm, PlateauTorques
 from rx90_identification.sliding_rows import SlidingRows
-from rx90_identification.sliding_weights import Weights
+from rx90_identification.sliding_weights import Weights, shared_by_speed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,6 +35,7 @@ class Solution:
         at_bound: parameters that lie on a bound, shape (n_el, 7).
         noise: standard deviation of each row relative to what its scale says, shape (r,).
         common: share of the variance of a plateau's mean that the whole plateau has in common, shape (r,).
+        shared: factor on the variance for what plateaus at one speed have in common, shape (r,).
     """
 
     parameters: Array
@@ -43,6 +44,7 @@ class Solution:
     at_bound: Mask
     noise: Array
     common: Array
+    shared: Array
 
 
 def solve(rows: SlidingRows, free: Mask) -> Solution:
@@ -68,9 +70,11 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
         parameters = fit.run(form, parameters)
     covariance = fit.covariance(form, parameters)
     at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
-    nuisance = form.nuisance(fit.torques(parameters))
+    friction = fit.torques(parameters)
+    nuisance = form.nuisance(friction)
+    shared = shared_by_speed(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
     common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
-    return Solution(parameters, nuisance, covariance, at_bound, 1.0 / weights.factor, common)
+    return Solution(parameters, nuisance, covariance, at_bound, 1.0 / weights.factor, common, shared)
 
 
 def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:

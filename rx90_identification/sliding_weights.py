@@ -13,6 +13,7 @@ from rx90_identification.sliding_rows import SlidingRows
 Array = NDArray[np.float64]
 
 _HUBER = 3.0  # deviations from which a residual counts linearly
+_SAME_SPEED = 0.1  # of the logarithms of speeds that count as one
 _LEAST_LEFT = 0.05  # of a plateau's variance, however much the fit follows it
 
 
@@ -87,6 +88,38 @@ class Weights:
         members = csr_array((np.ones(rows), (self.cluster, np.arange(rows))), shape=(len(count), rows))
         less = eye_array(rows) - members.T @ diags_array(self.share / count) @ members
         return csr_array(diags_array(self.factor) @ less)
+
+
+def shared_by_speed(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
+    """Return by how much the errors of plateaus at one speed, whatever pose and direction, add to the variance.
+
+    Ripple depends on the speed and turns its sign with it, so plateaus at one speed do not err apart. The variance of
+    a sum of m of them is that of independent ones times sum((sum s)^2) / sum(s^2), with the residuals s along the
+    motion; the outer sums go over the speeds (Kish's design effect).
+
+    Args:
+        rows: the equations.
+        weights: of the fit.
+        residual: of the fit, shape (r,).
+
+    Returns:
+        The factor for each row's joint, 1 or more, shape (r,).
+    """
+    first = np.unique(weights.cluster, return_index=True)[1]
+    group, source = rows.group[first], rows.source[first]
+    velocity = rows.velocity[first, group]
+    along = np.sign(velocity) * weights.means(residual[:, None])[:, 0]
+    with np.errstate(divide="ignore"):
+        level = np.round(np.log(np.abs(velocity)) / _SAME_SPEED)
+    factor = np.ones(len(rows))
+    for g in np.unique(group):
+        mine = np.flatnonzero((group == g) & (velocity != 0.0))
+        number = np.unique(np.column_stack([source[mine], level[mine]]), axis=0, return_inverse=True)[1].ravel()
+        power = float(np.sum(along[mine] ** 2))
+        if power > 0.0:
+            together = float(np.sum(np.bincount(number, along[mine]) ** 2))
+            factor[rows.group == g] = max(1.0, together / power)
+    return factor
 
 
 def _spread(values: Array) -> float:

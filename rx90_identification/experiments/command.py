@@ -84,7 +84,7 @@ def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:
     values = vars(_QUICK if options.quick else PlanOptions()) | {"groups": tuple(options.group)}
     if options.speeds is not None:
         values["speeds"] = options.speeds
-    return make_plan(setup.robot, PlanOptions(**values))
+    return make_plan(setup.robot, setup.drives, PlanOptions(**values))
 
 
 def describe(plan: Sequence[Experiment], setup: Setup) -> str:

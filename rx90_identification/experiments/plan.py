@@ -11,15 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_description.drives import DriveParameters
 from rx90_description.robot import RobotModel
 from rx90_identification.errors import IdentificationError
 from rx90_identification.experiments.motion import Motion
+from rx90_identification.experiments.speeds import sweep_speeds
 
 Array = NDArray[np.float64]
 
 HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-POSES = ((0.0, 0.2, 0.6, 0.0, 0.5, 0.0), (0.4, -0.3, 1.1, 0.5, -0.7, 0.4))
-"""Where sweeps take place, rad: one near the upright, one with other gravity torques."""
+POSES = (
+    (0.0, -0.6, 0.2, 0.0, 0.5, 0.0),
+    (0.4, 0.1, 1.4, -1.0, -0.7, 1.5),
+    (0.0, 0.6, -0.2, 1.0, 0.9, -1.5),
+    (-0.4, 0.3, -1.2, 0.5, -0.3, 0.7),
+)
+"""Where sweeps take place, rad.
+
+Gravity torques of either sign and over most of their range, because a constant torque is what the two directions'
+Coulomb torques differ by, and over a small range gravity is one.
+"""
+_TRAVEL = 0.016  # rad at a slow speed: three times what a bristle needs to settle
+_SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
 VALIDATION_POSES = (
     (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
     (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),
@@ -60,7 +73,7 @@ class PlanOptions:
     speeds: int = 14
     lowest_speed: float = 0.004
     highest_share: float = 0.4
-    acceleration: float = 6.0
+    acceleration: float = 5.0
     home: tuple[float, ...] = HOME
     poses: tuple[tuple[float, ...], ...] = POSES
     groups: tuple[str, ...] = ()
@@ -133,7 +146,7 @@ def directions(names: Sequence[str]) -> tuple[Direction, ...]:
     return tuple(found)
 
 
-def make_plan(robot: RobotModel, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
+def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
     """Plan all experiments for an arm.
 
     Raises:
@@ -147,29 +160,24 @@ def make_plan(robot: RobotModel, options: PlanOptions | None = None) -> tuple[Ex
         if name not in names:
             raise IdentificationError(f"unknown group {name!r}; accepted: {', '.join(names)}")
     picked = [direction for direction in known if not chosen.groups or direction.name in chosen.groups]
-    plan = [_sliding(robot, chosen, direction) for direction in picked]
+    plan = [_sliding(robot, drives, chosen, direction) for direction in picked]
     plan += [_presliding(robot, chosen, direction) for direction in picked if "together" not in direction.name]
     plan.append(_validation(robot, chosen))
     return tuple(plan)
 
 
-def sweep_speeds(robot: RobotModel, options: PlanOptions, direction: Direction) -> Array:
-    """Return the speeds of a direction's sweeps, rad/s, shape (options.speeds,)."""
-    moving = direction.vector != 0.0
-    highest = options.highest_share * float(robot.max_velocity[moving].min())
-    return np.geomspace(options.lowest_speed, highest, options.speeds)
-
-
 def plateau(speed: float) -> float:
     """Return for how long a speed is held, s: long enough to slide far beyond the bristles, and to average."""
-    return float(np.clip(0.014 / speed, 0.3, 4.0))
+    return float(np.clip(_TRAVEL / speed, _SHORTEST, _LONGEST))
 
 
-def _sliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
+def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, direction: Direction) -> Experiment:
     motion = Motion(options.home)
+    highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
+    speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, options.speeds, drives)
     count = 0
-    for pose in options.poses:
-        for speed in sweep_speeds(robot, options, direction):
+    for number, pose in enumerate(options.poses):
+        for speed in _speeds_at(number, options, speeds):
             for start, signed in _both_ways(robot, options, direction, pose, float(speed)):
                 _approach(robot, options, motion, start)
                 motion.rest(0.1)
@@ -178,6 +186,13 @@ def _sliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> E
             motion.rest(0.1)
     _approach(robot, options, motion, options.home)
     return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), count)
+
+
+def _speeds_at(pose: int, options: PlanOptions, speeds: Array) -> Array:
+    """Return the speeds to go at at a pose: each slow one at one pose, in turn, each other one at every second."""
+    turn = (np.arange(len(speeds)) + pose) % len(options.poses)
+    slow = speeds * _SHORTEST < _TRAVEL
+    return np.asarray(speeds[np.where(slow, turn == 0, turn % 2 == 0)])
 
 
 def _both_ways(

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from rx90_bag.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_identification.experiments.plan import PlanOptions, make_plan
 from rx90_identification.reading import BagLayout, read_record
+from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
 from rx90_identification.sliding import identify_sliding
 from rx90_loop.closed_loop import simulate
@@ -33,7 +35,7 @@ def sweep_program(direction: Array, speeds: Array) -> tuple[list[float], list[Ar
         velocities.append(velocity)
 
     for speed in speeds:
-        ramp, moving = 0.05 + 0.1 * speed, min(0.9, 0.5 / speed)
+        ramp, moving = 0.05 + 0.1 * speed, min(1.2, 0.7 / speed)
         for sign in (1.0, -1.0):
             velocity = sign * speed * direction
             start = positions[-1] + velocity * ramp / 2.0
@@ -73,3 +75,16 @@ def test_the_engines_friction_comes_back_from_its_bags(shipped: Setup, arm: Rigi
             assert found.value == pytest.approx(getattr(element, name), rel=0.02), (e, name)
     assert not fit.estimates[0].parameters["c2"].identifiable
     assert fit.estimates[4].sources[0].path == bags[0]
+
+
+def test_the_shipped_plan_tells_gravity_from_coulomb_friction(shipped: Setup, arm: RigidArm) -> None:
+    """The plan's sweeps of joint 3 give its sliding parameters within 2 % and within 4 deviations, both directions."""
+    sweep = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_3",)))[0]
+    states = simulate(shipped, sweep.points, sweep.points.position[0], sweep.duration).slow.joint_states
+    position, velocity, torque = states[: len(states) // 4 * 4].reshape(-1, 4, 3, 6).mean(axis=1).transpose(1, 0, 2)
+    time = 4e-3 * np.arange(len(position))
+    record = JointRecord(shipped.robot.joint_names, time, position, velocity, torque, Path(sweep.name), "0")
+    for name, found in identify_sliding([record], arm).estimates[2].parameters.items():
+        truth = getattr(shipped.friction.elements[2], name)
+        assert found.value == pytest.approx(truth, rel=0.02), name
+        assert abs(found.value - truth) < 4.0 * found.deviation, name
