@@ -73,12 +73,21 @@ class LockstepSimulation:
         self._rivals = False
         self.ignored = 0
 
-    def exchange(self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+    def exchange(
+        self,
+        stamp_ns: int,
+        state: bytes,
+        interrupted: Callable[[], bool],
+        meanwhile: Callable[[], None] | None = None,
+    ) -> bytes | None:
         """Publish the states stamped `stamp_ns` and return the command with that stamp, None if interrupted.
 
+        `meanwhile` is called once the states are on their way: what it does costs no time while the controller works.
         `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
         """
         self._channel.publish(state)
+        if meanwhile is not None:
+            meanwhile()
         raw = self._channel.receive(_SLICE)
         if raw is None or stamp_of(raw) != stamp_ns or self._rivals:
             raw = self._exchange_slowly(stamp_ns, state, raw, interrupted)

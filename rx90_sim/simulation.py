@@ -109,9 +109,9 @@ class Simulation:
 
     def _lock_step(self) -> bool:
         plant = self._plant
-        self._publish_due()
         stamp = plant.tick * self._period_ns
-        raw = self._lockstep.exchange(stamp, self._encode_states(stamp), self._control.interrupting)
+        states = self._encode_states(stamp)
+        raw = self._lockstep.exchange(stamp, states, self._control.interrupting, self._publish_due)
         if raw is None:
             return False
         plant.step(self._torques(raw))
