@@ -226,8 +226,14 @@ class Bench:
         return None if report is None else report.state
 
     def arm(self) -> None:
-        """Arm the rig and wait until it says so."""
-        self.link.submit(RigClient.arm).result(10.0)
+        """Arm the rig and wait until it says so; a rig whose thread waits for a processor is asked again."""
+        end = time.monotonic() + 20.0
+        while True:
+            try:
+                self.link.submit(RigClient.arm).result(10.0)
+                break
+            except RigLostError:
+                assert time.monotonic() < end, "the rig never answered"
         wait_for(lambda: self.state == State.ARMED)
 
     def close(self) -> None:
