@@ -23,6 +23,7 @@ from rx90_loop.setup import Setup, SetupFiles
 REFUSED, NOT_RUN, INTERRUPTED = 1, 3, 130
 _QUICK = PlanOptions(
     speeds=8,
+    travel=0.016,
     poses=PlanOptions().poses[:1],
     presliding_cycles=(2e-3,),
     tone_amplitudes=(4e-5,),
