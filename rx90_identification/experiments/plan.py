@@ -16,6 +16,7 @@ from rx90_description.robot import RobotModel
 from rx90_identification.errors import IdentificationError
 from rx90_identification.experiments.motion import Motion
 from rx90_identification.experiments.speeds import sweep_speeds
+from rx90_identification.sliding import LEAST_SPEEDS
 
 Array = NDArray[np.float64]
 
@@ -92,10 +93,8 @@ class PlanOptions:
                 raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
         if self.travel < _LEAST_TRAVEL:
             raise IdentificationError(f"travel is {self.travel} rad; accepted: {_LEAST_TRAVEL} or more")
-        if self.speeds < 4:
-            raise IdentificationError(
-                f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns"
-            )
+        if self.speeds < LEAST_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} or more")
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
@@ -192,9 +191,7 @@ def _held(options: PlanOptions, speed: float) -> float:
     return float(np.clip(options.travel / abs(speed), _SHORTEST, _LONGEST))
 
 
-def _start(
-    robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float
-) -> Array:
+def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float) -> Array:
     """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
     probe = Motion(np.zeros(len(pose)))
     probe.sweep(direction.vector, speed, _held(options, speed), options.acceleration)
