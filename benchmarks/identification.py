@@ -108,7 +108,8 @@ def main() -> int:
             tallies[label].identify([noisy(record, factor, rng) for record in records], arm, friction)
     print_table(COLUMNS, [tally.row(label) for label, tally in tallies.items()])
     for label, tally in tallies.items():
-        print(f"beyond 2 %, {label}: {', '.join(f'{name} {count}' for name, count in (+tally.outside).items()) or 'none'}")
+        outside = [f"{name} {count}" for name, count in (+tally.outside).items()]
+        print(f"beyond 2 %, {label}: {', '.join(outside) or 'none'}")
     for key, label in (("", "no noise"), ("_noisy", "the rig's noise")):
         tally = tallies[label]
         merge({f"identification{key}_coverage": tally.covered, f"identification{key}_worst_error": max(tally.errors)})
