@@ -56,9 +56,9 @@ class Control:
         commands = JointStateCodec(MOTOR_NAMES)
         self._encode_command = commands.encoder(effort=self._cs7b.command)
         self._encode_no_command = commands.encoder()
-        joints = self._cs7b.joint_names
-        self._encode_reference = JointStateCodec(joints).encoder(*self._cs7b.reference())
-        self._encode_error = JointStateCodec(joints).encoder(*self._cs7b.tracking_error())
+        joint_states = JointStateCodec(self._cs7b.joint_names)
+        self._encode_reference = joint_states.encoder(*self._cs7b.reference())
+        self._encode_error = joint_states.encoder(*self._cs7b.tracking_error())
         self._reference = self.node.create_publisher(JointState, "~/reference", STATE_QOS)
         self._error = self.node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
         # Trajectories and switches come on the executor's thread, between ticks.
