@@ -261,12 +261,13 @@ class RigClient:
                 self._write_unless_stopped(message, command.name)
                 retry_at = self.port.now() + RETRY_PERIOD
             frames = self._frames(HEARTBEAT)
-            for report in filter(None, map(parse_report, frames)):
-                samples.append(self._sample(report))
-                if report.ack_sequence == sequence:
-                    if report.result != Result.OK:
-                        raise RigRefusedError(f"{command.name}: {report.result_text}")
-                    return samples
+            came = [self._sample(report) for report in filter(None, map(parse_report, frames))]
+            samples += came  # all of them: what came behind the answer would count as lost
+            answer = next((s.report for s in came if s.report.ack_sequence == sequence), None)
+            if answer is not None:
+                if answer.result != Result.OK:
+                    raise RigRefusedError(f"{command.name}: {answer.result_text}")
+                return samples
         raise RigLostError(f"{command.name}: the rig does not answer")
 
     def arm(self) -> None:

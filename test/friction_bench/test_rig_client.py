@@ -70,6 +70,24 @@ def test_silent_rig_is_lost_not_waited_for(client: RigClient, emulated: Emulated
     assert emulated.time - start < 1.0
 
 
+def test_reports_behind_an_answer_are_not_lost(client: RigClient, emulated: EmulatedRig) -> None:
+    """Reports that a late program reads in one go with the answer to its command are readings like all others."""
+    read = client.port.read
+
+    def late(timeout: float) -> bytes:
+        emulated.advance(0.1)
+        return read(timeout)
+
+    client.port.read = late  # type: ignore[method-assign]
+    client.clear()
+    client.port.read = read  # type: ignore[method-assign]
+    while not client.pump():
+        pass
+    assert client.last is not None
+    assert client.last.tick > 5
+    assert client.lost_reports == 0
+
+
 def test_host_that_stood_still_does_not_take_the_rig_for_lost(client: RigClient) -> None:
     """Time in which the program did not run is not a rig's silence, neither between commands nor within one."""
     port = client.port
