@@ -15,7 +15,6 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ExchangeError, MessageError, TrajectoryError
 from rx90_common.rates import Rates
 from rx90_common.share import resolve_config
@@ -49,7 +48,6 @@ class Control:
         self.node = Node("rx90_controller")
         self._log = self.node.get_logger()
         rates = self._read_rates()
-        announce_compilation("rx90_controller")
         self._cs7b = self._build(rates)
         self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
         self._states = JointStateCodec(MOTOR_NAMES)
