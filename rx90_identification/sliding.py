@@ -132,10 +132,12 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
 
 
 def _speeds(speed: Array) -> int:
-    """Return how many different speeds there are."""
-    if len(speed) == 0:
-        return 0
-    return 1 + int(np.sum(np.diff(np.log(np.sort(speed))) > np.log(_SAME_SPEED)))
+    """Return how many speeds there are that differ."""
+    count, least = 0, 0.0
+    for value in np.sort(speed):
+        if value > least:
+            count, least = count + 1, _SAME_SPEED * float(value)
+    return count
 
 
 def _curve(rows: SlidingRows, solution: Solution, element: int) -> CurvePoints:

@@ -168,6 +168,13 @@ def test_the_curve_goes_through_its_points(sweeps: Any, arm: RigidArm) -> None:
     assert np.abs((curve.torque - curve.fitted) / curve.deviation).max() < 4.5
 
 
+def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:
+    """Sweeps at speeds of which each is 8 % above the one before are many speeds, not one."""
+    record, friction = sweeps([2], 3, count=80, poses=1, longest=0.9)
+    estimate = identify_sliding([record], arm).estimates[2]
+    assert errors(estimate, friction.elements[2])["tau_c_positive"] < 0.02
+
+
 def test_too_few_speeds_are_refused(sweeps: Any, arm: RigidArm) -> None:
     """Four speeds are refused with both counts and what is accepted."""
     record, _ = sweeps([2], count=4, longest=4.0)
