@@ -26,7 +26,8 @@ from rx90_identification.validation import Tolerances, Validation
 from rx90_identification.validation_run import validate
 
 CONFIRMED, NOT_CONFIRMED, REFUSED, INTERRUPTED = 0, 1, 3, 130
-_SLIDING_RATE = 250.0  # Hz: plateaus are averaged anyway
+_RATES = {"sliding": 250.0, "presliding": None, "validation": 1000.0}
+"""Hz that records are averaged to: plateaus are averaged anyway, and the validation looks below 40 Hz."""
 _USAGE = """
   rx90_identify FOLDER --output FILE [options]
   rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
@@ -135,11 +136,11 @@ def _identify(
             bar.update()
 
         # All of them first: what is wrong with the last bag must not show after the whole fit.
-        layouts = [robot.layout(path, fast=use == "presliding") for use, path in everything]
+        layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]
         records: dict[str, list[JointRecord]] = {use: [] for use in vars(bags)}
         for (use, path), layout in zip(everything, layouts, strict=True):
             step(path.name)
-            records[use].append(read_record(path, layout, _SLIDING_RATE if use == "sliding" else None))
+            records[use].append(read_record(path, layout, _RATES[use]))
         _check_unused(records)
         result = identify(
             records["sliding"], records["presliding"], robot.arm, robot.fallback, options.torque_delay, step

@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ExchangeError, Rx90Error
+from rx90_common.interrupts import terminations_as_interrupts
 from rx90_common.share import resolve_config
 from rx90_identification.experiments.engine import run_on_engine
 from rx90_identification.experiments.folder import make_folder, write_index
@@ -141,7 +142,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run `rx90_experiment` and return its exit status."""
     options = _parser().parse_args(args)
     try:
-        _run(options)
+        with terminations_as_interrupts():
+            _run(options)
     except KeyboardInterrupt:
         # A bar that was drawn ends without a line's end.
         print(f"{os.linesep}rx90_experiment: interrupted; complete bags stay", file=sys.stderr)
