@@ -39,7 +39,10 @@ def read_joint_states(
         raise BagError(f"{path}: no messages in {absolute(topic)}")
     if names is not None:
         fitting = [series for series in found if set(names) <= set(series.names)]
-        return (fitting or found)[0].select(names)
+        try:
+            return (fitting or found)[0].select(names)
+        except BagError as error:
+            raise BagError(f"{path}: {error}") from error
     if len(found) > 1:
         sets = "; ".join(", ".join(series.names) for series in found)
         raise BagError(f"{path}: {absolute(topic)} carries several sets of joints: {sets}; say which joints")

@@ -108,6 +108,11 @@ def _run(options: argparse.Namespace) -> int:
     output, report = _targets(options)
     bags = _bags(options)
     robot = robot_of(options)
+    if not bags.presliding and robot.fallback is None:
+        raise IdentificationError(
+            "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
+            "--fallback FILE"
+        )
     announce_compilation("rx90_identify")
     result, checks, used = _identify(bags, robot, options)
     write_all(

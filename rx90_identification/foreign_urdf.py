@@ -100,7 +100,7 @@ def _check_turning(urdf: Path, root: ET.Element, wanted: Sequence[str], there: S
 def _check_mass(urdf: Path, model: Any) -> None:
     data = model.createData()
     pin.computeSubtreeMasses(model, data)
-    for joint, name in enumerate(model.names):
+    for joint, name in list(enumerate(model.names))[1:]:
         if not data.mass[joint] > 0.0:
             raise IdentificationError(
                 f"{urdf}: joint {str(name)!r} moves a mass of {data.mass[joint]:g} kg; accepted: links with <inertial>"

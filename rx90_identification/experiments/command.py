@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -117,13 +118,22 @@ def _run(options: argparse.Namespace) -> None:
     if options.verb == "plan":
         return
     make_folder(options.output)
+    try:
+        _record(plan, setup, options)
+    finally:
+        # Where no bag came about, the folder would refuse the next attempt.
+        with suppress(OSError):
+            options.output.rmdir()
+    print(f"bags: {options.output}")
+
+
+def _record(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
     if options.engine:
         for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
             run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
             write_index(options.output, plan[: number + 1])
     else:
         _run_on_nodes(plan, setup, options)
-    print(f"bags: {options.output}")
 
 
 def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:

@@ -90,8 +90,8 @@ class ExperimentRunner:
     def _run(self, plan: Sequence[Experiment], folder: Path, say: Callable[[str], None]) -> None:
         # The context of a constructor's node ends with it; a recorder that still runs is ended in order.
         with ProcessGroup(folder, grace=20.0) as recorders:
-            self._wait(lambda: self._publisher.get_subscription_count() > 0, "a controller that takes trajectories")
-            self._wait(lambda: self._reference is not None, "the controller's reference")
+            self._wait(lambda: self._publisher.get_subscription_count() > 0, "controller that takes trajectories")
+            self._wait(lambda: self._reference is not None, "set-points of the controller")
             self._approach(plan[0].points.position[0], say)
             total = sum(experiment.duration for experiment in plan)
             layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
@@ -155,7 +155,7 @@ class ExperimentRunner:
         deadline = time.monotonic() + self._timeout
         while not ready():
             if time.monotonic() > deadline:
-                raise ExchangeError(f"found no {what.removeprefix('a ')} within {self._timeout:g} s")
+                raise ExchangeError(f"found no {what} within {self._timeout:g} s")
             self._spin()
 
     def _spin(self) -> None:

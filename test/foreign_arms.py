@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import yaml
 from bag_making import ROS1, joint_state, write_ros1, write_ros2
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -153,8 +154,16 @@ def write(
     return write_ros1(path, rows) if storage == "ros1" else write_ros2(path, rows, storage)
 
 
+def write_fallback(path: Path, elements: Sequence[str]) -> Path:
+    """Write a friction file for what bags do not tell."""
+    both = {"positive": 1.0, "negative": 1.0}
+    values = {"tau_c": both, "tau_s": both, "omega_s": 0.1, "delta": 1.0, "c0": 12345.0, "c1": 10.0, "c2": 1.0}
+    path.write_text(yaml.safe_dump({"elements": dict.fromkeys(elements, values)}), encoding="utf-8")
+    return path
+
+
 def micro_oscillation(inertia: float, curve: Curve, c0: float, c1: float, rate: float) -> tuple[Array, Array, Array]:
-    """Return position, velocity and torque of a joint without weight: a slide, then 4 s of four tones at once.
+    """Return position, velocity and torque of a joint without weight: 2.5 s of four tones at once.
 
     The LuGre equations under a given torque, by SciPy:  J dv/dt = u - c0 z - c1 dz/dt - c2 v,
     dz/dt = v - c0 |v| z / g(v).
@@ -174,6 +183,6 @@ def micro_oscillation(inertia: float, curve: Curve, c0: float, c1: float, rate: 
         dz = v - c0 * abs(v) * z / g
         return [v, (float(torque(t)) - c0 * z - c1 * dz - curve.c2 * v) / inertia, dz]
 
-    time = np.arange(round(4.0 * rate)) / rate
+    time = np.arange(round(2.5 * rate)) / rate
     found = solve_ivp(slope, (0.0, time[-1]), [0.0, 0.0, 0.0], "RK45", time, rtol=1e-6, atol=1e-10, max_step=2e-3)
     return found.y[0], found.y[1], torque(time)
