@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
 from rx90_identification.estimate import PARAMETERS
@@ -54,9 +56,13 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
         label="measured - identified, 95 % by the noise",
     )
     below.axhline(0.0, color=_INK, linewidth=0.6)
-    slowest = float(np.abs(curve.velocity).min())
+    speed = np.abs(curve.velocity)
+    decades = 10.0 ** np.arange(np.ceil(np.log10(speed.min())), np.floor(np.log10(speed.max())) + 1.0)
+    ticks = np.concatenate([-decades[::-1], [0.0], decades])
     for axes in (above, below):
-        axes.set_xscale("symlog", linthresh=slowest, linscale=0.3)
+        axes.set_xscale("symlog", linthresh=float(speed.min()), linscale=0.3)
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.xaxis.set_minor_locator(NullLocator())
         axes.axvline(0.0, color=_INK, linewidth=0.4)
     above.set_ylabel("friction torque, Nm")
     below.set_ylabel("residual, Nm")
@@ -64,7 +70,14 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
     above.legend(loc="upper left", frameon=False, fontsize=8)
     below.margins(y=0.3)
     below.legend(loc="upper left", frameon=False, ncols=2, fontsize=8)
+    _margins(figure, left=0.1, right=0.99, bottom=0.11, top=0.94, hspace=0.08)
     return as_svg(figure)
+
+
+def _margins(figure: Figure, **shares: float) -> None:
+    """Set the margins: to find them by the sizes of all texts takes as long as the drawing."""
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(**shares)
 
 
 def hysteresis_plot(loop: HysteresisLoop) -> str:
@@ -84,6 +97,7 @@ def hysteresis_plot(loop: HysteresisLoop) -> str:
     axes.set_xlabel("position, µrad")
     axes.set_ylabel("friction torque, Nm")
     axes.legend(loc="upper left", frameon=False)
+    _margins(figure, left=0.1, right=0.99, bottom=0.15, top=0.92)
     return as_svg(figure)
 
 
@@ -114,6 +128,7 @@ def _matrix(name: str, matrix: Array) -> str:
         if np.isfinite(value):
             shade = "white" if abs(value) > 0.6 else "black"
             axes.text(j, i, f"{value:.2f}".replace("-0.00", "0.00"), ha="center", va="center", fontsize=6, color=shade)
+    _margins(figure, left=0.25, right=0.98, bottom=0.25, top=0.93)
     return as_svg(figure)
 
 
