@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from rx90_identification.experiments import command
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
 from rx90_loop.setup import Setup
@@ -42,3 +44,11 @@ def sweeps(shipped: Setup) -> Sweeps:
         return measured(shipped, motion, torque, rng, noise or Noise()), friction
 
     return make
+
+
+@pytest.fixture(scope="session")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the bags of a short series for joint 4 on the engine."""
+    folder = tmp_path_factory.mktemp("engine") / "series"
+    assert command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
+    return folder

@@ -115,11 +115,9 @@ def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert abs(float(lines[-1].split(" s of motion")[0].split()[-1]) - seconds) < 1.0
 
 
-def test_the_engine_writes_the_bags_that_the_recorder_would(tmp_path: Path) -> None:
+def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> None:
     """A series on the engine has an index and bags with joint states, motor states and set-points."""
-    folder = tmp_path / "series"
-    assert command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
-    bags = read_index(folder)
+    bags = read_index(series)
     assert [bag.name for bag in (*bags.sliding, *bags.presliding, *bags.validation)] == [
         "sliding_joint_4",
         "presliding_joint_4",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 
 
 @pytest.fixture
-def bench(made: Bench, tmp_path: Path) -> Iterator[Bench]:
+def bench(made: Bench, tmp_path: Path) -> Bench:
     """Return the good files, with a folder of the test's own."""
     made.folder = tmp_path
-    yield made
+    return made
 
 
 def sliding(bag: Callable[[Bench], Path]) -> Change:
@@ -120,13 +120,37 @@ def pinned(bench: Bench) -> Path:
 
 REFUSED = [
     # what the motions must be
-    ("speeds", sliding(lambda b: b.write("few", slice(0, 820))), r"hinge slides at \d speeds in positive and \d in .*5 or more"),
-    ("forward", sliding(lambda b: b.write("forward", np.flatnonzero(b.velocity[:, 0] >= 0.0))), "at positive velocities only; accepted: sweeps in both"),
+    (
+        "speeds",
+        sliding(lambda b: b.write("few", slice(0, 820))),
+        r"hinge slides at \d speeds in positive and \d in .*5 or more",
+    ),
+    (
+        "forward",
+        sliding(lambda b: b.write("forward", np.flatnonzero(b.velocity[:, 0] >= 0.0))),
+        "at positive velocities only; accepted: sweeps in both",
+    ),
     ("rest", sliding(lambda b: b.write("rest", slice(0, 20))), "no stretch of constant velocity; accepted"),
-    ("slow_presliding", lambda b: ["--sliding", b.bag, "--presliding", b.bag], "100 samples per second; accepted: 500 or more"),
-    ("no_presliding", options("--fallback", "none"), "no bag with micro-oscillations, .*accepted: --presliding BAG ..., or --fallback FILE"),
-    ("unmoved", lambda b: ["--sliding", b.bag, "--validation", b.write("still", slice(0, 4)), "--force"], "still: the arm does not move; accepted"),
-    ("other_fallback", options("--fallback", "robot/friction.yaml"), "friction.yaml: elements.hinge is missing; accepted"),
+    (
+        "slow_presliding",
+        lambda b: ["--sliding", b.bag, "--presliding", b.bag],
+        "100 samples per second; accepted: 500 or more",
+    ),
+    (
+        "no_presliding",
+        options("--fallback", "none"),
+        "no bag with micro-oscillations, .*accepted: --presliding BAG ..., or --fallback FILE",
+    ),
+    (
+        "unmoved",
+        lambda b: ["--sliding", b.bag, "--validation", b.write("still", slice(0, 4)), "--force"],
+        "still: the arm does not move; accepted",
+    ),
+    (
+        "other_fallback",
+        options("--fallback", "robot/friction.yaml"),
+        "friction.yaml: elements.hinge is missing; accepted",
+    ),
     # the bags
     ("nowhere", sliding(lambda b: b.folder / "nowhere"), "nowhere: no such bag"),
     ("empty", sliding(lambda b: b.write("empty", slice(0, 0))), "empty"),
@@ -138,23 +162,51 @@ REFUSED = [
     ("truncated_ros1", sliding(lambda b: truncated(b, "ros1", rosbag2=False)), "cut.bag: damaged"),
     ("topic", options("--topic", "leg"), "no topic /leg; JointState topics: /joint_states"),
     ("names", options("--names", "elbow"), "no joint 'elbow'; there are hinge"),
-    ("effort", sliding(lambda b: b.write("effort", effort=np.zeros((len(b.torque), 0)))), "carries no effort; accepted"),
+    (
+        "effort",
+        sliding(lambda b: b.write("effort", effort=np.zeros((len(b.torque), 0)))),
+        "carries no effort; accepted",
+    ),
     ("nan_effort", sliding(lambda b: b.write("nan", effort=b.torque * np.nan)), "carries no effort; accepted"),
     ("nan_position", sliding(lambda b: b.write("nan", position=b.position * np.nan)), "carries no position; accepted"),
     ("back", sliding(stamped_back), "goes back from 3.0* s to 1.0* s; accepted"),
-    ("unstamped", sliding(lambda b: write(b.folder / "zero", "/joint_states", ["hinge"], RATE, (b.position, None, b.torque), header=False)), "every stamp is 0.0* s; accepted: .*--record-time"),
+    (
+        "unstamped",
+        sliding(
+            lambda b: write(
+                b.folder / "zero", "/joint_states", ["hinge"], RATE, (b.position, None, b.torque), header=False
+            )
+        ),
+        "every stamp is 0.0* s; accepted: .*--record-time",
+    ),
     ("twice", lambda b: ["--sliding", b.bag, b.bag], "good: given twice for --sliding"),
     ("both", lambda b: [b.folder, "--sliding", b.bag], "accepted: a folder or single bags, not both"),
     ("none", lambda _: [], "no bag with sweeps"),
     ("no_series", lambda b: [b.folder], "no experiments.yaml; accepted"),
-    ("checked_by_itself", lambda b: ["--sliding", b.bag, "--validation", copied(b)], "copy: also used for the identification as .*good"),
+    (
+        "checked_by_itself",
+        lambda b: ["--sliding", b.bag, "--validation", copied(b)],
+        "copy: also used for the identification as .*good",
+    ),
     # the robot
     ("no_urdf", options("--urdf", "nowhere.urdf"), r"nowhere.urdf: no URDF .*No such file"),
     ("xml", urdf(lambda text: text[:-20]), "bad.urdf: no URDF that Pinocchio can read"),
-    ("limit", urdf(lambda text: text.replace("<limit", "<no")), r"\[hinge\] is of type REVOLUTE but it does not specify limits"),
+    (
+        "limit",
+        urdf(lambda text: text.replace("<limit", "<no")),
+        r"\[hinge\] is of type REVOLUTE but it does not specify limits",
+    ),
     ("effort_limit", urdf(lambda text: text.replace("effort=", "strength=")), r"joint \[hinge\]: limit has no effort"),
-    ("massless", urdf(lambda text: text.replace('mass value="2.0"', 'mass value="0"')), "'hinge' moves a mass of 0 kg; accepted: links with <inertial>"),
-    ("prismatic", urdf(lambda text: text.replace("revolute", "prismatic")), "'hinge' is prismatic; accepted: revolute and continuous"),
+    (
+        "massless",
+        urdf(lambda text: text.replace('mass value="2.0"', 'mass value="0"')),
+        "'hinge' moves a mass of 0 kg; accepted: links with <inertial>",
+    ),
+    (
+        "prismatic",
+        urdf(lambda text: text.replace("revolute", "prismatic")),
+        "'hinge' is prismatic; accepted: revolute and continuous",
+    ),
     ("fixed", urdf(lambda text: text.replace("revolute", "fixed")), "no movable joint"),
     ("mimic", lambda b: ["--sliding", b.bag, "--urdf", pinned(b)], "'jaw' mimics hinge; accepted: .*--joints hinge"),
     ("joint", options("--joints", "elbow"), "no movable joint 'elbow'; there are hinge"),
@@ -163,15 +215,31 @@ REFUSED = [
     ("coupling", options("--coupling", 0), r"coupling: \[\[0.0\]\]; accepted: an invertible matrix"),
     ("tool", options("--tool", "none"), "--tool with --urdf; accepted"),
     ("fallback", options("--fallback", "nowhere.yaml"), "nowhere.yaml"),
-    ("bad_fallback", lambda b: ["--sliding", b.bag, "--fallback", b.file("bad.yaml", "elements: 3")], "elements is 3; accepted"),
+    (
+        "bad_fallback",
+        lambda b: ["--sliding", b.bag, "--fallback", b.file("bad.yaml", "elements: 3")],
+        "elements is 3; accepted",
+    ),
     # the result
-    ("exists", lambda b: ["--sliding", b.bag, "--output", b.file("mine.yaml", "mine")], "mine.yaml exists; accepted: another name, or --force"),
-    ("report_exists", lambda b: ["--sliding", b.bag, "--report", b.file("mine.html", "mine")], "mine.html exists; accepted"),
-    ("is_folder", lambda b: ["--sliding", b.bag, "--force", "--output", directory(b, "out")], "out is a folder; accepted"),
+    (
+        "exists",
+        lambda b: ["--sliding", b.bag, "--output", b.file("mine.yaml", "mine")],
+        "mine.yaml exists; accepted: another name, or --force",
+    ),
+    (
+        "report_exists",
+        lambda b: ["--sliding", b.bag, "--report", b.file("mine.html", "mine")],
+        "mine.html exists; accepted",
+    ),
+    (
+        "is_folder",
+        lambda b: ["--sliding", b.bag, "--force", "--output", directory(b, "out")],
+        "out is a folder; accepted",
+    ),
     ("device", options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
     ("no_folder", options("--output", "nowhere/f.yaml"), "nowhere does not exist; accepted"),
     ("same", lambda b: ["--sliding", b.bag, "--output", b.folder / "f.html"], "--output and --report are both"),
-]  # fmt: skip
+]
 WRONG = [
     (["--gear", "ten"], "argument --gear: 'ten'; accepted: a finite number other than 0"),
     (["--gear", "0"], "argument --gear: '0'; accepted"),
