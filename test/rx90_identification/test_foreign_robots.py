@@ -68,20 +68,23 @@ def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Motor angles and currents at 100 Hz, in another order and among others, give the friction of three joints."""
+    """Motor angles and currents at 100 Hz, reordered and among others, give friction that another bag confirms."""
     names = ["shoulder", "elbow", "twist"]
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(urdf_text(names, ["0 1 0", "0 1 0", "1 0 0"], [5.0, 3.0, 1.0]), encoding="utf-8")
     model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
-    motion = Program(np.eye(3).tolist(), POSES, SPEEDS, 100.0).motion()
     curves = [CURVE.scaled(3.0), CURVE.scaled(1.5), CURVE.scaled(0.5)]
-    current = measured(drive_torque(model, np.eye(3), curves, motion, 100.0), 3) / GEAR / CONSTANT
-    shuffled = [np.column_stack([np.full(len(v), 7.0), v[:, [2, 0, 1]]])
-                for v in (motion[0] * GEAR, motion[1] * GEAR, current)]  # fmt: skip
-    write(tmp_path / "bag", "/arm/motors", ["gripper", "m3", "m1", "m2"], 100.0, tuple(shuffled), "sqlite3")
+    run = Program([[1.0, 0.7, -0.5]], [[-0.4, 0.1, 0.6]], [0.15, 0.6], 100.0)
+    for bag, program in (("sweeps", Program(np.eye(3).tolist(), POSES, SPEEDS, 100.0)), ("run", run)):
+        motion = program.motion()
+        current = measured(drive_torque(model, np.eye(3), curves, motion, 100.0), 3) / GEAR / CONSTANT
+        q, v, i = (np.column_stack([np.full(len(values), 7.0), values[:, [2, 0, 1]]])
+                   for values in (motion[0] * GEAR, motion[1] * GEAR, current))  # fmt: skip
+        write(tmp_path / bag, "/arm/motors", ["gripper", "m3", "m1", "m2"], 100.0, (q, v, i), "sqlite3")
     robot = ["--urdf", urdf, "--topic", "arm/motors", "--joints", *names, "--names", "m1", "m2", "m3"]
     motors = ["--gear", *GEAR, "--torque-constant", *CONSTANT, "--fallback", write_fallback(tmp_path / "g.yaml", names)]
-    found = identified(["--sliding", tmp_path / "bag", *robot, *motors], tmp_path / "f.yaml", capsys)
+    bags = ["--sliding", tmp_path / "sweeps", "--validation", tmp_path / "run"]
+    found = identified([*bags, *robot, *motors], tmp_path / "f.yaml", capsys)
     for name, curve in zip(names, curves, strict=True):
         assert_found(found[name], curve)
         assert found[name]["c0"] | {"date": ""} == {
