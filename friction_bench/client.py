@@ -29,6 +29,8 @@ HEARTBEAT = 0.02
 """Time between heartbeats, s; the firmware forgives 120 ms."""
 SILENCE = 0.5
 """A rig that reports nothing for so long, s, is lost."""
+_LONGEST_LOOK = 2 * HEARTBEAT
+"""What may count as listening between two looks at the line, s: a program that stood still did not listen."""
 HELLO_PERIOD = 0.25
 """Time between greetings, s: the rig may still be starting, and an Arduino resets when its port opens."""
 RETRY_PERIOD = 0.06
@@ -117,7 +119,9 @@ class RigClient:
         self._decoder = FrameDecoder()
         self._sequence = 0
         self._beat_at = -1.0
-        self._heard_at = port.now()
+        self._looked_at = port.now()
+        self._listened = 0.0  # s, so far
+        self._heard_at = 0.0  # of the time listened
         self._restart_counters()
 
     @property
@@ -169,9 +173,11 @@ class RigClient:
 
     def _frames(self, timeout: float) -> list[Frame]:
         frames = self._decoder.feed(self.port.read(timeout))
+        before, self._looked_at = self._looked_at, self.port.now()
+        self._listened += min(self._looked_at - before, _LONGEST_LOOK)
         if frames:
-            self._heard_at = self.port.now()
-        elif self.port.now() - self._heard_at > SILENCE:
+            self._heard_at = self._listened
+        elif self._listened - self._heard_at > SILENCE:
             raise RigLostError(f"the rig has not reported for {SILENCE} s")
         return frames
 
@@ -186,13 +192,13 @@ class RigClient:
         self.hello = None
         self.stopping = False  # HELLO takes the torque away too, and is repeated until it is answered
         self._restart_counters()
-        end = self.port.now() + timeout
+        end = self._listened + timeout
         greet_at = self.port.now()
-        while self.port.now() < end:
+        while self._listened < end:
             if self.port.now() >= greet_at:
                 self._send(Command.HELLO, bytes([PROTOCOL_VERSION]))
                 greet_at = self.port.now() + HELLO_PERIOD
-            self._heard_at = self.port.now()
+            self._heard_at = self._listened
             for frame in self._frames(HEARTBEAT):
                 hello = parse_hello(frame)
                 if hello is not None and frame.sequence == self._sequence:
@@ -248,19 +254,20 @@ class RigClient:
         sequence = self._sequence = self._next_sequence()
         message = encode(Frame(command, sequence, payload))
         self._write_unless_stopped(message, command.name)
-        end = self.port.now() + COMMAND_TIMEOUT
+        end = self._listened + COMMAND_TIMEOUT
         retry_at = self.port.now() + RETRY_PERIOD
-        while self.port.now() < end:
+        while self._listened < end:
             if self.port.now() >= retry_at or self.stops != self.permitted:
                 self._write_unless_stopped(message, command.name)
                 retry_at = self.port.now() + RETRY_PERIOD
             frames = self._frames(HEARTBEAT)
-            for report in filter(None, map(parse_report, frames)):
-                samples.append(self._sample(report))
-                if report.ack_sequence == sequence:
-                    if report.result != Result.OK:
-                        raise RigRefusedError(f"{command.name}: {report.result_text}")
-                    return samples
+            came = [self._sample(report) for report in filter(None, map(parse_report, frames))]
+            samples += came  # all of them: what came behind the answer would count as lost
+            answer = next((s.report for s in came if s.report.ack_sequence == sequence), None)
+            if answer is not None:
+                if answer.result != Result.OK:
+                    raise RigRefusedError(f"{command.name}: {answer.result_text}")
+                return samples
         raise RigLostError(f"{command.name}: the rig does not answer")
 
     def arm(self) -> None:

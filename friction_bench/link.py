@@ -22,6 +22,10 @@ BACKOFF = (0.25, 0.5, 1.0, 2.0)
 DAMAGE_LIMIT = 3
 """So many damaged or missing frames within DAMAGE_WINDOW seconds disarm the rig."""
 DAMAGE_WINDOW = 1.0
+CALM = 2.0
+"""So long without trouble, s, and the line is good again: until then nothing is reported a second time."""
+_DISTURBED = "the line is disturbed"
+"""One trouble, whatever shows it: noise, a cable, or a second reader, which is now the one and now the other."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,7 @@ class RigLink:
         rig: what is expected at its end.
         on_sample: called with each reading, on the link's thread.
         on_trouble: called with one line for each trouble, on the link's thread.
-        on_good: called with one line when the rig answers (again).
+        on_good: called with one line when the rig answers (again) and the line is good.
     """
 
     def __init__(
@@ -61,7 +65,9 @@ class RigLink:
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
         self._port: Port | None = None
-        self._last_trouble = ""
+        self._told: set[str] = set()
+        self._troubled_at = 0.0
+        self._greeted = ""  # what `on_good` has still to be told
         self._last_fault = Fault.NONE
         self._damage: deque[float] = deque()
         self._submitting = threading.Lock()
@@ -126,7 +132,8 @@ class RigLink:
                 return
             except RigError as error:
                 attempt = 0 if self.connected else attempt + 1
-                self._trouble(str(error))
+                disturbed = isinstance(error, RigLostError) and self._port is not None
+                self._trouble(str(error), _DISTURBED if disturbed else str(error))
             finally:
                 self._drop()
             self._closed.wait(BACKOFF[min(attempt, len(BACKOFF) - 1)])
@@ -150,29 +157,38 @@ class RigLink:
             if future.set_running_or_notify_cancel():
                 future.set_exception(RigLostError(reason))
 
-    def _trouble(self, text: str) -> None:
-        if text != self._last_trouble:
-            self._last_trouble = text
+    def _trouble(self, text: str, kind: str) -> None:
+        """Report a trouble, unless one of its kind has been since the line was good."""
+        self._troubled_at = time.monotonic()
+        if kind not in self._told:
+            self._told.add(kind)
             self._on_trouble(text)
+
+    def _watch_calm(self) -> None:
+        if self._told and time.monotonic() - self._troubled_at > CALM:
+            self._told.clear()
+        if self._greeted and not self._told:
+            self._on_good(self._greeted)
+            self._greeted = ""
 
     def _serve(self, client: RigClient) -> None:
         self.client = client
         self._greet(client)
         while not self._closed.is_set():
+            self._watch_calm()
             client.beating = time.monotonic() - self._alive_at < OWNER_SILENCE
             try:
                 self._step(client)
             except RigResetError as error:
                 with self._submitting:  # the client has forgotten its greeting: nothing is added meanwhile
                     self._refuse_jobs(str(error))
-                self._trouble(str(error))
+                self._trouble(str(error), str(error))
                 self._greet(client)
 
     def _greet(self, client: RigClient) -> None:
         hello = client.connect()
-        self._last_trouble = ""
         self._seen_damage = client.bad_frames + client.lost_reports
-        self._on_good(f"rig connected, reset cause {hello.reset_cause}, firmware target {hello.target}")
+        self._greeted = f"rig connected, reset cause {hello.reset_cause}, firmware target {hello.target}"
 
     def _step(self, client: RigClient) -> None:
         for sample in client.pump():
@@ -206,14 +222,14 @@ class RigLink:
     def _watch_damage(self, client: RigClient) -> None:
         now = time.monotonic()
         damage = client.bad_frames + client.lost_reports
-        self._damage.extend([now] * min(damage - self._seen_damage, DAMAGE_LIMIT))
-        self._seen_damage = damage
+        fresh, self._seen_damage = damage - self._seen_damage, damage
+        self._damage.extend([now] * min(fresh, DAMAGE_LIMIT))
         while self._damage and now - self._damage[0] > DAMAGE_WINDOW:
             self._damage.popleft()
-            if not self._damage:
-                self._last_trouble = ""
-        if len(self._damage) >= DAMAGE_LIMIT:
-            self._trouble("garbage on the line to the rig; it is disarmed")
-            if client.last is not None and client.last.report.state in {State.ARMED, State.RAMPING}:
+        # What disarmed the rig once must not do so again when it is armed; and one stop is enough, it is repeated.
+        if fresh and len(self._damage) >= DAMAGE_LIMIT:
+            self._trouble("garbage on the line to the rig; it is disarmed", _DISTURBED)
+            armed = client.last is not None and client.last.report.state in {State.ARMED, State.RAMPING}
+            if armed and not client.stopping:
                 client.urgent_stop()
                 client.permitted = client.stops

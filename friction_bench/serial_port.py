@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import os
+import select
 import termios
 import threading
 import time
@@ -60,9 +63,32 @@ class SerialPort:
             with self._lock:
                 if first:
                     self._serial.reset_output_buffer()
-                self._serial.write(data)
+                self._send(data)
         except _FAILURES as error:
             raise RigLostError(f"{self.url}: lost while writing ({_reason(error)})") from error
+
+    def _send(self, data: bytes) -> None:
+        """Put all bytes on the line.
+
+        pyserial's own `write` calls a write that has succeeded lost if the computer stood still meanwhile for longer
+        than its timeout; it serves here where there is no file descriptor.
+
+        Raises:
+            RigLostError: if the line takes nothing for WRITE_TIMEOUT.
+        """
+        try:
+            descriptor = self._serial.fileno()
+        except io.UnsupportedOperation:
+            self._serial.write(data)
+            return
+        end = self.now() + WRITE_TIMEOUT
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                data = data[os.write(descriptor, data) :]
+            if not data:
+                return
+            if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
+                raise RigLostError(f"{self.url}: lost while writing (the line takes nothing)")
 
     def read(self, timeout: float) -> bytes:
         """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte."""

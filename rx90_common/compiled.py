@@ -18,6 +18,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core.event import Event, Listener, register
 
+from rx90_common import announcement
+
 _ROOMS = (
     "rx90_common",
     "rx90_description",
@@ -52,29 +54,18 @@ def cache_directory() -> Path:
 setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
-class _Announcement(Listener):
-    """Says once that kernels are compiled, when the first one is; those on disk are loaded without a word."""
-
-    def __init__(self, program: str) -> None:
-        self._program = program
-        self._said = False
+class _Watch(Listener):
+    """Hears of each kernel that is compiled; those on disk are loaded without a word."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002 - the interface of Listener
-        if not self._said:
-            self._said = True
-            print(
-                f"{self._program}: compiling the numerical kernels, once on this machine, about 20 s ...",
-                file=sys.stderr,
-                flush=True,
-            )
+        announcement.compilation_begins()
 
     def on_end(self, event: Event) -> None:
         pass
 
 
-def announce_compilation(program: str) -> None:
-    """From now on say on stderr, once, that kernels are compiled, if any has to be: none may be on disk, or others."""
-    register("numba:compile", _Announcement(program))  # type: ignore[no-untyped-call]  # numba has no types there
+announce_compilation = announcement.announce_compilation
+register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types there
 
 
 def kernel(function: _Function) -> _Function:
@@ -98,6 +89,7 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., i
     """
 
     def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
+        # numba tells of no compilation here, but of those of its own functions that are called, such as carray.
         compiled = numba.cfunc(signature, cache=True, error_model="numpy")(function)
         arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
         address: int = compiled.address  # type: ignore[assignment]  # the stubs know it only before compilation

@@ -6,6 +6,7 @@ import importlib
 import sys
 from collections.abc import Callable
 
+from rx90_common.announcement import announce_compilation
 from rx90_common.interrupts import raise_where_heard
 from rx90_common.output import with_checked_output
 
@@ -13,6 +14,7 @@ from rx90_common.output import with_checked_output
 def _executable(program: str, module: str) -> Callable[[], int]:
     def main() -> int:
         raise_where_heard()
+        announce_compilation(program)
         try:
             return with_checked_output(program, lambda: int(importlib.import_module(module).main()))
         except KeyboardInterrupt:

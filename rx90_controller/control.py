@@ -15,7 +15,6 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ExchangeError, MessageError, TrajectoryError
 from rx90_common.rates import Rates
 from rx90_common.share import resolve_config
@@ -49,16 +48,15 @@ class Control:
         self.node = Node("rx90_controller")
         self._log = self.node.get_logger()
         rates = self._read_rates()
-        announce_compilation("rx90_controller")
         self._cs7b = self._build(rates)
         self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
         self._states = JointStateCodec(MOTOR_NAMES)
         commands = JointStateCodec(MOTOR_NAMES)
         self._encode_command = commands.encoder(effort=self._cs7b.command)
         self._encode_no_command = commands.encoder()
-        joints = self._cs7b.joint_names
-        self._encode_reference = JointStateCodec(joints).encoder(*self._cs7b.reference())
-        self._encode_error = JointStateCodec(joints).encoder(*self._cs7b.tracking_error())
+        joint_states = JointStateCodec(self._cs7b.joint_names)
+        self._encode_reference = joint_states.encoder(*self._cs7b.reference())
+        self._encode_error = joint_states.encoder(*self._cs7b.tracking_error())
         self._reference = self.node.create_publisher(JointState, "~/reference", STATE_QOS)
         self._error = self.node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
         # Trajectories and switches come on the executor's thread, between ticks.

@@ -29,6 +29,7 @@ class CS7B:
         trajectory: the set-point generator.
         law: compiled constants, shape (1,), CONTROLLER_DTYPE.
         state: compiled state, shape (1,), LAW_STATE_DTYPE.
+        command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
     """
 
     def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
@@ -48,7 +49,7 @@ class CS7B:
         # Fixed memory: what is sent in every tick is read from there.
         self._reference = np.zeros((3, 6))
         self._error = np.zeros((3, 6))
-        self._command: Array = self.state["command"][0]
+        self.command: Array = self.state["command"][0]
 
     def reset(self, position: Array, tick: int = 0) -> None:
         """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
@@ -91,14 +92,14 @@ class CS7B:
             velocity: measured motor velocities, rad/s, shape (6,).
 
         Returns:
-            Motor torques (torque constant times current), Nm, shape (6,); always the same view of the state.
+            `command`: motor torques, torque constant times current.
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
             position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
         velocity_loop(self.law, self.state, velocity)
         self.tick += 1
-        return self._command
+        return self.command
 
     def _setpoint(self, tick: int) -> Array:
         """Return the set-point of a position tick, from a block: sampling one alone takes longer than the law."""
@@ -110,11 +111,6 @@ class CS7B:
         setpoint: Array = self._lookahead[row]
         self._reference[:2] = setpoint[:2]
         return setpoint
-
-    @property
-    def command(self) -> Array:
-        """Return the motor torques of the last step, Nm, shape (6,); always the same view of the state."""
-        return self._command
 
     @property
     def saturated(self) -> NDArray[np.int64]:

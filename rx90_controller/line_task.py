@@ -11,7 +11,7 @@ import numpy as np
 from rx90_common.config import Section, load_yaml
 from rx90_common.errors import LineError
 from rx90_controller.line_profile import TrapezoidalProfile
-from rx90_description.inverse import SHOULDERS, SIGNS, Branch
+from rx90_description.branch import SHOULDERS, SIGNS, Branch
 
 MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0

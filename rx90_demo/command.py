@@ -12,7 +12,6 @@ from itertools import count
 from pathlib import Path
 from types import FrameType
 
-from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ConfigError, Rx90Error
 from rx90_common.share import resolve_config
 from rx90_exchange.environment import prepare
@@ -55,7 +54,6 @@ def _run(options: argparse.Namespace) -> int:
     if options.output is not None and options.output.exists():
         raise ConfigError(f"--output {options.output}: exists; accepted: a folder that can be made")
     prepare()
-    announce_compilation("rx90_demo")
     # Here, because a wrong option must not wait for them.
     from rx90_demo.demonstration import Demonstration
 

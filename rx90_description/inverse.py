@@ -7,11 +7,11 @@ q = 0, and whose axes 4, 5 and 6 meet in one point; the RX90 is one of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_description.branch import Branch
 from rx90_description.kinematics import Pose, axis_rotation, forward, jacobian
 from rx90_description.robot import RigidChain, RobotModel
 
@@ -23,34 +23,6 @@ _GEOMETRY_TOLERANCE = 1e-9
 _NEWTON_STEPS = 60
 _NEWTON_RESIDUAL = 1e-12
 _RESTARTS = 100
-
-SHOULDERS = ("front", "back")
-SIGNS = ("positive", "negative")
-
-
-@dataclass(frozen=True)
-class Branch:
-    """Which of the eight solutions of a spherical-wrist arm.
-
-    Attributes:
-        shoulder: 'front': the wrist centre is on the side of axis 1 that the arm plane faces at q = 0.
-        elbow: sign of the angle from the upper arm to the forearm (of q3 on the RX90).
-        wrist: sign of q5.
-    """
-
-    shoulder: str = "front"
-    elbow: str = "positive"
-    wrist: str = "positive"
-
-    def __post_init__(self) -> None:
-        if self.shoulder not in SHOULDERS or self.elbow not in SIGNS or self.wrist not in SIGNS:
-            raise ValueError(f"{self} is not a branch; accepted: {SHOULDERS}, {SIGNS}, {SIGNS}")
-
-    def __str__(self) -> str:
-        return f"{self.shoulder}/{self.elbow}/{self.wrist}"
-
-
-BRANCHES = tuple(Branch(*labels) for labels in product(SHOULDERS, SIGNS, SIGNS))
 
 
 @dataclass(frozen=True, eq=False)

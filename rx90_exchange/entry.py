@@ -33,6 +33,7 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
             signal.signal(number, _leave)
         from importlib import import_module
 
+        from rx90_common.announcement import announce_compilation
         from rx90_exchange.environment import prepare
 
         words = list(sys.argv[1:] if args is None else args)
@@ -43,6 +44,7 @@ def run_node(program: str, module: str, args: Sequence[str] | None) -> int:
             print(f"{program}: argument {own[0]!r}; accepted: --help, --ros-args ...", file=sys.stderr, flush=True)
             return 2
         prepare()
+        announce_compilation(program)
         import_module(module).spin(words)
     except Rx90Error as error:
         print(f"{program}: {error}", file=sys.stderr, flush=True)

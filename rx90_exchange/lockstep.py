@@ -40,21 +40,22 @@ def stamp_of(raw: bytes) -> int:
 
 
 class _Wait:
-    """Announces a wait once, whatever it waits for in between, and its end once."""
+    """Announces a wait once, whatever it waits for in between, and its end once, by `over` and the time."""
 
-    def __init__(self, announce: Callable[[str], None]) -> None:
+    def __init__(self, announce: Callable[[str], None], over: str) -> None:
         self._announce = announce
-        self.announced = False
+        self._over = over
+        self._announced = False
 
     def begin(self, text: str) -> None:
-        if not self.announced:
-            self.announced = True
+        if not self._announced:
+            self._announced = True
             self._announce(text)
 
-    def end(self, text: str) -> None:
-        if self.announced:
-            self.announced = False
-            self._announce(text)
+    def end(self, stamp_ns: int) -> None:
+        if self._announced:
+            self._announced = False
+            self._announce(f"{self._over} {stamp_ns / 1e9:.6g} s")
 
 
 class LockstepSimulation:
@@ -67,7 +68,7 @@ class LockstepSimulation:
     def __init__(self, channel: Channel, announce: Callable[[str], None]) -> None:
         self._channel = channel
         self._announce = announce
-        self._wait = _Wait(announce)
+        self._wait = _Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
         self._rivals = False
@@ -104,7 +105,7 @@ class LockstepSimulation:
         while True:
             if raw is not None:
                 if stamp_of(raw) == stamp_ns and not self._rivals:
-                    self._wait.end(f"the controller answers: time runs on from {stamp_ns / 1e9:.6g} s")
+                    self._wait.end(stamp_ns)
                     return raw
                 self._ignore(raw)
             now = time.monotonic()
@@ -178,7 +179,7 @@ class LockstepController:
         period_ns: int,
     ) -> None:
         self._channel = channel
-        self._wait = _Wait(announce)
+        self._wait = _Wait(announce, "the simulation is there:")
         self._answer = answer
         self._begin = begin
         self._period_ns = period_ns
@@ -218,8 +219,7 @@ class LockstepController:
             self._stamp, self._state = stamp, raw
         self._channel.publish(self._command)
         self._heard = time.monotonic()
-        if self._wait.announced:
-            self._wait.end(f"the simulation is there: {stamp / 1e9:.6g} s")
+        self._wait.end(stamp)
 
     def _note_jump(self, stamp: int) -> None:
         if self._stamp is None:

@@ -12,7 +12,6 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ExchangeError
 from rx90_exchange import node_tools
 from rx90_exchange.channel import Channel
@@ -43,7 +42,6 @@ class Simulation:
         self._log = self.node.get_logger()
         self._parameters = read_parameters(self.node)
         rates = self._parameters.rates
-        announce_compilation("rx90_sim")
         robot, self._plant = build_plant(self.node, self._parameters)
         self._period_ns = rates.period_ns
         self._publications = Publications(

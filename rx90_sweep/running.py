@@ -9,7 +9,6 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ConfigError
 from rx90_sweep.execution import Pool, available_cores, dask_pool, local_pool, run_all
 from rx90_sweep.store import ResultStore
@@ -70,7 +69,6 @@ def run_sweep(
 def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:
     if scheduler is not None:
         return dask_pool(sweep, scheduler)
-    announce_compilation("rx90_sweep")
     return local_pool(sweep, workers or available_cores())
 
 

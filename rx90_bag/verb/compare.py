@@ -12,8 +12,6 @@ from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
-from rx90_bag.comparison import Scope, compare_bags
-from rx90_bag.comparison_report import as_json, as_text
 from rx90_bag.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
 from rx90_bag.topics import FIELDS
 from rx90_common.errors import BagError
@@ -50,6 +48,10 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
         BagError: if the bags cannot be compared at all.
         ConfigError: if the file of tolerances is not acceptable.
     """
+    # Here, because --help must not wait for them.
+    from rx90_bag.comparison import Scope, compare_bags
+    from rx90_bag.comparison_report import as_json, as_text
+
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
     scope = Scope(

@@ -6,9 +6,12 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from rx90_bag.summary import BagSummary, TopicSummary, summarise
 from rx90_bag.table import table
+
+if TYPE_CHECKING:
+    from rx90_bag.summary import BagSummary, TopicSummary
 
 HELP = "tell what a bag holds"
 
@@ -27,6 +30,8 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
     Raises:
         BagError: if the bag cannot be read.
     """
+    from rx90_bag.summary import summarise  # here, because --help must not wait for it
+
     summary = summarise(args.bag)
     print(_as_json(summary) if args.json else _as_text(summary))
     return 0

@@ -25,6 +25,7 @@ from rx90_loop.setup import Setup, SetupFiles
 REFUSED, NOT_RUN, INTERRUPTED = 1, 3, 130
 _QUICK = PlanOptions(
     speeds=8,
+    travel=0.016,
     poses=PlanOptions().poses[:1],
     presliding_cycles=(2e-3,),
     tone_amplitudes=(4e-5,),
@@ -51,7 +52,8 @@ def _parser() -> argparse.ArgumentParser:
         verb.add_argument("--group", action="append", default=[], metavar="NAME",
                           help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
-        verb.add_argument("--speeds", type=int, help="how many speeds of each sweep (14)")
+        verb.add_argument("--speeds", type=int, metavar="N",
+                          help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
         verb.add_argument("--urdf", help="robot (shipped RX90B)")
         verb.add_argument("--tool", help="tool file, or none (shipped laser head)")
         verb.add_argument("--drives", help="drives file")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import Enum
 
@@ -16,6 +16,7 @@ from rx90_description.robot import RobotModel
 from rx90_identification.errors import IdentificationError
 from rx90_identification.experiments.motion import Motion
 from rx90_identification.experiments.speeds import sweep_speeds
+from rx90_identification.sliding import LEAST_SPEEDS
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,8 @@ POSES = (
 Gravity torques of either sign and over most of their range, because a constant torque is what the two directions'
 Coulomb torques differ by, and over a small range gravity is one.
 """
-_TRAVEL = 0.016  # rad at a slow speed: three times what a bristle needs to settle
 _SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+_LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
 VALIDATION_POSES = (
     (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
     (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),
@@ -56,9 +57,11 @@ class PlanOptions:
     """What can be chosen.
 
     Attributes:
-        speeds: how many speeds, spaced logarithmically.
+        speeds: how many speeds in each direction, spaced logarithmically.
         lowest_speed: slowest sweep, rad/s.
         highest_share: fastest sweep as a share of the joint's speed limit.
+        travel: most that a sweep goes at its speed, rad. The curve's shape shows where the speed is near omega_s; held
+            for 4 s instead of 0.7 s, noise of the torque moves omega_s and delta less than half as much.
         acceleration: of sweeps and moves, rad/s².
         home: where every experiment begins and ends, rad.
         poses: where the sweeps take place, rad.
@@ -70,9 +73,10 @@ class PlanOptions:
         burst: how long the micro-oscillation lasts, s.
     """
 
-    speeds: int = 14
+    speeds: int = 28
     lowest_speed: float = 0.004
     highest_share: float = 0.4
+    travel: float = 0.6
     acceleration: float = 5.0
     home: tuple[float, ...] = HOME
     poses: tuple[tuple[float, ...], ...] = POSES
@@ -87,10 +91,10 @@ class PlanOptions:
             value = getattr(self, spec.name)
             if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
                 raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
-        if self.speeds < 4:
-            raise IdentificationError(
-                f"{self.speeds} speeds; accepted: 4 or more, the sliding curve has that many unknowns"
-            )
+        if self.travel < _LEAST_TRAVEL:
+            raise IdentificationError(f"travel is {self.travel} rad; accepted: {_LEAST_TRAVEL} or more")
+        if self.speeds < LEAST_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} or more")
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
@@ -166,49 +170,37 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     return tuple(plan)
 
 
-def plateau(speed: float) -> float:
-    """Return for how long a speed is held, s: long enough to slide far beyond the bristles, and to average."""
-    return float(np.clip(_TRAVEL / speed, _SHORTEST, _LONGEST))
-
-
 def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, direction: Direction) -> Experiment:
     motion = Motion(options.home)
     highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
-    speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, options.speeds, drives)
-    count = 0
+    speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, 2 * options.speeds, drives)
+    # Many speeds, each in one direction at one pose, rather than few everywhere: what ripple in step with the sampling
+    # puts on the torque differs from speed to speed, not from pose to pose, and turns its sign with the direction.
+    there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
     for number, pose in enumerate(options.poses):
-        for speed in _speeds_at(number, options, speeds):
-            for start, signed in _both_ways(robot, options, direction, pose, float(speed)):
-                _approach(robot, options, motion, start)
-                motion.rest(0.1)
-                motion.sweep(direction.vector, signed, plateau(speed), options.acceleration)
-                count += 1
+        for speed in there_and_back[number :: len(options.poses)].ravel():
+            _approach(robot, options, motion, _start(robot, options, direction, pose, float(speed)))
             motion.rest(0.1)
+            motion.sweep(direction.vector, float(speed), _held(options, speed), options.acceleration)
     _approach(robot, options, motion, options.home)
-    return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), count)
+    return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), len(speeds))
 
 
-def _speeds_at(pose: int, options: PlanOptions, speeds: Array) -> Array:
-    """Return the speeds to go at at a pose: each slow one at one pose, in turn, each other one at every second."""
-    turn = (np.arange(len(speeds)) + pose) % len(options.poses)
-    slow = speeds * _SHORTEST < _TRAVEL
-    return np.asarray(speeds[np.where(slow, turn == 0, turn % 2 == 0)])
+def _held(options: PlanOptions, speed: float) -> float:
+    """Return for how long a speed is held, s."""
+    return float(np.clip(options.travel / abs(speed), _SHORTEST, _LONGEST))
 
 
-def _both_ways(
-    robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float
-) -> Iterator[tuple[Array, float]]:
-    """Yield start and signed speed of the way there and the way back; the travel is centred on the pose."""
+def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float) -> Array:
+    """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
     probe = Motion(np.zeros(len(pose)))
-    probe.sweep(direction.vector, speed, plateau(speed), options.acceleration)
+    probe.sweep(direction.vector, speed, _held(options, speed), options.acceleration)
     travel = probe.pose
     # Near a limit the travel moves away from it.
     slack = 0.02
     low, high = robot.lower + slack, robot.upper - slack
     begin = np.asarray(pose) - travel / 2.0
-    begin = np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
-    yield begin, speed
-    yield begin + travel, -speed
+    return np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
 
 
 def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:

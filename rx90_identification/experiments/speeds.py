@@ -41,7 +41,7 @@ def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, dr
     steps = np.abs(turns) * drives.encoder_counts / (2.0 * math.pi) * _PERIOD
     steps = steps[steps > 0.0]
     spacing = math.log(highest / lowest) / (count - 1)
-    shift = np.linspace(-1.0, 0.0, _CANDIDATES) * min(_SHIFT, spacing / 3.0)
+    shift = np.linspace(-1.0, 0.0, _CANDIDATES) * min(_SHIFT, 0.9 * spacing)
     nominal = np.geomspace(lowest, highest, count)
     return np.array([_quietest(speed * np.exp(shift), steps) for speed in nominal])
 

@@ -10,8 +10,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from rig_bench import Bench
 from rig_simulators import simavr, ucsim
 
+from friction_bench.client import RigClient
+from friction_bench.emulated import EmulatedRig, VirtualPort
 from friction_bench.messages import ResetCause
 from friction_bench.native import NativeBoard, compile_core, firmware_directory
 from friction_bench.rig import Rig, load_rig
@@ -129,6 +132,30 @@ def make_board(firmware: Callable[[str], Path], tmp_path: Path) -> Iterator[Call
 def rig() -> Rig:
     """Return the shipped rig file."""
     return load_rig(REPOSITORY / "config" / "rig" / "gm8224.yaml")
+
+
+@pytest.fixture
+def emulated(rig: Rig) -> EmulatedRig:
+    """Return an emulated rig in virtual time."""
+    return EmulatedRig(rig, 1)
+
+
+@pytest.fixture
+def client(emulated: EmulatedRig, rig: Rig) -> RigClient:
+    """Return a greeted client of the emulated rig."""
+    greeted = RigClient(VirtualPort(emulated), rig)
+    greeted.connect()
+    return greeted
+
+
+@pytest.fixture
+def bench(rig: Rig, tmp_path: Path) -> Iterator[Bench]:
+    """Return a link that is connected."""
+    made = Bench(rig, tmp_path / "rig")
+    try:
+        yield made
+    finally:
+        made.close()
 
 
 def mutate(folder: Path, file: str, old: str, new: str) -> Path:

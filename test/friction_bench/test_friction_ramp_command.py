@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from friction_bench import experiment, ramp_command
+from friction_bench import experiment, ramp_job
 from friction_bench.client import RigClient
 from friction_bench.emulated import EmulatedRig, VirtualPort
 from friction_bench.ramp_command import main
@@ -159,7 +159,7 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
 ) -> None:
     """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
     emulated = EmulatedRig(rig, 1)
-    monkeypatch.setattr(ramp_command, "SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.setattr(ramp_job, "SerialPort", lambda *_: VirtualPort(emulated))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert main([*QUICK, "--port", "somewhere", "--load", "none", "--out", str(tmp_path / "a")]) == 0
     assert main([*QUICK, "--port", "somewhere", "--out", str(tmp_path / "b")]) == 1
@@ -175,7 +175,7 @@ def test_latched_fault_is_named_and_cleared_by_option(
     client.connect()
     client.arm()
     emulated.advance(0.3)  # nobody pumps: as after kill -9
-    monkeypatch.setattr(ramp_command, "EmulatedRig", lambda *_: emulated)
+    monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: emulated)
     assert main([*QUICK, "--load", "none", "--out", str(tmp_path / "a")]) == 1
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
     assert main([*QUICK, "--load", "none", "--clear", "--out", str(tmp_path / "b")]) == 0

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,10 +37,11 @@ START = "import sys; from friction_bench.node import main; sys.exit(main(sys.arg
 class Session:
     """A rig, the node that serves it, and a client, on the domain of the environment."""
 
-    def __init__(self, rig: Rig, folder: Path) -> None:
+    def __init__(self, rig: Rig, folder: Path, namespace: str = "", *arguments: str) -> None:
+        self.name = f"{namespace}/friction_bench"
         self.pty = PtyRig(EmulatedRig(rig, 1), folder / "rig")
         self.log = folder / "log"
-        self.arguments = ["--ros-args", "-p", f"port:={folder / 'rig'}"]
+        self.arguments = ["--ros-args", "-p", f"port:={folder / 'rig'}", *arguments]
         self.start()
         self.context = Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
@@ -46,7 +50,7 @@ class Session:
         self.executor.add_node(self.node)
         self.states: list[JointState] = []
         self.diagnostics: list[DiagnosticArray] = []
-        self.node.create_subscription(JointState, "friction_bench/joint_states", self.states.append, 100)
+        self.node.create_subscription(JointState, f"{self.name}/joint_states", self.states.append, 100)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self.diagnostics.append, 10)
 
     def start(self) -> None:
@@ -65,11 +69,20 @@ class Session:
 
     def call(self, name: str) -> Any:
         """Call a service and return its answer."""
-        client = self.node.create_client(Trigger, f"friction_bench/{name}")
+        client = self.node.create_client(Trigger, f"{self.name}/{name}")
         self.until(client.service_is_ready)
         answer = client.call_async(Trigger.Request())
         self.until(answer.done)
         return answer.result()
+
+    @property
+    def stamps(self) -> list[int]:
+        """Return the stamps of the states, ns."""
+        return [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in self.states]
+
+    def heard(self, count: int) -> bool:
+        """Return whether so many states have come."""
+        return len(self.states) >= count
 
     def insist(self, *names: str) -> None:
         """Call services in a row; again from the first one where the machine stood still and the rig went off."""
@@ -96,10 +109,55 @@ def session(rig: Rig, tmp_path: Path, ros_domain: int) -> Iterator[Session]:  # 
     """Return a node that reports its rig, on a domain of its own."""
     made = Session(rig, tmp_path)
     try:
-        made.until(lambda: len(made.states) > 3)
+        made.until(partial(made.heard, 4))
         yield made
     finally:
         made.close()
+
+
+@pytest.fixture
+def pair(rig: Rig, tmp_path: Path, ros_domain: int) -> Iterator[tuple[Session, Session]]:  # noqa: ARG001
+    """Return two nodes in namespaces of their own, each with a rig of its own."""
+    with ExitStack() as stack:
+        made = []
+        for side in ("left", "right"):
+            (tmp_path / side).mkdir()
+            made.append(Session(rig, tmp_path / side, f"/{side}", "-r", f"__ns:=/{side}", "-p", "ramp_slope:=0.3"))
+            stack.callback(made[-1].close)
+        for session in made:
+            session.until(partial(session.heard, 4))
+        yield made[0], made[1]
+
+
+def rests(session: Session) -> bool:
+    """Return whether it has stood still for 0.1 s."""
+    return len({state.position[0] for state in session.states[-6:]}) == 1
+
+
+def turn(session: Session) -> None:
+    """Run a ramp to its end; again where the machine stood still and the rig went off."""
+    begins_at = session.states[-1].position[0]
+    for _ in range(10):
+        session.insist("arm", "run_ramp")
+        session.until(lambda: not session.pty.emulated.board.stage_on)
+        session.until(partial(rests, session))
+        if session.states[-1].position[0] > begins_at + 1.0:
+            return
+    pytest.fail(f"the rig never turned:\n{session.log.read_text()}")
+
+
+def test_two_rigs_beside_each_other_know_nothing_of_each_other(pair: tuple[Session, Session]) -> None:
+    """Two nodes in namespaces run a ramp each; while one turns the other rests, and each tells its own rig's angle."""
+    for turning, resting in (pair, pair[::-1]):
+        begins_at, heard = resting.states[-1].position[0], len(resting.states)
+        turn(turning)
+        assert not resting.pty.emulated.board.stage_on
+        resting.until(partial(resting.heard, heard + 10))
+        assert {state.position[0] for state in resting.states[heard:]} == {begins_at}
+    for session in pair:
+        count = math.tau / session.pty.emulated.rig.counts_per_revolution
+        assert session.states[-1].position[0] == pytest.approx(session.pty.emulated.plant.angle, abs=count)
+        assert all(b > a and (b - a) % 20_000_000 == 0 for a, b in pairwise(session.stamps))
 
 
 def test_ramp_runs_and_stops_by_service(session: Session) -> None:
@@ -110,9 +168,7 @@ def test_ramp_runs_and_stops_by_service(session: Session) -> None:
     answer = session.call("stop")
     assert answer.success
     session.until(lambda: not session.pty.emulated.board.stage_on)
-    stamps = [s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in session.states]
-    steps = {b - a for a, b in pairwise(stamps)}
-    assert all(step % 20_000_000 == 0 for step in steps)
+    assert all((b - a) % 20_000_000 == 0 for a, b in pairwise(session.stamps))
     assert all(len(s.position) == len(s.velocity) == len(s.effort) == 1 for s in session.states)
 
 
@@ -129,7 +185,7 @@ def test_fault_stands_on_diagnostics_until_cleared(session: Session) -> None:
 
 def test_parameters_that_are_no_torque_are_refused_in_one_line(session: Session) -> None:
     """NaN, infinity and a text as slope or end torque are refused by parameter or by service; the node lives on."""
-    setter = session.node.create_client(SetParameters, "friction_bench/set_parameters")
+    setter = session.node.create_client(SetParameters, f"{session.name}/set_parameters")
     session.until(setter.service_is_ready)
     for value in (
         ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=float("nan")),

@@ -11,6 +11,15 @@ from pathlib import Path
 from rx90_common import compiled
 
 
+def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program that finds modules, and has its cache, in the folder."""
+    path = os.pathsep.join([str(folder), str(Path(compiled.__file__).resolve().parent.parent)])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path}
+    return subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120, check=True
+    )
+
+
 def test_every_room_with_a_kernel_decides_on_the_cache() -> None:
     """A change in any file that defines a kernel, or is called by one, gives another cache folder."""
     root = Path(compiled.__file__).resolve().parent.parent
@@ -23,6 +32,18 @@ def test_every_room_with_a_kernel_decides_on_the_cache() -> None:
     assert rooms - {"test", "benchmarks"} <= set(compiled._ROOMS)
 
 
+def test_compilation_at_import_is_announced_too(tmp_path: Path) -> None:
+    """The codec's functions, compiled when it is imported, are announced, and are in the cache for the next start."""
+    program = (
+        "from rx90_common.announcement import announce_compilation\n"
+        "announce_compilation('program')\n"
+        "import rx90_exchange.frame, rx90_exchange.arrivals\n"
+    )
+    said = [run(program, tmp_path).stderr for _ in range(2)]
+    assert re.fullmatch(r"program: compiling the numerical kernels, .*\n", said[0])
+    assert said[1] == ""
+
+
 def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) -> None:
     """A program says once that it compiles, whatever else is in the cache; with its kernels there, nothing."""
     kernels = "from rx90_common.compiled import kernel\n\n" + "".join(
@@ -32,19 +53,15 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) 
     # The codec's own functions are compiled, and in the cache, when it is imported.
     program = (
         "import rx90_exchange.joint_state_cdr\n"
-        "from rx90_common.compiled import announce_compilation\n"
+        "from rx90_common.announcement import announce_compilation\n"
         "announce_compilation('program')\n"
         "import their_kernels\n"
         "print(their_kernels.first(1.0), their_kernels.second(1.0))\n"
     )
-    path = os.pathsep.join([str(tmp_path), str(Path(compiled.__file__).resolve().parent.parent)])
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
     said = []
     for _ in range(2):
-        run = subprocess.run(
-            [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120, check=True
-        )
-        assert run.stdout == "2.0 2.0\n"
-        said.append(run.stderr)
+        done = run(program, tmp_path)
+        assert done.stdout == "2.0 2.0\n"
+        said.append(done.stderr)
     assert re.fullmatch(r"program: compiling the numerical kernels, .*\n", said[0])
     assert said[1] == ""

@@ -43,7 +43,8 @@ def test_a_full_disk_is_one_line(name: str) -> None:
             [executable(name), *TOOLS[name]], stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
         )
     assert done.returncode == 1
-    assert done.stderr == f"{name}: standard output cannot be written: No space left on device\n"
+    said = [line for line in done.stderr.splitlines() if "compiling" not in line]
+    assert said == [f"{name}: standard output cannot be written: No space left on device"]
 
 
 @pytest.mark.parametrize("name", TOOLS)

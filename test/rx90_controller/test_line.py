@@ -14,7 +14,8 @@ from rx90_common.share import config_path
 from rx90_controller.line import LinePlan, approach_time, plan_line
 from rx90_controller.line_task import LineTask, load_task
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_description.inverse import BRANCHES, Branch, SphericalWristArm
+from rx90_description.branch import BRANCHES, Branch
+from rx90_description.inverse import SphericalWristArm
 from rx90_description.kinematics import forward, jacobian, path_error
 from rx90_description.robot import RobotModel, load_robot
 from rx90_loop.setup import Setup, SetupFiles

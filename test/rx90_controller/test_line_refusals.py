@@ -16,7 +16,7 @@ from rx90_common.errors import ConfigError, LineError, Rx90Error
 from rx90_common.share import config_path
 from rx90_controller.line import approach_time, plan_line
 from rx90_controller.line_task import LineTask, load_task
-from rx90_description.inverse import Branch
+from rx90_description.branch import Branch
 from rx90_description.kinematics import forward
 from rx90_loop.setup import Setup
 

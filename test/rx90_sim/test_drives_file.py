@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from refusals import refusal_by
 
 from rx90_common.errors import ConfigError
 from rx90_description.drives import DriveParameters, load_drives
@@ -41,13 +42,7 @@ WRONG = [-1.5, math.nan, math.inf, "strong", None, True]
 
 def refusal(path: Path) -> str:
     """Return the one line with which the file is refused."""
-    with pytest.raises(ConfigError) as caught:
-        load_drives(path)
-    text = str(caught.value)
-    assert "\n" not in text
-    assert text.startswith(f"{path}: ")
-    assert "accepted: " in text
-    return text
+    return refusal_by(load_drives, path)
 
 
 def test_these_are_all_keys(shipped_files: SetupFiles) -> None:
