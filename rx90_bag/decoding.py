@@ -90,17 +90,24 @@ class SeriesBuilder:
         self._deserialize = deserialize
         self._cdr = cdr
         self._pending: list[bytes] = []
+        self._times: list[int] = []
         self._layouts: list[_Layout] = []
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
 
-    def add(self, message: bytes) -> None:
+    def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
+
+        Args:
+            message: as the bag holds it.
+            stamp_ns: time to take for its stamp; None in all messages for those in their headers.
 
         Raises:
             BagError: if a message is no JointState with names and arrays of equal length or none.
         """
         self._pending.append(message)
+        if stamp_ns is not None:
+            self._times.append(stamp_ns)
         if len(self._pending) == _BLOCK:
             self._decode_pending()
 
@@ -132,7 +139,9 @@ class SeriesBuilder:
                 index.append(rows.index)
                 stamps.append(rows.stamp_ns)
                 values.append(rows.values[:, :, order])
-        order_of_bag = np.argsort(np.concatenate(index))
+        place = np.concatenate(index)
+        order_of_bag = np.argsort(place)
+        stamp = np.array(self._times, dtype=np.int64)[place] if self._times else np.concatenate(stamps)
         data = np.concatenate(values)[order_of_bag]
         columns = iter(range(sum(present)))
         fields = {
@@ -140,7 +149,7 @@ class SeriesBuilder:
             for field, there in zip(FIELDS, present, strict=True)
             if there
         }
-        return JointSeries(self._topic, names, np.concatenate(stamps)[order_of_bag], **fields)
+        return JointSeries(self._topic, names, stamp[order_of_bag], **fields)
 
     def _decode_pending(self) -> None:
         messages, self._pending = self._pending, []

@@ -19,36 +19,45 @@ from rx90_common.errors import BagError
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_joint_series", "read_joint_states"]
 
 
-def read_joint_states(path: Path | str, topic: str, names: Sequence[str] | None = None) -> JointSeries:
+def read_joint_states(
+    path: Path | str, topic: str, names: Sequence[str] | None = None, *, record_time: bool = False
+) -> JointSeries:
     """Read one JointState topic of a bag.
 
     Args:
         path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
         topic: topic name; the leading slash may be left out.
         names: joints wanted, in the order wanted; by default all, as the first message has them.
+        record_time: take the times at which messages were recorded for their stamps.
 
     Raises:
         BagError: if the bag cannot be read, has no such JointState topic, no messages in it, or no such
             joint; or if the topic carries several sets of joints and `names` does not pick from one of them.
     """
-    found = read_joint_series(path, [topic])[absolute(topic)]
+    found = read_joint_series(path, [topic], record_time=record_time)[absolute(topic)]
     if not found:
         raise BagError(f"{path}: no messages in {absolute(topic)}")
     if names is not None:
         fitting = [series for series in found if set(names) <= set(series.names)]
-        return (fitting or found)[0].select(names)
+        try:
+            return (fitting or found)[0].select(names)
+        except BagError as error:
+            raise BagError(f"{path}: {error}") from error
     if len(found) > 1:
         sets = "; ".join(", ".join(series.names) for series in found)
         raise BagError(f"{path}: {absolute(topic)} carries several sets of joints: {sets}; say which joints")
     return found[0]
 
 
-def read_joint_series(path: Path | str, topics: Sequence[str] | None = None) -> dict[str, list[JointSeries]]:
+def read_joint_series(
+    path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
+) -> dict[str, list[JointSeries]]:
     """Read JointState topics of a bag in one pass.
 
     Args:
         path: as `read_joint_states`.
         topics: topic names; by default all JointState topics of the bag.
+        record_time: as `read_joint_states`.
 
     Returns:
         By absolute topic name one series for each set of joints that the topic carries, in the order of their
@@ -65,8 +74,8 @@ def read_joint_series(path: Path | str, topics: Sequence[str] | None = None) -> 
             for topic in wanted.values()
         }
         try:
-            for topic, _, data in bag.messages(list(wanted.values())):
-                builders[topic].add(data)
+            for topic, log_ns, data in bag.messages(list(wanted.values())):
+                builders[topic].add(data, log_ns if record_time else None)
             return {topic.name: builder.build() for topic, builder in builders.items()}
         except BagError as error:
             text = str(error)

@@ -35,6 +35,25 @@ def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
+def terminations_as_interrupts() -> Iterator[None]:
+    """Let SIGTERM, and SIGHUP of a terminal that closes, end the block as Ctrl-C does, with all that is cleaned up.
+
+    Outside the main thread, where Python takes no signals, nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, _raise_where_heard)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
 def interrupts_later() -> Iterator[Callable[[], None]]:
     """Hold Ctrl-C back within the block, and raise it where the yielded function is called, or at the block's end.
 

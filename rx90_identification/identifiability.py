@@ -60,11 +60,7 @@ def element_estimate(
         unknown = dict.fromkeys(SLIDING, Estimate.unknown(lacking))
         return ElementEstimate(names[element], unknown, np.full((len(SLIDING),) * 2, np.nan), sources)
     values = stribeck.natural(solution.parameters[element])
-    transform = stribeck.natural_jacobian(solution.parameters[element])
-    covariance = transform @ _block(solution, element) @ transform.T * _few(rows, solution, free, element) ** 2
-    covariance *= float(solution.shared[rows.gain[:, element] != 0.0].mean())
-    # Independent for each parameter, so that no correlation changes its sign.
-    covariance += np.diag((_SYSTEMATIC * np.array([values[name] for name in SLIDING])) ** 2)
+    covariance = natural_covariance(rows, solution, free, element)
     deviations = np.sqrt(np.diag(covariance))
     estimates = {}
     for k, name in enumerate(SLIDING):
@@ -73,6 +69,16 @@ def element_estimate(
     known = np.array([estimates[name].identifiable for name in SLIDING])
     scale = np.where(known & (deviations > 0.0), deviations, np.nan)
     return ElementEstimate(names[element], estimates, covariance / np.outer(scale, scale), sources)
+
+
+def natural_covariance(rows: SlidingRows, solution: Solution, free: Mask, element: int) -> Array:
+    """Return the covariance of an element's parameters in the order of SLIDING, shape (7, 7)."""
+    transform = stribeck.natural_jacobian(solution.parameters[element])
+    covariance = transform @ _block(solution, element) @ transform.T * _few(rows, solution, free, element) ** 2
+    covariance *= float(solution.shared[rows.gain[:, element] != 0.0].mean())
+    values = stribeck.natural(solution.parameters[element])
+    # Independent for each parameter, so that no correlation changes its sign.
+    return np.asarray(covariance + np.diag((_SYSTEMATIC * np.array([values[name] for name in SLIDING])) ** 2))
 
 
 def _block(solution: Solution, element: int) -> Array:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from rx90_identification.errors import IdentificationError
-from rx90_identification.estimate import PARAMETERS, ElementEstimate, Estimate, Source
+from rx90_identification.estimate import PARAMETERS, PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_identification.presliding import PreslidingFit, identify_presliding
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
@@ -67,7 +69,7 @@ def identify(
 
     Args:
         sliding: sweeps at constant velocity.
-        presliding: micro-oscillations.
+        presliding: micro-oscillations; without any, c0 and c1 are not told.
         arm: rigid-body model.
         fallback: elements whose values stand in for what the data do not tell, and whose omega_d is taken over; None
             to refuse such data.
@@ -82,7 +84,7 @@ def identify(
     # Not yet known parameters are irrelevant for the sliding part of an element.
     known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE)[0] for e, est in enumerate(slid.estimates)]
     step("presliding regime")
-    bent = identify_presliding(presliding, arm, known, torque_delay)
+    bent = identify_presliding(presliding, arm, known, torque_delay) if presliding else _not_bent(arm)
     elements = []
     for e, (first, second) in enumerate(zip(slid.estimates, bent.estimates, strict=True)):
         element, assumed = _merged(first, second, _standing(fallback, e), {})
@@ -90,6 +92,12 @@ def identify(
         sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
         elements.append(IdentifiedElement(element, estimates, sources, assumed))
     return Identification(arm, tuple(elements), slid, bent)
+
+
+def _not_bent(arm: RigidArm) -> PreslidingFit:
+    unknown = dict.fromkeys(PRESLIDING, Estimate.unknown("no bag with micro-oscillations was given"))
+    nothing = np.full((len(PRESLIDING), len(PRESLIDING)), np.nan)
+    return PreslidingFit(tuple(ElementEstimate(name, unknown, nothing, ()) for name in arm.element_names), (), 0)
 
 
 def _standing(fallback: Sequence[LuGreElement] | None, index: int) -> LuGreElement | None:

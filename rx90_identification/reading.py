@@ -46,9 +46,10 @@ class BagLayout:
             values: motor position = turns @ joint position, joint torque = turns^T @ motor torque. None where
             they hold joint-side values.
         torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
+        record_time: whether the times of recording are taken for the stamps.
 
     Raises:
-        IdentificationError: if a size does not fit or `turns` is not invertible.
+        IdentificationError: if a size does not fit, a name stands twice or `turns` is not invertible.
     """
 
     topic: str
@@ -56,17 +57,21 @@ class BagLayout:
     names: tuple[str, ...]
     turns: Array | None = None
     torque_constant: Array | None = None
+    record_time: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.names)
         if len(self.messages) != n or n == 0:
             raise IdentificationError(f"{len(self.messages)} names in the messages for {n} joints; accepted: one each")
+        twice = [name for name in self.messages if self.messages.count(name) > 1]
+        if twice:
+            raise IdentificationError(f"name {twice[0]!r} in the messages for two joints; accepted: each name once")
         for field, shape in (("turns", (n, n)), ("torque_constant", (n,))):
             values = getattr(self, field)
             if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
                 raise IdentificationError(f"{field} has shape {np.shape(values)}; accepted: finite numbers, {shape}")
         if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
-            raise IdentificationError(f"turns is {self.turns.tolist()}; accepted: an invertible matrix")
+            raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
 
     @classmethod
     def joint_side(cls, topic: str, names: Sequence[str], torque_constant: Array | None = None) -> BagLayout:
@@ -129,7 +134,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
         IdentificationError: if positions or efforts are missing, or time stamps go back.
     """
     path = Path(path)
-    series = read_joint_states(path, layout.topic, layout.messages)
+    series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
     position, effort = _wanted(path, series, "position"), _wanted(path, series, "effort")
     kept = _good_rows(path, series, position, effort)
     time = series.stamp_ns[kept] / 1e9
@@ -176,12 +181,17 @@ def _wanted(path: Path, series: JointSeries, field: str) -> Array:
 def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) -> NDArray[np.intp]:
     """Return the rows without NaN, spike or repeated stamp; refuse stamps that go back."""
     steps = np.diff(series.stamp_ns)
+    if len(steps) and not steps.any():
+        raise IdentificationError(
+            f"{path}: {series.topic}: every stamp is {series.stamp_ns[0] / 1e9:.9f} s; accepted: increasing stamps, or "
+            "--record-time"
+        )
     back = np.flatnonzero(steps < 0)
     if len(back):
         k = int(back[0])
         raise IdentificationError(
             f"{path}: {series.topic}: the stamp goes back from {series.stamp_ns[k] / 1e9:.9f} s "
-            f"to {series.stamp_ns[k + 1] / 1e9:.9f} s; accepted: increasing stamps"
+            f"to {series.stamp_ns[k + 1] / 1e9:.9f} s; accepted: increasing stamps, or --record-time"
         )
     good = np.append(True, steps > 0)
     for values in (position, effort, series.velocity):

@@ -2,24 +2,44 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from rx90_identification.estimate import PARAMETERS, Source
+from rx90_identification.estimate import PARAMETERS
 from rx90_identification.identify import Identification
-from rx90_identification.plots import correlation_plot, curves_plot, hysteresis_plot, validation_plot
+from rx90_identification.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
+from rx90_identification.record import JointRecord
 from rx90_identification.validation import Validation
+from rx90_identification.wording import value_and_deviation
 
 _UNITS = dict(zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True))
 
 
-def report_page(result: Identification, checks: Sequence[Validation], friction_file: str) -> str:
-    """Return the page's text."""
+def report_page(
+    result: Identification,
+    checks: Sequence[Validation],
+    friction_file: str,
+    used: Sequence[tuple[str, JointRecord]],
+    fallback_name: str | None,
+    now: datetime | None = None,
+) -> str:
+    """Return the page's text.
+
+    Args:
+        result: what was identified.
+        checks: against bags that were not used.
+        friction_file: its name.
+        used: each record with what it was used for.
+        fallback_name: file of the values that the data do not tell.
+        now: date of the identification; by default the present.
+    """
     environment = Environment(
         loader=PackageLoader("rx90_identification"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    sources = dict.fromkeys(bag for one in result.elements for bags in one.sources.values() for bag in bags)
     named = list(zip(result.arm.element_names, result.elements, strict=True))
     untold = [
         (name, parameter, estimate.reason, getattr(one.element, parameter))
@@ -31,17 +51,18 @@ def report_page(result: Identification, checks: Sequence[Validation], friction_f
         elements=named,
         parameters=PARAMETERS,
         units=_UNITS,
+        text=value_and_deviation,
         untold=untold,
-        checks=[(check, validation_plot(check)) for check in checks],
+        fallback=fallback_name,
+        fading=[(name, one.element.omega_d) for name, one in named if math.isfinite(one.element.omega_d)],
+        shared=result.arm.element_names[len(result.arm.names) :],
+        checks=[(check, Path(check.source).name, validation_plot(check)) for check in checks],
         friction_file=friction_file,
-        sources=[(str(bag.path), _short(bag)) for bag in sources],
+        date=(now or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC"),
+        used=used,
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,
-        curves=curves_plot(result),
+        curves=curve_plots(result),
         loops=[hysteresis_plot(loop) for loop in result.presliding.loops],
-        correlation=correlation_plot(result),
+        correlations=correlation_plots(result),
     )
-
-
-def _short(bag: Source) -> str:
-    return bag.sha256[:16]

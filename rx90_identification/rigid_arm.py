@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_description.wrist import coupled_inertia
 from rx90_identification.errors import IdentificationError
+from rx90_identification.foreign_urdf import joint_model
 from rx90_loop.setup import Setup
 from rx90_sim.friction.friction_set import element_names
 
@@ -63,8 +64,7 @@ class RigidArm:
 
         Args:
             urdf: the robot's description.
-            joints: n joints from base to tip, each of one degree of freedom; the others are held at zero. By
-                default all movable joints.
+            joints: n turning joints from base to tip; the others are held at zero. By default all movable joints.
             coupling: motor turns per joint turn without the gears, shape (n, n): motor velocity = gear *
                 (coupling @ joint velocity). A motor that turns with several joints has a friction element of
                 its own. By default each motor turns with its joint.
@@ -72,18 +72,18 @@ class RigidArm:
             spring: as the attribute; by default none.
 
         Raises:
-            IdentificationError: for a URDF that cannot be read, an unknown joint or a wrong shape.
+            IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
-        model = _model(urdf, joints)
+        model = joint_model(urdf, joints)
         names = tuple(str(name) for name in model.names)[1:]
         n = len(names)
         turns = _shaped("coupling", np.eye(n) if coupling is None else coupling, (n, n))
         inertia = _shaped("rotor_inertia", np.zeros(n) if rotor_inertia is None else rotor_inertia, (n,))
         amplitude = _shaped("spring", np.zeros(n) if spring is None else spring, (n,))
         if abs(np.linalg.det(turns)) < 1e-9:
-            raise IdentificationError(f"coupling is {turns.tolist()}; accepted: an invertible matrix")
+            raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
         together = [row for row in turns if np.count_nonzero(row) > 1]
-        labels = ["+".join(name for name, share in zip(names, row, strict=True) if share) for row in together]
+        labels = [_label(names, row) for row in together]
         matrix = np.vstack([np.eye(n), *together])
         return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude)
 
@@ -132,29 +132,14 @@ class RigidArm:
         return np.array([pin.integrate(self.model, neutral, row) for row in position])
 
 
-def _model(urdf: Path, joints: Sequence[str] | None) -> Any:
-    try:
-        model = pin.buildModelFromXML(urdf.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error
-    there = [str(name) for name in model.names][1:]
-    wanted = there if joints is None else list(joints)
-    for name in wanted:
-        if name not in there:
-            raise IdentificationError(f"{urdf}: no movable joint {name!r}; there are {', '.join(there) or 'none'}")
-    in_order = [name for name in there if name in wanted]
-    if wanted != in_order:
-        raise IdentificationError(
-            f"{urdf}: joints {', '.join(wanted)}; accepted: from base to tip, {', '.join(in_order)}"
-        )
-    held = [model.getJointId(name) for name in there if name not in wanted]
-    reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
-    if reduced.nv != len(wanted) or not wanted:
-        raise IdentificationError(
-            f"{urdf}: {reduced.nv} degrees of freedom in {len(wanted)} joints; accepted: one each"
-        )
-    return reduced
+def _label(names: Sequence[str], row: Array) -> str:
+    """Return how an element's velocity is made of the joints', such as joint_5+joint_6: no two have the same."""
+    parts: list[str] = []
+    for name, share in zip(names, row.tolist(), strict=True):
+        if share:
+            sign = "-" if share < 0.0 else "+" if parts else ""
+            parts.append(f"{sign}{'' if abs(share) == 1.0 else f'{abs(share):g}*'}{name}")
+    return "".join(parts)
 
 
 def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rx90_identification import stribeck
 from rx90_identification.errors import IdentificationError
 from rx90_identification.estimate import ElementEstimate, Source
-from rx90_identification.identifiability import element_estimate, without_stribeck
+from rx90_identification.identifiability import element_estimate, natural_covariance, without_stribeck
 from rx90_identification.plateaus import Blocks, find_blocks
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 LEAST_SPEEDS = 5
 """Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
 _SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
+_LINE_POINTS = 100
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
 
@@ -36,6 +37,8 @@ class CurvePoints:
         deviation: its standard deviation by the noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
         source: number of the record, shape (p,).
+        line: the identified curve over the speeds that there are, in either direction: velocity, torque and the
+            torque's standard deviation by that of the parameters, shape (3, k).
     """
 
     velocity: Array
@@ -43,6 +46,7 @@ class CurvePoints:
     deviation: Array
     fitted: Array
     source: NDArray[np.int64]
+    line: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         element_estimate(rows, solution, free, arm.element_names, e, sources, lacking.get(name))
         for e, name in enumerate(arm.element_names)
     )
-    curves = tuple(_curve(rows, solution, e) for e in range(len(arm.element_names)))
+    curves = tuple(_curve(rows, solution, free, e) for e in range(len(arm.element_names)))
     return SlidingFit(estimates, curves, rows.directions @ solution.nuisance, len(np.unique(rows.plateau)))
 
 
@@ -140,7 +144,7 @@ def _speeds(speed: Array) -> int:
     return count
 
 
-def _curve(rows: SlidingRows, solution: Solution, element: int) -> CurvePoints:
+def _curve(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int) -> CurvePoints:
     """Take everything but one element off the equations, plateau by plateau."""
     gain = rows.gain[:, element]
     mine = np.flatnonzero(gain)
@@ -157,4 +161,21 @@ def _curve(rows: SlidingRows, solution: Solution, element: int) -> CurvePoints:
         deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
         source=source,
+        line=_line(rows, solution, free, element, velocity),
     )
+
+
+def _line(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int, measured: Array) -> Array:
+    """Return velocity, torque and deviation of the identified curve, shape (3, k)."""
+    if len(measured) == 0:
+        return np.zeros((3, 0))
+    parts = [sign * measured[sign * measured > 0.0] for sign in (-1.0, 1.0)]
+    grids = [np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for speed in parts if len(speed)]
+    velocity = np.sort(np.concatenate([sign * grid for sign, grid in zip((-1.0, 1.0), grids, strict=True)]))
+    parameters = solution.parameters[element]
+    covariance = natural_covariance(rows, solution, free, element)
+    slope = np.linalg.solve(
+        stribeck.natural_jacobian(parameters).T, stribeck.jacobian(velocity, parameters).T
+    ).T  # by the parameters in SLIDING
+    deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, covariance, slope))
+    return np.stack([velocity, stribeck.torque(velocity, parameters), deviation])

@@ -2,27 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rx90_identification.estimate import PARAMETERS
 from rx90_identification.identify import Identification
 from rx90_identification.validation import Validation
+from rx90_identification.wording import value_and_deviation
 
 
 def summary(result: Identification, checks: Sequence[Validation]) -> str:
     """Return values with standard deviations, what the bags do not tell, and the verdicts."""
-    lines = [f"{'element':<10}" + "".join(f"{name:>22}" for name in PARAMETERS)]
-    untold = []
+    width = max(10, *(len(name) + 1 for name in result.arm.element_names))
+    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in PARAMETERS)]
+    untold: dict[str, dict[str, list[str]]] = {}
     for name, one in zip(result.arm.element_names, result.elements, strict=True):
         cells = []
         for parameter in PARAMETERS:
             estimate = one.estimates[parameter]
-            told = f"{estimate.value:.4g} +- {estimate.deviation:.2g}" if estimate.identifiable else "not told"
+            told = " +- ".join(value_and_deviation(estimate)) if estimate.identifiable else "not told"
             cells.append(f"{told:>22}")
             if not estimate.identifiable:
-                untold.append(f"not told: {parameter} of {name}: {estimate.reason}")
-        lines.append(f"{name:<10}" + "".join(cells))
-    return "\n".join([*lines, *untold, *(_verdict(check) for check in checks)])
+                untold.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
+        lines.append(f"{name:<{width}}" + "".join(cells))
+    reasons = [f"not told: {_which(names)}: {reason}" for reason, names in untold.items()]
+    return "\n".join([*lines, *reasons, *(_verdict(check) for check in checks)])
+
+
+def _which(untold: Mapping[str, Sequence[str]]) -> str:
+    """Return parameters with the elements that lack them, elements that lack the same ones together."""
+    together: dict[str, list[str]] = {}
+    for name, parameters in untold.items():
+        together.setdefault(", ".join(parameters), []).append(name)
+    return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
 
 
 def _verdict(check: Validation) -> str:

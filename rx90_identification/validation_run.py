@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from rx90_bag.reading import BagReader, read_joint_states
 from rx90_bag.topics import absolute
 from rx90_identification.identify import Identification
-from rx90_identification.reading import read_record
+from rx90_identification.record import JointRecord
 from rx90_identification.robot_options import Robot
 from rx90_identification.validation import Tolerances, Validation, predict_torque, tip_difference
 
 _REFERENCE = "rx90_controller/reference"
 
 
-def validate(result: Identification, robot: Robot, bag: Path, tolerances: Tolerances) -> Validation:
-    """Return the cross-check on a bag; the tip only for this project's robot, where the set-points are in the bag.
+def validate(result: Identification, robot: Robot, record: JointRecord, tolerances: Tolerances) -> Validation:
+    """Return the cross-check on a bag's record.
+
+    The tip is only that of this project's robot, where the set-points are in the bag.
 
     Raises:
         Rx90Error: if the bag cannot be read or used.
     """
-    record = read_record(bag, robot.layout(bag, fast=False))
+    bag = record.source
     time, recorded, predicted, compared = predict_torque(result, record)
     tip_time, distance = np.zeros(0), np.zeros(0)
     if robot.setup is not None:

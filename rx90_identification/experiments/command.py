@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tqdm import tqdm
 
 from rx90_common.compiled import announce_compilation
 from rx90_common.errors import ExchangeError, Rx90Error
+from rx90_common.interrupts import terminations_as_interrupts
 from rx90_common.share import resolve_config
 from rx90_identification.experiments.engine import run_on_engine
 from rx90_identification.experiments.folder import make_folder, write_index
@@ -118,13 +120,22 @@ def _run(options: argparse.Namespace) -> None:
     if options.verb == "plan":
         return
     make_folder(options.output)
+    try:
+        _record(plan, setup, options)
+    finally:
+        # Where no bag came about, the folder would refuse the next attempt.
+        with suppress(OSError):
+            options.output.rmdir()
+    print(f"bags: {options.output}")
+
+
+def _record(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
     if options.engine:
         for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
             run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
             write_index(options.output, plan[: number + 1])
     else:
         _run_on_nodes(plan, setup, options)
-    print(f"bags: {options.output}")
 
 
 def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
@@ -143,7 +154,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run `rx90_experiment` and return its exit status."""
     options = _parser().parse_args(args)
     try:
-        _run(options)
+        with terminations_as_interrupts():
+            _run(options)
     except KeyboardInterrupt:
         # A bar that was drawn ends without a line's end.
         print(f"{os.linesep}rx90_experiment: interrupted; complete bags stay", file=sys.stderr)

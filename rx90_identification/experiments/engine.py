@@ -7,7 +7,7 @@ from pathlib import Path
 from rx90_bag.topics import absolute
 from rx90_bag.writing import string_message, write_joint_states
 from rx90_identification.experiments.folder import TOPICS
-from rx90_identification.experiments.plan import Experiment, Kind
+from rx90_identification.experiments.plan import Experiment
 from rx90_loop.closed_loop import simulate
 from rx90_loop.run_bag import run_series
 from rx90_loop.setup import Setup
@@ -27,7 +27,7 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str 
         experiment.points,
         experiment.points.position[0],
         experiment.duration + _SETTLING,
-        record_fast=experiment.kind is Kind.PRESLIDING,
+        record_fast="motor_states" in TOPICS[experiment.kind],
     )
     wanted = [absolute(topic) for topic in TOPICS[experiment.kind]]
     series = [one for one in run_series(result) if one.topic in wanted]

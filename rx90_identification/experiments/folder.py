@@ -17,9 +17,12 @@ INDEX = "experiments.yaml"
 TOPICS = {
     Kind.SLIDING: ("joint_states", "robot_description"),
     Kind.PRESLIDING: ("motor_states", "robot_description"),
-    Kind.VALIDATION: ("joint_states", "rx90_controller/reference", "robot_description"),
+    Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
 }
-"""What is recorded: the presliding regime needs the base rate, the others do not, and bags stay small."""
+"""What is recorded: the sweeps do not need the base rate, and bags stay small.
+
+The validation does: each period of the set-points begins with a jump of torque that grows with the acceleration, and
+samples in step with it show that alone."""
 
 
 @dataclass(frozen=True)

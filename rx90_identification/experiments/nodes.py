@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import signal
 import sys
 import time
@@ -35,6 +36,7 @@ from rx90_identification.experiments.plan import Experiment
 Array = NDArray[np.float64]
 
 _POLL = 0.05  # s
+_ATTEMPTS = 3  # of an experiment whose recorder loses messages
 _PATIENCE = 5.0  # s of the controller's time, for a trajectory to begin and beyond its end
 _AT_REST = 1e-6  # rad
 _START_TOLERANCE = 5e-4  # rad, from where the arm is to the start of a trajectory
@@ -61,7 +63,7 @@ class ExperimentRunner:
 
         Raises:
             ExchangeError: if a node does not show up, time stands still, or the controller refuses a trajectory.
-            ProcessError: if the recorder loses a message or ends early.
+            ProcessError: if the recorder loses messages again and again, or ends early.
         """
         with interrupts_later() as check_interrupt:
             rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
@@ -90,8 +92,8 @@ class ExperimentRunner:
     def _run(self, plan: Sequence[Experiment], folder: Path, say: Callable[[str], None]) -> None:
         # The context of a constructor's node ends with it; a recorder that still runs is ended in order.
         with ProcessGroup(folder, grace=20.0) as recorders:
-            self._wait(lambda: self._publisher.get_subscription_count() > 0, "a controller that takes trajectories")
-            self._wait(lambda: self._reference is not None, "the controller's reference")
+            self._wait(lambda: self._publisher.get_subscription_count() > 0, "controller that takes trajectories")
+            self._wait(lambda: self._reference is not None, "set-points of the controller")
             self._approach(plan[0].points.position[0], say)
             total = sum(experiment.duration for experiment in plan)
             layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
@@ -113,6 +115,20 @@ class ExperimentRunner:
         self._follow(motion.points(self._robot.joint_names), lambda _: None)
 
     def _record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]) -> None:
+        for attempt in range(1, _ATTEMPTS + 1):
+            code, log = self._record_once(experiment, folder, recorders, bar)
+            if code == 0:
+                return
+            if attempt < _ATTEMPTS:
+                # A machine that was busy for a moment; experiments end where they begin, so this one can begin again.
+                bar.write(f"{experiment.name}: the recorder ended with exit code {code}; again", file=sys.stderr)
+                shutil.rmtree(folder / experiment.name, ignore_errors=True)
+        raise ExchangeError(f"the recorder of {experiment.name} ended with exit code {code} (see {log})")
+
+    def _record_once(
+        self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]
+    ) -> tuple[int, Path]:
+        """Return the recorder's exit code, 1 where messages were lost, and its log."""
         recorder = recorders.start(
             experiment.name, "rx90_bag.command", "record", "--output", str(folder / experiment.name),
             *TOPICS[experiment.kind],
@@ -122,9 +138,8 @@ class ExperimentRunner:
         self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))
         recorder.signal(signal.SIGINT)
         code = recorder.wait(self._timeout)
-        if code != 0:
-            raise ExchangeError(f"the recorder of {experiment.name} ended with exit code {code} (see {recorder.log})")
-        bar.update(done + experiment.duration - bar.n)
+        bar.update(done + (experiment.duration if code == 0 else 0.0) - bar.n)
+        return code, recorder.log
 
     def _follow(self, points: TrajectoryPoints, show: Callable[[float], object]) -> None:
         """Send a trajectory and wait until the controller's set-points are at its end."""
@@ -155,7 +170,7 @@ class ExperimentRunner:
         deadline = time.monotonic() + self._timeout
         while not ready():
             if time.monotonic() > deadline:
-                raise ExchangeError(f"found no {what.removeprefix('a ')} within {self._timeout:g} s")
+                raise ExchangeError(f"found no {what} within {self._timeout:g} s")
             self._spin()
 
     def _spin(self) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from rx90_identification import command as identify_command
+from rx90_identification.experiments import command as experiment_command
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
 from rx90_loop.setup import Setup
@@ -42,3 +47,23 @@ def sweeps(shipped: Setup) -> Sweeps:
         return measured(shipped, motion, torque, rng, noise or Noise()), friction
 
     return make
+
+
+@pytest.fixture(scope="session")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the bags of a short series for joint 4 on the engine."""
+    folder = tmp_path_factory.mktemp("engine") / "series"
+    assert experiment_command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def identified(series: Path) -> tuple[Path, str]:
+    """Return the friction file of the short series, its report beside it, and what the command printed."""
+    output = series.parent / "friction.yaml"
+    said = io.StringIO()
+    with redirect_stdout(said):
+        code = identify_command.main([str(series), "--output", str(output)])
+    # One joint's sweeps correct the weights of one joint, so this series need not be confirmed for the others.
+    assert code in {identify_command.CONFIRMED, identify_command.NOT_CONFIRMED}
+    return output, said.getvalue()

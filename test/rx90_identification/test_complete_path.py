@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import Processes
+from processes import Processes, wait_until
 
+from rx90_bag.reading import read_joint_states
 from rx90_identification import command as identify_command
-from rx90_identification.experiments import command as experiment_command
 from rx90_identification.experiments.engine import run_on_engine
 from rx90_identification.experiments.folder import read_index
 from rx90_identification.experiments.motion import Motion
@@ -20,23 +23,10 @@ from rx90_loop.setup import Setup
 from rx90_sim.friction import FrictionSet, load_friction
 
 
-@pytest.fixture(scope="module")
-def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the bags of a short series for joint 4 on the engine."""
-    folder = tmp_path_factory.mktemp("engine") / "series"
-    assert experiment_command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
-    return folder
-
-
-def test_bags_become_a_friction_file_that_loads(
-    series: Path, shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bags_become_a_friction_file_that_loads(identified: tuple[Path, str], shipped: Setup) -> None:
     """From bags comes a file that the simulation loads, a report, and a verdict on the bag that was not used."""
-    output = tmp_path / "friction.yaml"
-    code = identify_command.main([str(series), "--output", str(output)])
-    # One joint's sweeps correct the weights of one joint, so this series need not be confirmed for the others.
-    assert code in {identify_command.CONFIRMED, identify_command.NOT_CONFIRMED}, capsys.readouterr()
-    assert "validation " in capsys.readouterr().out
+    output, said = identified
+    assert "validation " in said
     found = load_friction(output, shipped.robot.joint_names).elements[3]
     truth = shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.1
@@ -69,8 +59,10 @@ def test_a_bag_is_not_validated_by_itself(series: Path, tmp_path: Path, capsys: 
     assert "also used for the identification" in capsys.readouterr().err
 
 
-def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(shipped: Setup, tmp_path: Path) -> None:
-    """Friction that the fit has not seen is identified for the wrist, and a motion that was not used confirms it."""
+def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(
+    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A motion that was not used confirms friction that the fit found, and one of another robot refutes it."""
     fourth = replace(shipped.friction.elements[3], tau_c_positive=7.0, tau_c_negative=5.5, c2=2.6, c0=1.3e4)
     friction = FrictionSet(
         shipped.friction.names, (*shipped.friction.elements[:3], fourth, *shipped.friction.elements[4:])
@@ -80,14 +72,14 @@ def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(shipped: Setup, tmp_
     sliding, presliding, _ = make_plan(truth.robot, truth.drives, options)
     for experiment in (sliding, presliding, fresh_motion(truth)):
         run_on_engine(truth, experiment, tmp_path / experiment.name)
-    bags = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
-    arguments = [*bags, "--validation", tmp_path / "fresh", "--output", tmp_path / "friction.yaml"]
-    assert identify_command.main([str(value) for value in arguments]) == identify_command.CONFIRMED
     # The same check refuses the friction that joint 4 does not have.
-    assumed = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
     run_on_engine(shipped, fresh_motion(shipped), tmp_path / "other")
-    arguments = [*assumed, "--validation", tmp_path / "other", "--output", tmp_path / "other.yaml"]
+    bags = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
+    arguments = [*bags, "--validation", tmp_path / "fresh", tmp_path / "other", "--output", tmp_path / "friction.yaml"]
     assert identify_command.main([str(value) for value in arguments]) == identify_command.NOT_CONFIRMED
+    said = capsys.readouterr().out
+    assert f"validation {tmp_path / 'fresh'}: confirmed" in said
+    assert f"validation {tmp_path / 'other'}: NOT CONFIRMED" in said
 
 
 def fresh_motion(setup: Setup) -> Experiment:
@@ -141,3 +133,44 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+
+
+INTERRUPTED = """
+import sys
+import numpy as np
+from rx90_identification.experiments import command
+from rx90_identification.experiments.motion import Motion
+from rx90_identification.experiments.plan import Experiment, Kind
+from rx90_loop.setup import Setup
+robot, plan = Setup.load().robot, []
+for name, duration in (("short", 0.5), ("long", 400.0)):
+    motion = Motion(np.zeros(6))
+    motion.sweep(np.eye(6)[3], 1e-3, duration, 6.0)
+    plan.append(Experiment(name, Kind.SLIDING, motion.points(robot.joint_names), 1))
+command.make_plan = lambda *_: plan
+sys.exit(command.main(["run", "--nodes", "--output", sys.argv[1]]))
+"""
+"""The command with a plan of half a second and one that lasts until it is stopped."""
+
+
+@pytest.mark.ros
+def test_an_interrupted_series_keeps_its_complete_bags(processes: Processes, tmp_path: Path) -> None:
+    """Ctrl-C in the second experiment ends with 130, the first in the index, and no recorder left behind."""
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    processes.start("rx90_controller")
+    folder = tmp_path / "series"
+    run = processes.start(sys.executable, "-c", INTERRUPTED, folder)
+    wait_until((folder / "long").exists, "the second bag")
+    run.signal(signal.SIGINT)
+    assert run.wait() == 130
+    assert run.lines[-1] == "rx90_experiment: interrupted; complete bags stay"
+    assert [bag.name for bag in read_index(folder).sliding] == ["short"]
+    assert len(read_joint_states(folder / "short", "joint_states").stamp_ns) >= 500
+    assert not [pid for pid, words in running() if str(folder) in words]
+
+
+def running() -> Iterator[tuple[str, str]]:
+    """Yield id and command line of every process."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            yield process.name, (process / "cmdline").read_text(encoding="utf-8", errors="replace")
