@@ -64,7 +64,6 @@ class _Watch(Listener):
         pass
 
 
-announce_compilation = announcement.announce_compilation
 register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types there
 
 

@@ -15,6 +15,7 @@ from rx90_description.kinematics import forward
 from rx90_identification.errors import IdentificationError
 from rx90_identification.identify import Identification
 from rx90_identification.record import JointRecord
+from rx90_identification.tolerances import Tolerances
 from rx90_loop.closed_loop import empty_series, run_ticks
 from rx90_loop.setup import Setup
 from rx90_sim.friction import FrictionSet, LuGreElement
@@ -26,21 +27,6 @@ _BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of dif
 _MOVES = 1e-3  # rad/s
 _SLIDES = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
 _EDGE = 0.1  # s at the ends that the filter spoils
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """What still counts as agreement.
-
-    Attributes:
-        torque: RMS difference of a joint's torque as a share of the RMS torque that was recorded.
-        worst_torque: largest difference as a share of the largest recorded torque.
-        tip: largest distance of the tip positions, m.
-    """
-
-    torque: float = 0.05
-    worst_torque: float = 0.15
-    tip: float = 1e-4
 
 
 @dataclass(frozen=True, eq=False)

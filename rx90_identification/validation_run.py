@@ -8,8 +8,9 @@ from rx90_bag.reading import BagReader, read_joint_states
 from rx90_bag.topics import absolute
 from rx90_identification.identify import Identification
 from rx90_identification.record import JointRecord
-from rx90_identification.robot_options import Robot
-from rx90_identification.validation import Tolerances, Validation, predict_torque, tip_difference
+from rx90_identification.robot import Robot
+from rx90_identification.tolerances import Tolerances
+from rx90_identification.validation import Validation, predict_torque, tip_difference
 
 _REFERENCE = "rx90_controller/reference"
 

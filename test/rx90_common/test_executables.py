@@ -15,6 +15,8 @@ import pytest
         "rx90_bag.command",
         "rx90_controller.line_command",
         "rx90_demo.command",
+        "rx90_identification.command",
+        "rx90_identification.experiments.command",
         "rx90_loop.run_command",
         "rx90_sweep.command",
     ],
