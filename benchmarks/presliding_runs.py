@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, WRIST, Noise
+from rx90_identification.estimate import PRESLIDING, SLIDING, ElementEstimate
 from rx90_identification.experiments.plan import Kind, PlanOptions, make_plan
 from rx90_identification.record import JointRecord
 from rx90_loop.closed_loop import simulate
@@ -37,6 +39,32 @@ class Run:
     name: str
     time: Array
     motor: Array
+
+
+class Outcome(NamedTuple):
+    """One estimate against the truth: relative error, and error in standard deviations; NaN if not told."""
+
+    element: str
+    parameter: str
+    error: float
+    score: float
+
+    @property
+    def told(self) -> bool:
+        """Return whether the data told the value."""
+        return self.error == self.error
+
+
+def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[LuGreElement]) -> list[Outcome]:
+    """Return what became of c0 and c1 of every element."""
+    found = []
+    for estimate, element in zip(estimates, truth, strict=True):
+        for name in PRESLIDING:
+            one, true = estimate.parameters[name], getattr(element, name)
+            error = one.value - true  # NaN if it is not told
+            score = error / one.deviation if one.identifiable else error
+            found.append(Outcome(estimate.element, name, error / true, score))
+    return found
 
 
 def random_bristles(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
@@ -79,15 +107,19 @@ def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> 
     return JointRecord(setup.robot.joint_names, run.time, joints, velocity, noisy @ WRIST, Path(run.name), run.name)
 
 
+def sliding_covariance(element: LuGreElement) -> Array:
+    """Return the covariance of a sliding regime as it is identified, in the order of SLIDING, shape (7, 7)."""
+    names = [name.removesuffix("_positive").removesuffix("_negative") for name in SLIDING]
+    deviation = [_SLIDING_ERROR[name] * getattr(element, full) for name, full in zip(names, SLIDING, strict=True)]
+    return np.diag(np.square(deviation))
+
+
 def measured_sliding(elements: Sequence[LuGreElement], rng: np.random.Generator) -> list[LuGreElement]:
     """Return the sliding regime as it is identified: with errors."""
     found = []
     for element in elements:
-        changed = {}
-        for name, deviation in _SLIDING_ERROR.items():
-            signs = [f"{name}_{sign}" for sign in ("positive", "negative")] if name.startswith("tau") else [name]
-            for key in signs:
-                changed[key] = getattr(element, key) * (1.0 + deviation * rng.standard_normal())
+        errors = np.sqrt(np.diag(sliding_covariance(element))) * rng.standard_normal(len(SLIDING))
+        changed = {name: getattr(element, name) + error for name, error in zip(SLIDING, errors, strict=True)}
         for sign in ("positive", "negative"):
             changed[f"tau_s_{sign}"] = max(changed[f"tau_s_{sign}"], changed[f"tau_c_{sign}"])
         found.append(replace(element, **changed))

@@ -56,7 +56,7 @@ def hysteresis_plot(loop: HysteresisLoop) -> str:
         loop.position[rows] * 1e6, loop.torque[rows], color=COLOURS[5], linewidth=0.6, label=f"{loop.joint}, measured"
     )
     axes.plot(
-        loop.simulated_position[rows] * 1e6,
+        loop.position[rows] * 1e6,
         loop.simulated_torque[rows],
         "--",
         color=COLOURS[1],

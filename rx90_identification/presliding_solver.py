@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.signal.windows import tukey
 
 from rx90_common.rates import Rates
-from rx90_identification.bristle_path import slide
+from rx90_identification.bristle_path import THIN, slide, thinned
 from rx90_identification.estimate import SLIDING
 from rx90_identification.micro_motion import MicroMotion
 from rx90_sim.friction import LuGreElement
@@ -33,6 +33,7 @@ _OUTLIER = 3.0  # deviations
 _INERTIA_DEVIATION = 0.05  # of the description's inertia, relative
 _START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
 _ROUNDS = 30
+_FEW = 3  # motions, below which leaving out one says nothing
 _PASSES = 3  # of the fit, with the noise told from the one before
 
 
@@ -44,7 +45,7 @@ class GroupSolution:
         values: c0 Nm/rad and c1 Nm s/rad of the e elements, shape (e, 2).
         covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
         inertia: factor on the mass of each joint, shape (k,).
-        torque: friction torque at the joints by the bristles, Nm, of each micro-motion, shape (m, k).
+        torque: friction torque at the joints by the bristles, thinned, Nm, of each micro-motion, shape (m, k).
     """
 
     values: Array
@@ -54,7 +55,7 @@ class GroupSolution:
 
 
 class _Problem:
-    """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, start deflections of each motion."""
+    """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, start deflections by motion."""
 
     def __init__(self, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> None:
         self.motions = motions
@@ -63,11 +64,14 @@ class _Problem:
         self.count = 2 * len(sliding)
         self.shared = self.count + self.joints
         self.size = self.shared + self.own * len(motions)
+        self.drive = [thinned(motion.drive) for motion in motions]
+        self.acceleration = [thinned(motion.acceleration) for motion in motions]
         self.scale = 0.1 * np.abs(inputs).T @ np.array([e.tau_c_positive for e in sliding])
         self.use(sliding, [motion.velocity @ inputs.T for motion in motions])
 
     def use(self, sliding: Sequence[LuGreElement], speeds: Sequence[Array]) -> None:
         """Take a sliding regime, and input velocities for each motion, shape (m, e)."""
+        self._bent: dict[tuple[int, int], tuple[tuple[float, float], tuple[Array, Array]]] = {}
         self.sliding = list(sliding)
         self.paths = [
             [slide(element, speed[:, n], motion.step) for n, element in enumerate(sliding)]
@@ -81,14 +85,21 @@ class _Problem:
         first = self.shared + index * self.own
         return np.asarray(x[first : first + self.own])
 
-    def torques(self, x: Array, index: int) -> Array:
-        """Return the elements' torques along a motion, Nm, shape (m, e)."""
-        own = zip(self.paths[index], self.values(x), self.start(x, index), strict=True)
-        return np.column_stack([path.torque(*value, start) for path, value, start in own])
+    def bent(self, x: Array, index: int, n: int) -> tuple[Array, Array]:
+        """Return what `BristlePath.bent` does of element n along a motion; the last ones are kept."""
+        c0, start = float(self.values(x)[n, 0]), float(self.start(x, index)[n])
+        key, known = (c0, start), self._bent.get((index, n))
+        if known is None or known[0] != key:
+            known = self._bent[index, n] = key, self.paths[index][n].bent(c0, start)
+        return known[1]
 
     def friction(self, x: Array, index: int) -> Array:
-        """Return the friction torque at the joints along a motion, Nm, shape (m, k)."""
-        return np.asarray(self.torques(x, index) @ self.inputs)
+        """Return the friction torque at the joints along a motion, thinned, Nm, shape (m, k)."""
+        values, total = self.values(x), []
+        for n, path in enumerate(self.paths[index]):
+            torque, rate = self.bent(x, index, n)
+            total.append(torque + values[n, 1] * rate + path.viscous)
+        return np.column_stack(total) @ self.inputs
 
     def mass(self, x: Array, index: int) -> Array:
         scale = np.exp(0.5 * np.clip(x[self.count : self.shared], -1.0, 1.0))
@@ -102,16 +113,18 @@ class _Problem:
         """
         period, speeds = Rates().period, []
         for index, motion in enumerate(self.motions):
-            rate = np.gradient(self.friction(x, index), motion.step, axis=0)
-            ahead = 0.5 * period**2 * np.linalg.solve(self.mass(x, index), rate.T).T
+            rate = np.gradient(self.friction(x, index), THIN * motion.step, axis=0)
+            coarse = 0.5 * period**2 * np.linalg.solve(self.mass(x, index), rate.T).T
+            place = (np.arange(len(motion.velocity)) + 0.5) / THIN - 0.5
+            ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
             speeds.append((motion.velocity + ahead) @ self.inputs.T)
         self.use(self.sliding, speeds)
 
     def motion_residual(self, x: Array, index: int) -> Array:
         """Return what is left of the torque at each frequency, in deviations, shape (r, k)."""
         motion = self.motions[index]
-        inertial = motion.acceleration @ self.mass(x, index).T
-        return lines(motion.drive - inertial - self.friction(x, index), motion.step)[0] / self.scale
+        inertial = self.acceleration[index] @ self.mass(x, index).T
+        return lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale
 
     def prior(self, x: Array) -> Array:
         return np.concatenate([x[self.count : self.shared] / _INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
@@ -140,12 +153,12 @@ class _Problem:
         """Return derivatives of the joints' torques by ln c0 and ln c1 in turn, then by the starts, each (m, k)."""
         shared, own = [], []
         values, starts = self.values(x), self.start(x, index)
-        for path, (c0, c1), start, row in zip(self.paths[index], values, starts, self.inputs, strict=True):
-            here = path.torque(c0, c1, start)
-            by_c0 = (path.torque(c0 * (1.0 + _DIFFERENCE), c1, start) - here) / _DIFFERENCE
-            by_start = (path.torque(c0, c1, start + _DIFFERENCE) - here) / _DIFFERENCE
-            by_c1 = here - path.torque(c0, 0.0, start)
-            shared += [np.outer(by_c0, row), np.outer(by_c1, row)]
+        for n, (path, (c0, c1), start) in enumerate(zip(self.paths[index], values, starts, strict=True)):
+            torque, rate = self.bent(x, index, n)
+            here, row = torque + c1 * rate, self.inputs[n]
+            stiffer, moved = path.bent(c0 * (1.0 + _DIFFERENCE), start), path.bent(c0, start + _DIFFERENCE)
+            by_c0, by_start = ((one[0] + c1 * one[1] - here) / _DIFFERENCE for one in (stiffer, moved))
+            shared += [np.outer(by_c0, row), np.outer(c1 * rate, row)]
             own.append(np.outer(by_start, row))
         return shared + own
 
@@ -155,32 +168,38 @@ class _Problem:
             share = np.zeros_like(mass)
             share[joint] += 0.5 * mass[joint]
             share[:, joint] += 0.5 * mass[:, joint]
-            slopes.append(self.motions[index].acceleration @ share.T)
+            slopes.append(self.acceleration[index] @ share.T)
         return slopes
 
-    def numbers(self) -> NDArray[np.int64]:
-        """Return the number of the line that each residual belongs to; each motion has its own."""
-        parts, first = [], 0
-        for motion in self.motions:
-            frequency = lines(motion.drive[:, :1], motion.step)[1]
+    def groupings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the line of a motion, and of the motion, that each residual belongs to.
+
+        What is assumed of a motion's start goes with the motion, what is assumed of the inertia with the first.
+        """
+        by_line, by_motion, first = [], [], 0
+        for index, motion in enumerate(self.motions):
+            frequency = lines(self.drive[index][:, :1], motion.step)[1]
             line = np.round(frequency / _LINE).astype(np.int64)
             line -= line.min()
-            parts.append(np.repeat(first + line, self.joints))
+            by_line.append(np.repeat(first + line, self.joints))
+            by_motion.append(np.full(by_line[-1].size, index))
             first += int(line.max()) + 1
-        return np.concatenate([*parts, first + np.arange(self.size - self.count)])
+        assumed = np.concatenate([np.zeros(self.joints, np.int64), np.repeat(np.arange(len(self.motions)), self.own)])
+        own = first + np.arange(self.size - self.count)
+        return np.concatenate([*by_line, own]), np.concatenate([*by_motion, assumed])
 
 
 def lines(torque: Array, step: float) -> tuple[Array, Array]:
-    """Return sine and cosine parts in the band of micro-oscillations, shape (r, k), and their frequencies, Hz.
+    """Return sine and cosine parts of thinned torques in the band of micro-oscillations, and their frequencies, Hz.
 
-    Scaled so that white noise has the deviation of a sample.
+    Of shape (r, columns), scaled so that the noise of a single step keeps its deviation.
     """
     length = prev_fast_len(len(torque), real=True)
     window = tukey(length, _TAPER)
-    frequency = rfftfreq(length, step)
+    frequency = rfftfreq(length, THIN * step)
     band = (frequency >= _LOWEST) & (frequency <= _HIGHEST)
     parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
-    parts = parts * np.sqrt(2.0 / (window @ window))
+    parts = parts * np.sqrt(2.0 * THIN / (window @ window))
     return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)
 
 
@@ -203,21 +222,19 @@ def solve_group(
     guess = first_guess(motions, inputs, sliding)
     x = np.concatenate([np.log(guess).ravel(), np.zeros(problem.size - problem.count)])
     for _ in range(_PASSES):
-        x = _fit(problem, x)
+        x = _fit(problem, x, 1e-3)
         parts = np.vstack([problem.motion_residual(x, index) for index in range(len(motions))])
         problem.scale = problem.scale * np.maximum(1e-9, 1.4826 * np.median(np.abs(parts), axis=0))
         problem.predict(x)
-    x = _fit(problem, x)
+    x = _fit(problem, x, 1e-6)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
-    covariance = _covariance(jacobian, residual, problem.numbers())
+    covariance = _covariance(jacobian, residual, problem.groupings()[: 1 if len(motions) < _FEW else 2])
     torque = tuple(problem.friction(x, index) for index in range(len(motions)))
     if sliding_covariance is not None:
         slopes = np.linalg.lstsq(jacobian, -_by_sliding(problem, x, residual), rcond=None)[0]
         covariance = covariance + slopes @ sliding_covariance @ slopes.T
     count = problem.count
-    return GroupSolution(
-        problem.values(x), covariance[:count, :count], np.exp(x[count : problem.shared]), torque
-    )
+    return GroupSolution(problem.values(x), covariance[:count, :count], np.exp(x[count : problem.shared]), torque)
 
 
 def _by_sliding(problem: _Problem, x: Array, here: Array) -> Array:
@@ -238,7 +255,7 @@ def _by_sliding(problem: _Problem, x: Array, here: Array) -> Array:
     return np.column_stack(columns)
 
 
-def _fit(problem: _Problem, start: Array) -> Array:
+def _fit(problem: _Problem, start: Array, tolerance: float) -> Array:
     result = least_squares(
         problem.residual,
         start,
@@ -246,8 +263,8 @@ def _fit(problem: _Problem, start: Array) -> Array:
         loss="huber",
         f_scale=_OUTLIER,
         max_nfev=_ROUNDS,
-        xtol=1e-6,
-        ftol=1e-8,
+        xtol=tolerance,
+        ftol=tolerance**1.5,
     )
     return np.asarray(result.x)
 
@@ -262,8 +279,8 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
     for motion in motions:
         deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
         speed = motion.velocity @ inputs.T
-        rest = lines(motion.drive - motion.acceleration @ motion.mass.T, motion.step)[0]
-        columns = lines(np.hstack([deflection, speed]), motion.step)[0]
+        rest = lines(thinned(motion.drive - motion.acceleration @ motion.mass.T), motion.step)[0]
+        columns = lines(thinned(np.hstack([deflection, speed])), motion.step)[0]
         for i in range(k):
             matrix.append(columns * np.tile(inputs[:, i], 2))
             torque.append(rest[:, i])
@@ -274,21 +291,23 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
     return np.column_stack([c0, np.maximum(solution[elements:] - viscous, 2e-4 * c0)])
 
 
-def _covariance(jacobian: Array, residual: Array, lines: NDArray[np.int64]) -> Array:
-    """Return the covariance by the noise, widened where leaving out a line changes more than noise would.
+def _covariance(jacobian: Array, residual: Array, groupings: Sequence[NDArray[np.int64]]) -> Array:
+    """Return the covariance by the noise, widened where leaving out a group changes more than noise would.
 
-    The noise is white in the band, and it is what lies between the lines of the motion. Errors of the model lie on the
-    lines, which are few: the jackknife by line tells them.
+    The noise is white in the band, and it is what lies between the lines of the motions. Errors of the model lie on
+    the lines and grow with the amplitude: the jackknife by line, and that by motion, tell them.
     """
     weight = np.minimum(1.0, _OUTLIER / np.maximum(np.abs(residual), 1e-9))
     information = jacobian.T @ jacobian
     noise = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
-    moved = []
-    for line in range(int(lines.max()) + 1):
-        rows = lines == line
-        own, score = jacobian[rows], jacobian[rows].T @ (weight[rows] * residual[rows])
-        moved.append(np.linalg.lstsq(information - own.T @ own, score, rcond=1e-14)[0])
-    changes = np.array(moved)
-    jackknife = (len(changes) - 1) / len(changes) * changes.T @ changes
-    wide = np.sqrt(np.maximum(1.0, np.diag(jackknife) / np.diag(noise)))
+    wide = np.ones(len(noise))
+    for numbers in groupings:
+        moved = []
+        for number in range(int(numbers.max()) + 1):
+            rows = numbers == number
+            own, score = jacobian[rows], jacobian[rows].T @ (weight[rows] * residual[rows])
+            moved.append(np.linalg.lstsq(information - own.T @ own, score, rcond=1e-14)[0])
+        changes = np.array(moved)
+        jackknife = (len(changes) - 1) / len(changes) * (changes**2).sum(axis=0)
+        wide = np.maximum(wide, np.sqrt(jackknife / np.diag(noise)))
     return np.asarray(noise * np.outer(wide, wide))
