@@ -124,7 +124,7 @@ class _Problem:
         """Return what is left of the torque at each frequency, in deviations, shape (r, k)."""
         motion = self.motions[index]
         inertial = self.acceleration[index] @ self.mass(x, index).T
-        return lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale
+        return np.asarray(lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale)
 
     def prior(self, x: Array) -> Array:
         return np.concatenate([x[self.count : self.shared] / _INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
