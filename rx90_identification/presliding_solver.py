@@ -29,11 +29,11 @@ _LOWEST, _HIGHEST = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
 _TAPER = 0.2  # share of a motion that is faded in and out, against leakage
 _LINE = 1.0  # Hz, over which errors may be correlated: an oscillation's line with its fade
 _DIFFERENCE = 1e-4  # relative, for derivatives
-_OUTLIER = 3.0  # deviations
 _INERTIA_DEVIATION = 0.05  # of the description's inertia, relative
 _START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
 _ROUNDS = 30
 _FEW = 3  # motions, below which leaving out one says nothing
+_LEAST_REST = 1e-3  # of a direction that a cluster leaves to the others: a motion's own start is its own
 _PASSES = 3  # of the fit, with the noise told from the one before
 
 
@@ -260,8 +260,7 @@ def _fit(problem: _Problem, start: Array, tolerance: float) -> Array:
         problem.residual,
         start,
         problem.jacobian,
-        loss="huber",
-        f_scale=_OUTLIER,
+        method="lm",
         max_nfev=_ROUNDS,
         xtol=tolerance,
         ftol=tolerance**1.5,
@@ -292,22 +291,23 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
 
 
 def _covariance(jacobian: Array, residual: Array, groupings: Sequence[NDArray[np.int64]]) -> Array:
-    """Return the covariance by the noise, widened where leaving out a group changes more than noise would.
+    """Return the covariance by the noise, widened where groups of residuals show more than noise would.
 
     The noise is white in the band, and it is what lies between the lines of the motions. Errors of the model lie on
-    the lines and grow with the amplitude: the jackknife by line, and that by motion, tell them.
+    the lines and grow with the amplitude: sandwich estimates with lines and with motions as clusters tell them. Both
+    are those of Bell and McCaffrey (CR2), which few clusters of unequal weight do not bias where there is only noise.
     """
-    weight = np.minimum(1.0, _OUTLIER / np.maximum(np.abs(residual), 1e-9))
-    information = jacobian.T @ jacobian
-    noise = np.linalg.pinv(information, rcond=1e-14, hermitian=True)
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+    inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
+    noise = inverse_root @ inverse_root
     wide = np.ones(len(noise))
     for numbers in groupings:
-        moved = []
+        variance = np.zeros(len(noise))
         for number in range(int(numbers.max()) + 1):
             rows = numbers == number
-            own, score = jacobian[rows], jacobian[rows].T @ (weight[rows] * residual[rows])
-            moved.append(np.linalg.lstsq(information - own.T @ own, score, rcond=1e-14)[0])
-        changes = np.array(moved)
-        jackknife = (len(changes) - 1) / len(changes) * (changes**2).sum(axis=0)
-        wide = np.maximum(wide, np.sqrt(jackknife / np.diag(noise)))
+            own = jacobian[rows] @ inverse_root
+            leverage, turn = np.linalg.eigh(own.T @ own)
+            adjusted = turn / np.sqrt(np.maximum(1.0 - leverage, _LEAST_REST)) @ turn.T
+            variance += (inverse_root @ (adjusted @ (own.T @ residual[rows]))) ** 2
+        wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
     return np.asarray(noise * np.outer(wide, wide))
