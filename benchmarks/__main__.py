@@ -1,7 +1,7 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
     python -m benchmarks [closed_loop] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [sweep] [friction_ramp]
-                         [identification] [identification_time]
+                         [identification] [identification_presliding] [identification_time]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
 """
@@ -24,6 +24,7 @@ NAMES = (
     "sweep",
     "friction_ramp",
     "identification",
+    "identification_presliding",
     "identification_time",
 )
 

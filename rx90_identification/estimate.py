@@ -85,3 +85,8 @@ class ElementEstimate:
             raise IdentificationError(
                 f"{self.element}: correlation of shape {self.correlation.shape}; accepted: {shape}"
             )
+
+    def covariance(self) -> Array:
+        """Return the covariance of the estimates, 0 for what is not identifiable, in the order of `parameters`."""
+        deviation = np.array([e.deviation if e.identifiable else 0.0 for e in self.parameters.values()])
+        return np.asarray(np.nan_to_num(self.correlation) * np.outer(deviation, deviation))

@@ -84,7 +84,8 @@ def identify(
     # Not yet known parameters are irrelevant for the sliding part of an element.
     known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE)[0] for e, est in enumerate(slid.estimates)]
     step("presliding regime")
-    bent = identify_presliding(presliding, arm, known, torque_delay) if presliding else _not_bent(arm)
+    covariances = [estimate.covariance() for estimate in slid.estimates]
+    bent = identify_presliding(presliding, arm, known, torque_delay, covariances) if presliding else _not_bent(arm)
     elements = []
     for e, (first, second) in enumerate(zip(slid.estimates, bent.estimates, strict=True)):
         element, assumed = _merged(first, second, _standing(fallback, e), {})

@@ -88,7 +88,7 @@ def hysteresis_plot(loop: HysteresisLoop) -> str:
     axes.set_title(loop.joint, loc="left")
     axes.plot(loop.position[part] * 1e6, loop.torque[part], color=COLOURS[5], linewidth=1.8, label="measured")
     axes.plot(
-        loop.simulated_position[part] * 1e6,
+        loop.position[part] * 1e6,
         loop.simulated_torque[part],
         color=COLOURS[1],
         linewidth=0.8,

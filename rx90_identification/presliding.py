@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
+from rx90_identification.bristle_path import thinned
 from rx90_identification.errors import IdentificationError
 from rx90_identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_identification.micro_motion import MicroMotion, find_micro_motions, most_telling
@@ -19,7 +21,6 @@ from rx90_sim.friction import LuGreElement
 Array = NDArray[np.float64]
 
 _UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not tell it
-_WORST_TORQUE = 0.3  # RMS misfit as a share of the motion's own size from which the model does not hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,14 +31,12 @@ class HysteresisLoop:
         joint: its name.
         position: measured, rad from the mean, shape (m,).
         torque: friction torque: drive less weight and measured acceleration, Nm, shape (m,).
-        simulated_position: rad from the mean, shape (m,).
-        simulated_torque: the same of the simulation, Nm, shape (m,).
+        simulated_torque: of the bristles bent along this motion, Nm, shape (m,).
     """
 
     joint: str
     position: Array
     torque: Array
-    simulated_position: Array
     simulated_torque: Array
 
 
@@ -61,6 +60,7 @@ def identify_presliding(
     arm: RigidArm,
     sliding: Sequence[LuGreElement],
     torque_delay: float = 0.0,
+    sliding_covariances: Sequence[Array] | None = None,
 ) -> PreslidingFit:
     """Fit c0 and c1 of every element whose joints make micro-oscillations.
 
@@ -69,6 +69,8 @@ def identify_presliding(
         arm: rigid-body model of the same joints.
         sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not looked at.
         torque_delay: how much later than its stamp a recorded torque acted, s.
+        sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); none if it is
+            known exactly.
 
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
@@ -102,7 +104,8 @@ def identify_presliding(
         inputs = arm.elements()[members][:, list(group)]
         fitted = [sliding[e] for e in members]
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
-        solution = solve_group(chosen, inputs, fitted)
+        spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
+        solution = solve_group(chosen, inputs, fitted, spread)
         used += len(chosen)
         for place, e in enumerate(members):
             estimates[e] = _estimate(arm.element_names[e], solution, place, chosen)
@@ -127,14 +130,9 @@ def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
 def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[MicroMotion]) -> ElementEstimate:
     block = solution.covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
     relative = np.sqrt(np.maximum(np.diag(block), 0.0))
-    size = float(np.median([motion.position.std(axis=0).max() for motion in motions]))
-    fits = solution.residual < _WORST_TORQUE * size
     parameters = {}
     for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
-        if not fits:
-            reason = f"the simulation misses the motion by {solution.residual * 1e6:.2g} um of {size * 1e6:.2g} um"
-            parameters[key] = Estimate.unknown(reason)
-        elif not deviation < _UNTOLD:
+        if not deviation < _UNTOLD:
             parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
         else:
             parameters[key] = Estimate(float(value), float(value * deviation))
@@ -147,17 +145,11 @@ def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[
 def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolution) -> list[HysteresisLoop]:
     loops = []
     for place, joint in enumerate(motions[0].joints):
-        largest = int(np.argmax([motion.smooth[0][:, place].std() for motion in motions]))
-        motion, simulated = motions[largest], solution.simulated[largest][:, place]
-        accelerated = motion.smooth[2] @ motion.mass.T
-        position = motion.smooth[0][:, place]
-        loops.append(
-            HysteresisLoop(
-                arm.names[joint],
-                position - position.mean(),
-                (motion.drive - accelerated)[:, place],
-                simulated - simulated.mean(),
-                solution.torque[largest][:, place],
-            )
-        )
+        largest = int(np.argmax([motion.position[:, place].std() for motion in motions]))
+        motion = motions[largest]
+        accelerated = motion.acceleration @ motion.mass.T
+        position = thinned(motion.position[:, place])
+        measured = thinned(motion.drive - accelerated)[:, place]
+        simulated = solution.torque[largest][:, place]
+        loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
     return loops

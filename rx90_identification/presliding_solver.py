@@ -1,82 +1,40 @@
-"""Fit c0 and c1 by simulating micro-oscillations from the recorded torque and comparing positions.
+"""Fit c0 and c1 by bending simulated bristles along measured micro-oscillations and comparing torques.
 
-Recorded motion is not fed to the bristles: the encoder's noise reaches the torque through the controller, and what is
-correlated with the torque like a velocity would be taken for damping. The simulated motion knows nothing of it.
+Torques are compared at the frequencies of micro-oscillations alone. There the noise of the encoder, which reaches the
+torque through the controller, is some thousandths of the motion, and the noise of the torque adds to what is compared
+but not to what it is compared with: it makes the estimates uncertain, not wrong. A simulation from the recorded torque
+would carry its noise to the resonance and take it for motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import prev_fast_len, rfft, rfftfreq
 from scipy.optimize import least_squares
+from scipy.signal.windows import tukey
 
-from rx90_common.compiled import kernel
+from rx90_common.rates import Rates
+from rx90_identification.bristle_path import THIN, slide, thinned
+from rx90_identification.estimate import SLIDING
 from rx90_identification.micro_motion import MicroMotion
 from rx90_sim.friction import LuGreElement
-from rx90_sim.friction.bristle import bristle_step
 
 Array = NDArray[np.float64]
 
-_STRIDE = 0.002  # s, between two compared positions: micro-oscillations are slower
-_BLOCK = 0.25  # s, over which errors of the simulation are correlated
-_DIFFERENCE = 1e-4  # of a scaled parameter, for derivatives
-_SPEED, _DEFLECTION, _TORQUE = 1e-3, 1e-4, 0.05  # scales of the start values, rad/s, rad, share of tau_c
-_OUTLIER = 3.0  # deviations
-_PRIOR = 0.05  # um for a scaled start value of 1: keeps apart what hardly differs in its effect
-_INERTIA_PRIOR = 5.0  # um for a factor e on the inertia
+_LOWEST, _HIGHEST = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
+_TAPER = 0.2  # share of a motion that is faded in and out, against leakage
+_LINE = 1.0  # Hz, over which errors may be correlated: an oscillation's line with its fade
+_DIFFERENCE = 1e-4  # relative, for derivatives
 _INERTIA_DEVIATION = 0.05  # of the description's inertia, relative
-_FARTHEST = 1e-2  # rad; a simulation that runs farther is of no use
-_ROUNDS = 50
-
-
-@kernel
-def simulate_group(
-    elements: NDArray[Any],
-    inputs: Array,
-    inverse_mass: Array,
-    drive: Array,
-    step: float,
-    z: Array,
-    velocity: Array,
-    position: Array,
-) -> None:
-    """Move a group of joints under recorded torques, as the plant does, with a constant mass matrix.
-
-    Args:
-        elements: e records of ELEMENT_DTYPE.
-        inputs: joint velocities to input velocities of the elements, shape (e, k).
-        inverse_mass: 1/(kg m^2), shape (k, k).
-        drive: torque held over each step, Nm, shape (m, k).
-        step: s.
-        z: bristle deflections at the start, rad, shape (e,); advanced in place.
-        velocity: at the start, rad/s, shape (k,); advanced in place.
-        position: row 0 holds the start and row i + 1 takes the position after step i, rad, shape (m + 1, k).
-    """
-    k = velocity.size
-    acceleration, rest, middle = np.zeros(k), np.empty(k), np.empty(k)
-    for row in range(drive.shape[0]):
-        for i in range(k):
-            middle[i] = velocity[i] + 0.5 * step * acceleration[i]
-            rest[i] = drive[row, i]
-        for e in range(z.size):
-            speed = 0.0
-            for i in range(k):
-                speed += inputs[e, i] * middle[i]
-            z[e], torque = bristle_step(elements[e], z[e], speed, step)
-            for i in range(k):
-                rest[i] -= inputs[e, i] * torque
-        for i in range(k):
-            total = 0.0
-            for j in range(k):
-                total += inverse_mass[i, j] * rest[j]
-            acceleration[i] = total
-        for i in range(k):
-            position[row + 1, i] = position[row, i] + step * (velocity[i] + 0.5 * step * acceleration[i])
-            velocity[i] += step * acceleration[i]
+_START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
+_ROUNDS = 30
+_FEW = 3  # motions, below which leaving out one says nothing
+_LEAST_REST = 1e-3  # of a direction that a cluster leaves to the others: a motion's own start is its own
+_PASSES = 3  # of the fit, with the noise told from the one before
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,151 +45,227 @@ class GroupSolution:
         values: c0 Nm/rad and c1 Nm s/rad of the e elements, shape (e, 2).
         covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
         inertia: factor on the mass of each joint, shape (k,).
-        simulated: position of each micro-motion by the simulation, rad, each shape (m, k).
-        torque: friction torque at the joints by the simulation, Nm, each shape (m, k).
-        residual: RMS of measured less simulated position, rad.
+        torque: friction torque at the joints by the bristles, thinned, Nm, of each micro-motion, shape (m, k).
     """
 
     values: Array
     covariance: Array
     inertia: Array
-    simulated: tuple[Array, ...]
     torque: tuple[Array, ...]
-    residual: float
 
 
 class _Problem:
-    """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, then for each motion its start.
-
-    A motion's start is k velocities, e deflections and k torque offsets; what the position itself starts with goes
-    with the mean of the difference.
-    """
+    """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, start deflections by motion."""
 
     def __init__(self, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> None:
         self.motions = motions
-        self.inputs = np.ascontiguousarray(inputs)
-        self.sliding = sliding
-        self.shared = 2 * len(sliding) + inputs.shape[1]
-        self.own = 2 * inputs.shape[1] + len(sliding)
-        self._offset = _TORQUE * (np.abs(inputs).T @ np.array([e.tau_c_positive for e in sliding]))
-        self._kept = [self._rows(motion) for motion in motions]
-        joints, count = inputs.shape[1], self.shared + self.own * len(motions)
-        self._prior = np.concatenate(
-            [np.zeros(2 * len(sliding)), np.full(joints, _INERTIA_PRIOR), np.full(count - self.shared, _PRIOR)]
-        )
-        own = 20_000_000 + np.arange(count - 2 * len(sliding))
-        self.blocks = np.concatenate([*(self._blocks(i) for i in range(len(motions))), own])
+        self.inputs = inputs
+        self.joints, self.own = inputs.shape[1], len(sliding)
+        self.count = 2 * len(sliding)
+        self.shared = self.count + self.joints
+        self.size = self.shared + self.own * len(motions)
+        self.drive = [thinned(motion.drive) for motion in motions]
+        self.acceleration = [thinned(motion.acceleration) for motion in motions]
+        self.scale = 0.1 * np.abs(inputs).T @ np.array([e.tau_c_positive for e in sliding])
+        self.use(sliding, [motion.velocity @ inputs.T for motion in motions])
 
-    def trust_inertia(self, noise: float) -> None:
-        """Hold the inertia to what the arm's description says, as far as that is known, once the noise is known, um."""
-        alike = _BLOCK / _STRIDE  # errors of a simulation from a noisy torque differ little within a block
-        self._prior[2 * len(self.sliding) : self.shared] = noise * np.sqrt(alike) / _INERTIA_DEVIATION
+    def use(self, sliding: Sequence[LuGreElement], speeds: Sequence[Array]) -> None:
+        """Take a sliding regime, and input velocities for each motion, shape (m, e)."""
+        self._bent: dict[tuple[int, int], tuple[tuple[float, float], tuple[Array, Array]]] = {}
+        self.sliding = list(sliding)
+        self.paths = [
+            [slide(element, speed[:, n], motion.step) for n, element in enumerate(sliding)]
+            for motion, speed in zip(self.motions, speeds, strict=True)
+        ]
 
-    def _rows(self, motion: MicroMotion) -> NDArray[np.int64]:
-        rows = np.arange(0, len(motion.position), max(1, round(_STRIDE / motion.step)))
-        return rows[motion.known[rows]]
+    def values(self, x: Array) -> Array:
+        return np.exp(np.clip(x[: self.count], -20.0, 25.0)).reshape(-1, 2)
 
-    def _blocks(self, index: int) -> NDArray[np.int64]:
-        """Return the number of the block that each residual belongs to, position by position of all joints."""
-        motion = self.motions[index]
-        block = (self._kept[index] * motion.step / _BLOCK).astype(np.int64) + 10_000 * index
-        return np.repeat(block, motion.position.shape[1])
+    def start(self, x: Array, index: int) -> Array:
+        first = self.shared + index * self.own
+        return np.asarray(x[first : first + self.own])
 
-    def elements(self, x: Array) -> list[LuGreElement]:
-        values = np.exp(np.clip(x[: 2 * len(self.sliding)], -20.0, 25.0)).reshape(-1, 2)
-        return [replace(e, c0=float(c0), c1=float(c1)) for e, (c0, c1) in zip(self.sliding, values, strict=True)]
+    def bent(self, x: Array, index: int, n: int) -> tuple[Array, Array]:
+        """Return what `BristlePath.bent` does of element n along a motion; the last ones are kept."""
+        c0, start = float(self.values(x)[n, 0]), float(self.start(x, index)[n])
+        key, known = (c0, start), self._bent.get((index, n))
+        if known is None or known[0] != key:
+            known = self._bent[index, n] = key, self.paths[index][n].bent(c0, start)
+        return known[1]
 
-    def simulate(self, x: Array, index: int) -> Array:
-        motion, k, e = self.motions[index], self.inputs.shape[1], len(self.sliding)
-        start = x[self.shared + index * self.own : self.shared + (index + 1) * self.own]
-        records = np.array([element.record() for element in self.elements(x)])
-        scale = np.exp(0.5 * np.clip(x[2 * e : self.shared], -1.0, 1.0))
-        position = np.empty((len(motion.drive) + 1, k))
-        position[0] = motion.start[0]
-        simulate_group(
-            records,
-            self.inputs,
-            np.linalg.inv(motion.mass * np.outer(scale, scale)),
-            motion.drive - start[k + e :] * self._offset,
-            motion.step,
-            start[k : k + e] * _DEFLECTION,
-            motion.start[1] + start[:k] * _SPEED,
-            position,
-        )
-        return position[1:]
+    def friction(self, x: Array, index: int) -> Array:
+        """Return the friction torque at the joints along a motion, thinned, Nm, shape (m, k)."""
+        values, total = self.values(x), []
+        for n, path in enumerate(self.paths[index]):
+            torque, rate = self.bent(x, index, n)
+            total.append(torque + values[n, 1] * rate + path.viscous)
+        return np.column_stack(total) @ self.inputs
+
+    def mass(self, x: Array, index: int) -> Array:
+        scale = np.exp(0.5 * np.clip(x[self.count : self.shared], -1.0, 1.0))
+        return np.asarray(self.motions[index].mass * np.outer(scale, scale))
+
+    def predict(self, x: Array) -> None:
+        """Give the bristles the velocity at which the plant evaluates them.
+
+        The plant predicts the middle of its tick with the friction of the tick before, which is off by half a tick
+        squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
+        """
+        period, speeds = Rates().period, []
+        for index, motion in enumerate(self.motions):
+            rate = np.gradient(self.friction(x, index), THIN * motion.step, axis=0)
+            coarse = 0.5 * period**2 * np.linalg.solve(self.mass(x, index), rate.T).T
+            place = (np.arange(len(motion.velocity)) + 0.5) / THIN - 0.5
+            ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
+            speeds.append((motion.velocity + ahead) @ self.inputs.T)
+        self.use(self.sliding, speeds)
 
     def motion_residual(self, x: Array, index: int) -> Array:
-        difference = self.motions[index].position - self.simulate(x, index)
-        kept = np.nan_to_num(difference[self._kept[index]], nan=_FARTHEST)
-        kept = np.clip(kept - np.clip(kept.mean(axis=0), -_FARTHEST, _FARTHEST), -_FARTHEST, _FARTHEST)
-        return np.asarray(1e6 * kept.ravel())
+        """Return what is left of the torque at each frequency, in deviations, shape (r, k)."""
+        motion = self.motions[index]
+        inertial = self.acceleration[index] @ self.mass(x, index).T
+        return np.asarray(lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale)
+
+    def prior(self, x: Array) -> Array:
+        return np.concatenate([x[self.count : self.shared] / _INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
 
     def residual(self, x: Array) -> Array:
-        parts = [self.motion_residual(x, i) for i in range(len(self.motions))]
-        return np.concatenate([*parts, (self._prior * x)[2 * len(self.sliding) :]])
+        parts = [self.motion_residual(x, index).ravel() for index in range(len(self.motions))]
+        return np.concatenate([*parts, self.prior(x)])
 
     def jacobian(self, x: Array) -> Array:
-        """Return forward differences; a motion's own start concerns it alone, which saves most of the work."""
+        """Return the derivatives; an element's parameters concern its torque alone, a start its motion alone."""
         parts = []
-        for index in range(len(self.motions)):
+        for index, motion in enumerate(self.motions):
             first = self.shared + index * self.own
-            here = self.motion_residual(x, index)
-            part = np.zeros((here.size, x.size))
-            for column in [*range(self.shared), *range(first, first + self.own)]:
-                moved = x.copy()
-                moved[column] += _DIFFERENCE
-                part[:, column] = (self.motion_residual(moved, index) - here) / _DIFFERENCE
+            torques = self._element_slopes(x, index)
+            columns = [*range(self.shared), *range(first, first + self.own)]
+            slopes = [*torques[: self.count], *self._mass_slopes(x, index), *torques[self.count :]]
+            seen = lines(np.hstack(slopes), motion.step)[0].reshape(-1, len(columns), self.joints)
+            part = np.zeros((seen.shape[0] * self.joints, x.size))
+            part[:, columns] = -(seen / self.scale).transpose(0, 2, 1).reshape(-1, len(columns))
             parts.append(part)
-        return np.vstack([*parts, np.diag(self._prior)[2 * len(self.sliding) :]])
+        own = np.zeros((self.size - self.count, x.size))
+        own[:, self.count :] = np.diag(self.prior(np.ones(x.size)))
+        return np.vstack([*parts, own])
+
+    def _element_slopes(self, x: Array, index: int) -> list[Array]:
+        """Return derivatives of the joints' torques by ln c0 and ln c1 in turn, then by the starts, each (m, k)."""
+        shared, own = [], []
+        values, starts = self.values(x), self.start(x, index)
+        for n, (path, (c0, c1), start) in enumerate(zip(self.paths[index], values, starts, strict=True)):
+            torque, rate = self.bent(x, index, n)
+            here, row = torque + c1 * rate, self.inputs[n]
+            stiffer, moved = path.bent(c0 * (1.0 + _DIFFERENCE), start), path.bent(c0, start + _DIFFERENCE)
+            by_c0, by_start = ((one[0] + c1 * one[1] - here) / _DIFFERENCE for one in (stiffer, moved))
+            shared += [np.outer(by_c0, row), np.outer(c1 * rate, row)]
+            own.append(np.outer(by_start, row))
+        return shared + own
+
+    def _mass_slopes(self, x: Array, index: int) -> list[Array]:
+        mass, slopes = self.mass(x, index), []
+        for joint in range(self.joints):
+            share = np.zeros_like(mass)
+            share[joint] += 0.5 * mass[joint]
+            share[:, joint] += 0.5 * mass[:, joint]
+            slopes.append(self.acceleration[index] @ share.T)
+        return slopes
+
+    def groupings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the numbers of the line of a motion, and of the motion, that each residual belongs to.
+
+        What is assumed of a motion's start goes with the motion, what is assumed of the inertia with the first.
+        """
+        by_line, by_motion, first = [], [], 0
+        for index, motion in enumerate(self.motions):
+            frequency = lines(self.drive[index][:, :1], motion.step)[1]
+            line = np.round(frequency / _LINE).astype(np.int64)
+            line -= line.min()
+            by_line.append(np.repeat(first + line, self.joints))
+            by_motion.append(np.full(by_line[-1].size, index))
+            first += int(line.max()) + 1
+        assumed = np.concatenate([np.zeros(self.joints, np.int64), np.repeat(np.arange(len(self.motions)), self.own)])
+        own = first + np.arange(self.size - self.count)
+        return np.concatenate([*by_line, own]), np.concatenate([*by_motion, assumed])
 
 
-def solve_group(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> GroupSolution:
+def lines(torque: Array, step: float) -> tuple[Array, Array]:
+    """Return sine and cosine parts of thinned torques in the band of micro-oscillations, and their frequencies, Hz.
+
+    Of shape (r, columns), scaled so that the noise of a single step keeps its deviation.
+    """
+    length = prev_fast_len(len(torque), real=True)
+    window = tukey(length, _TAPER)
+    frequency = rfftfreq(length, THIN * step)
+    band = (frequency >= _LOWEST) & (frequency <= _HIGHEST)
+    parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
+    parts = parts * np.sqrt(2.0 * THIN / (window @ window))
+    return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)
+
+
+def solve_group(
+    motions: Sequence[MicroMotion],
+    inputs: Array,
+    sliding: Sequence[LuGreElement],
+    sliding_covariance: Array | None = None,
+) -> GroupSolution:
     """Fit the elements of a group of joints to all its micro-motions.
 
     Args:
         motions: of the group, one or more.
         inputs: joint velocities to input velocities of the group's elements, shape (e, k).
         sliding: the elements with their sliding regime; c0 and c1 are not looked at.
+        sliding_covariance: of that regime, element by element in the order of SLIDING, shape (7 e, 7 e); none if it
+            is known.
     """
     problem = _Problem(motions, inputs, sliding)
     guess = first_guess(motions, inputs, sliding)
-    shared = np.concatenate([np.log(guess).ravel(), np.zeros(inputs.shape[1])])
-    start = np.concatenate([shared, np.zeros(problem.own * len(motions))])
-    x = _levenberg_marquardt(problem, start, np.ones(problem.blocks.size))
-    # Outliers, such as a missing message or a bump of the table, are held down once the size of the noise is known.
-    ratio = np.abs(problem.residual(x)) / (_OUTLIER * _spread(problem.residual(x)))
-    problem.trust_inertia(_spread(problem.residual(x)))
-    x = _levenberg_marquardt(problem, x, 1.0 / np.sqrt(np.maximum(1.0, ratio)))
-    count = 2 * len(sliding)
-    covariance = _sandwich(problem.jacobian(x), problem.residual(x), problem.blocks)[:count, :count]
-    simulated = tuple(problem.simulate(x, i) for i in range(len(motions)))
-    return GroupSolution(
-        np.exp(x[:count]).reshape(-1, 2),
-        covariance,
-        np.exp(x[count : problem.shared]),
-        simulated,
-        tuple(
-            _friction(m, s, np.exp(0.5 * x[count : problem.shared])) for m, s in zip(motions, simulated, strict=True)
-        ),
-        1e-6 * float(np.sqrt(np.mean(problem.residual(x) ** 2))),
-    )
+    x = np.concatenate([np.log(guess).ravel(), np.zeros(problem.size - problem.count)])
+    for _ in range(_PASSES):
+        x = _fit(problem, x, 1e-3)
+        parts = np.vstack([problem.motion_residual(x, index) for index in range(len(motions))])
+        problem.scale = problem.scale * np.maximum(1e-9, 1.4826 * np.median(np.abs(parts), axis=0))
+        problem.predict(x)
+    x = _fit(problem, x, 1e-6)
+    residual, jacobian = problem.residual(x), problem.jacobian(x)
+    covariance = _covariance(jacobian, residual, problem.groupings()[: 1 if len(motions) < _FEW else 2])
+    torque = tuple(problem.friction(x, index) for index in range(len(motions)))
+    if sliding_covariance is not None:
+        slopes = np.linalg.lstsq(jacobian, -_by_sliding(problem, x, residual), rcond=None)[0]
+        covariance = covariance + slopes @ sliding_covariance @ slopes.T
+    count = problem.count
+    return GroupSolution(problem.values(x), covariance[:count, :count], np.exp(x[count : problem.shared]), torque)
 
 
-def _levenberg_marquardt(problem: _Problem, start: Array, weight: Array) -> Array:
-    def residual(x: Array) -> Array:
-        return weight * problem.residual(x)
+def _by_sliding(problem: _Problem, x: Array, here: Array) -> Array:
+    """Return the derivatives of the residuals by the sliding parameters, element by element in the order of SLIDING.
 
-    def jacobian(x: Array) -> Array:
-        return weight[:, None] * problem.jacobian(x)
+    A bristle's start, in parts of its largest deflection, is left where it is.
+    """
+    sliding, paths, columns = problem.sliding, problem.paths, []
+    speeds = [np.column_stack([path.speed for path in own]) for own in paths]
+    for n, element in enumerate(sliding):
+        for name in SLIDING:
+            # The Coulomb torque goes down, which keeps it below the static one.
+            step = getattr(element, name) * (-_DIFFERENCE if name.startswith("tau_c") else _DIFFERENCE)
+            moved = replace(element, **{name: getattr(element, name) + step})
+            problem.use([*sliding[:n], moved, *sliding[n + 1 :]], speeds)
+            columns.append((problem.residual(x) - here) / step if step else np.zeros_like(here))
+    problem.use(sliding, speeds)
+    return np.column_stack(columns)
 
+
+def _fit(problem: _Problem, start: Array, tolerance: float) -> Array:
     result = least_squares(
-        residual, start, jacobian, method="lm", x_scale="jac", max_nfev=_ROUNDS, xtol=1e-5, ftol=1e-6
+        problem.residual,
+        start,
+        problem.jacobian,
+        method="lm",
+        max_nfev=_ROUNDS,
+        xtol=tolerance,
+        ftol=tolerance**1.5,
     )
     return np.asarray(result.x)
-
-
-def _spread(values: Array) -> float:
-    return max(1e-3, 1.4826 * float(np.median(np.abs(values))))
 
 
 def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> Array:
@@ -242,14 +276,13 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
     elements, k = inputs.shape
     matrix, torque = [], []
     for motion in motions:
-        rows = slice(None, None, max(1, round(_STRIDE / motion.step)))
-        q, v, a = (part[rows] for part in motion.smooth)
-        deflection, speed = (q - q.mean(axis=0)) @ inputs.T, v @ inputs.T
-        rest = motion.drive[rows] - a @ motion.mass.T
+        deflection = np.cumsum(motion.velocity, axis=0) * motion.step @ inputs.T
+        speed = motion.velocity @ inputs.T
+        rest = lines(thinned(motion.drive - motion.acceleration @ motion.mass.T), motion.step)[0]
+        columns = lines(thinned(np.hstack([deflection, speed])), motion.step)[0]
         for i in range(k):
-            columns = np.hstack([deflection, speed]) * np.tile(inputs[:, i], 2)
-            matrix.append(columns - columns.mean(axis=0))
-            torque.append(rest[:, i] - rest[:, i].mean())
+            matrix.append(columns * np.tile(inputs[:, i], 2))
+            torque.append(rest[:, i])
     solution = np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0]
     viscous = np.array([e.c2 for e in sliding])
     weakest = np.array([e.tau_c_positive for e in sliding]) / 2e-3
@@ -257,22 +290,24 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
     return np.column_stack([c0, np.maximum(solution[elements:] - viscous, 2e-4 * c0)])
 
 
-def _sandwich(jacobian: Array, residual: Array, blocks: NDArray[np.int64]) -> Array:
-    """Return the covariance of a fit whose residuals are correlated within blocks, but not between them."""
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = jacobian / scale
-    bread = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12)
-    _, number = np.unique(blocks, return_inverse=True)
-    scores = np.zeros((number.max() + 1, scaled.shape[1]))
-    np.add.at(scores, number, scaled * residual[:, None])
-    count = len(scores)
-    wide = count / max(1, count - 1) * len(residual) / max(1, len(residual) - scaled.shape[1])
-    return np.asarray(wide * (bread @ (scores.T @ scores) @ bread) / np.outer(scale, scale))
+def _covariance(jacobian: Array, residual: Array, groupings: Sequence[NDArray[np.int64]]) -> Array:
+    """Return the covariance by the noise, widened where groups of residuals show more than noise would.
 
-
-def _friction(motion: MicroMotion, simulated: Array, scale: Array) -> Array:
-    """Return what is left of the drive torque once the simulated motion is accelerated, Nm, shape (m, k)."""
-    velocity = np.gradient(simulated, motion.step, axis=0)
-    acceleration = np.gradient(velocity, motion.step, axis=0)
-    return np.asarray(motion.drive - acceleration @ (motion.mass * np.outer(scale, scale)).T)
+    The noise is white in the band, and it is what lies between the lines of the motions. Errors of the model lie on
+    the lines and grow with the amplitude: sandwich estimates with lines and with motions as clusters tell them. Both
+    are those of Bell and McCaffrey (CR2), which few clusters of unequal weight do not bias where there is only noise.
+    """
+    values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
+    inverse_root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])) @ vectors.T
+    noise = inverse_root @ inverse_root
+    wide = np.ones(len(noise))
+    for numbers in groupings:
+        variance = np.zeros(len(noise))
+        for number in range(int(numbers.max()) + 1):
+            rows = numbers == number
+            own = jacobian[rows] @ inverse_root
+            leverage, turn = np.linalg.eigh(own.T @ own)
+            adjusted = turn / np.sqrt(np.maximum(1.0 - leverage, _LEAST_REST)) @ turn.T
+            variance += (inverse_root @ (adjusted @ (own.T @ residual[rows]))) ** 2
+        wide = np.maximum(wide, np.sqrt(variance / np.diag(noise)))
+    return np.asarray(noise * np.outer(wide, wide))

@@ -96,7 +96,7 @@ def bristle_step(element: Any, z: Lanes, velocity: Lanes, step: float) -> tuple[
         c0 mean(z) + c1 mean(dz/dt) + c2 v, with mean(z) = z + (v step - x z) (1 - phi) / x.
     """
     rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
-    phi, psi = _decay(rate * step)
+    phi, psi = decay(rate * step)
     z_dot = velocity - rate * z  # at the start of the step; phi times it is the mean
     mean = z + step * z_dot * psi
     torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + element.c2 * velocity
@@ -104,7 +104,7 @@ def bristle_step(element: Any, z: Lanes, velocity: Lanes, step: float) -> tuple[
 
 
 @inlined
-def _decay(x: Lanes) -> tuple[Lanes, Lanes]:
+def decay(x: Lanes) -> tuple[Lanes, Lanes]:
     """Return phi = (1 - exp(-x)) / x and psi = (1 - phi) / x for x >= 0."""
     inverse = 1.0 / x
     phi = (1.0 - exponential(-x)) * inverse

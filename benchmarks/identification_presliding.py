@@ -1,0 +1,82 @@
+"""Measure how well the presliding fit finds known c0 and c1, and how often its 95 % intervals hold them.
+
+    python -m benchmarks.identification_presliding [sets]
+
+Random friction sets (every parameter of every element scaled by 0.5 to 1.5), the presliding experiments of the plan in
+the closed loop, and the sliding regime given with errors as it is identified; at half, once and twice the torque noise
+of the friction rig. Merges the figures into out/bench.json.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.presliding_runs import (
+    Outcome,
+    measured_sliding,
+    outcomes,
+    random_bristles,
+    recorded,
+    run_presliding,
+    sliding_covariance,
+)
+from benchmarks.report import merge, print_table
+from benchmarks.synthetic_sweeps import Noise
+from rx90_identification.presliding import identify_presliding
+from rx90_identification.rigid_arm import RigidArm
+from rx90_loop.setup import Setup
+
+SETS = 30
+LEVELS = (0.0, 0.5, 1.0, 2.0)
+
+
+def identify(setup: Setup, arm: RigidArm, seed: int) -> dict[float, tuple[list[Outcome], float]]:
+    """Make a random set of friction, run the experiments, identify it at each level of noise, in s."""
+    friction = random_bristles(setup.friction, np.random.default_rng(seed))
+    truth = replace(setup, friction=friction)
+    runs, found = run_presliding(truth), {}
+    for level in LEVELS:
+        rng = np.random.default_rng((seed, round(10 * level)))
+        records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
+        known = measured_sliding(friction.elements, rng)
+        began = time.perf_counter()
+        fit = identify_presliding(records, arm, known, 0.0, [sliding_covariance(one) for one in known])
+        found[level] = outcomes(fit.estimates, friction.elements), time.perf_counter() - began
+    return found
+
+
+def main() -> int:
+    """Print the figures and merge those at the rig's noise."""
+    sets = int(sys.argv[1]) if len(sys.argv) > 1 else SETS
+    setup = Setup.load()
+    arm = RigidArm.from_setup(setup)
+    found = []
+    for seed in range(1, sets + 1):
+        found.append(identify(setup, arm, seed))
+        print(f"set {seed} of {sets}", file=sys.stderr, flush=True)
+    rows = []
+    for level in LEVELS:
+        seconds = float(np.median([one[level][1] for one in found]))
+        for name in ("c0", "c1"):
+            here = [outcome for one in found for outcome in one[level][0] if outcome.parameter == name]
+            told = [outcome for outcome in here if outcome.told]
+            error = 100.0 * np.abs([outcome.error for outcome in told])
+            score = np.array([outcome.score for outcome in told])
+            covered = float(np.mean(np.abs(score) < 1.96))
+            figures = (np.median(error), np.quantile(error, 0.95), error.max(), 100.0 * covered, score.mean())
+            shown = (f"{value:.2f}" for value in figures)
+            rows.append((f"{name}, noise of the rig x {level:g}", *shown, f"{len(here) - len(told)}", f"{seconds:.1f}"))
+            if level == 1.0:
+                merge({f"presliding_{name}_coverage": covered, f"presliding_{name}_worst_error": error.max() / 100.0})
+                merge({"presliding_fit_s": seconds})
+    headers = ("presliding", "median %", "95 % below", "worst %", "covered %", "mean score", "not told", "fit s")
+    print_table(headers, rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
