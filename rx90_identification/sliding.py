@@ -58,12 +58,14 @@ class SlidingFit:
         curves: for each element; empty where the element could not be identified.
         inertial: error of the arm's inertial parameters as far as it shows, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
+        inertial_covariance: of it, what the sweeps say nothing of included, shape (10 n, 10 n).
         plateaus: how many stretches of constant velocity were used.
     """
 
     estimates: tuple[ElementEstimate, ...]
     curves: tuple[CurvePoints, ...]
     inertial: Array
+    inertial_covariance: Array
     plateaus: int
 
 
@@ -109,7 +111,18 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         for e, name in enumerate(arm.element_names)
     )
     curves = tuple(_curve(rows, solution, free, e) for e in range(len(arm.element_names)))
-    return SlidingFit(estimates, curves, rows.directions @ solution.nuisance, len(np.unique(rows.plateau)))
+    inertial = rows.directions @ solution.nuisance, _inertial_covariance(rows, solution, arm)
+    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)))
+
+
+def _inertial_covariance(rows: SlidingRows, solution: Solution, arm: RigidArm) -> Array:
+    """Return the covariance of the errors of the inertial parameters; along what is not seen, that of the prior."""
+    scale = arm.inertial_scale()
+    seen = rows.directions / scale[:, None]
+    unseen = np.eye(len(scale)) - seen @ seen.T
+    return np.asarray(
+        rows.directions @ solution.nuisance_covariance @ rows.directions.T + scale[:, None] * unseen * scale
+    )
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:

@@ -62,11 +62,13 @@ class NormalForm:
         root: shape (k, c).
         target: shape (k,).
         back: the nuisance parameters are back[:, 0] - back[:, 1:] @ f, shape (p, 1 + c).
+        spread: root of their covariance at given torques, spread @ spread^T, shape (p, p).
     """
 
     root: Array
     target: Array
     back: Array
+    spread: Array
 
     @classmethod
     def of(cls, rows: SlidingRows, design: csr_array, weights: Weights) -> NormalForm:
@@ -87,8 +89,19 @@ class NormalForm:
         good = values > _RANK * values[-1]
         scale = np.sqrt(values[good])
         root = scale[:, None] * vectors[:, good].T
-        return cls(root, (vectors[:, good].T @ pull) / scale, back)
+        spread = solve_triangular(upper, np.eye(len(upper)))
+        return cls(root, (vectors[:, good].T @ pull) / scale, back, spread)
 
     def nuisance(self, torques: Array) -> Array:
         """Return the nuisance parameters that go with friction torques, shape (p,)."""
         return np.asarray(self.back[:, 0] - self.back[:, 1:] @ torques)
+
+    def nuisance_covariance(self, slope: Array, covariance: Array) -> Array:
+        """Return the covariance of the nuisance parameters, shape (p, p).
+
+        Args:
+            slope: derivatives of the friction torques by k parameters, shape (c, k).
+            covariance: of these parameters, shape (k, k).
+        """
+        follows = self.back[:, 1:] @ slope
+        return np.asarray(self.spread @ self.spread.T + follows @ covariance @ follows.T)

@@ -31,6 +31,7 @@ class Solution:
     Attributes:
         parameters: of the elements, shape (n_el, 7), as rx90_identification.stribeck writes them.
         nuisance: shape (k,).
+        nuisance_covariance: shape (k, k).
         covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
         at_bound: parameters that lie on a bound, shape (n_el, 7).
         noise: standard deviation of each row relative to what its scale says, shape (r,).
@@ -40,6 +41,7 @@ class Solution:
 
     parameters: Array
     nuisance: Array
+    nuisance_covariance: Array
     covariance: Array
     at_bound: Mask
     noise: Array
@@ -74,7 +76,11 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
     nuisance = form.nuisance(friction)
     shared = shared_by_speed(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
     common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
-    return Solution(parameters, nuisance, covariance, at_bound, 1.0 / weights.factor, common, shared)
+    chosen = np.flatnonzero(free)
+    nuisance_covariance = form.nuisance_covariance(fit.slope(parameters), covariance[np.ix_(chosen, chosen)])
+    return Solution(
+        parameters, nuisance, nuisance_covariance, covariance, at_bound, 1.0 / weights.factor, common, shared
+    )
 
 
 def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:

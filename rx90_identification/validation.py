@@ -27,6 +27,7 @@ _BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of dif
 _MOVES = 1e-3  # rad/s
 _SLIDES = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
 _EDGE = 0.1  # s at the ends that the filter spoils
+_WEIGHED = 0.05  # deviation over torque up to which the error of the weights is told
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,13 +138,28 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
     inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
     position = record.position[kept]
-    nothing = np.zeros_like(position)
     rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
-    # Sweeps at constant velocity show errors of the weights; what they say of inertias is next to nothing.
-    rigid = rigid + arm.regressor(position, nothing, nothing) @ result.sliding.inertial
+    recorded = smooth(record.torque)[kept]
+    rigid = rigid + _error_of_weights(result, position, recorded)
     span = 2 * round(0.5 * _EDGE / step) + 1
     moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
-    return record.time[kept], smooth(record.torque)[kept], rigid + friction[kept], moves.astype(np.float64)
+    return record.time[kept], recorded, rigid + friction[kept], moves.astype(np.float64)
+
+
+def _error_of_weights(result: Identification, position: Array, recorded: Array) -> Array:
+    """Return the error of the arm's weights that the sweeps showed, Nm, shape (m, n), where they tell it.
+
+    Sweeps of some joints, or at one pose, leave the weights of the others, or of other poses, open: the fit's error of
+    them is then hundreds of Nm, with a deviation as large, and the description's weights are the better ones. Of
+    inertias sweeps at constant velocity say next to nothing.
+    """
+    nothing = np.zeros_like(position)
+    regressor = result.arm.regressor(position, nothing, nothing)
+    values, directions = np.linalg.eigh(result.sliding.inertial_covariance)
+    parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
+    deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
+    told = deviation <= _WEIGHED * np.sqrt(np.mean(recorded**2, axis=0))
+    return np.asarray(np.where(told, regressor @ result.sliding.inertial, 0.0))
 
 
 def tip_difference(

@@ -64,6 +64,5 @@ def identified(series: Path) -> tuple[Path, str]:
     said = io.StringIO()
     with redirect_stdout(said):
         code = identify_command.main([str(series), "--output", str(output)])
-    # One joint's sweeps correct the weights of one joint, so this series need not be confirmed for the others.
-    assert code in {identify_command.CONFIRMED, identify_command.NOT_CONFIRMED}
+    assert code == identify_command.CONFIRMED, said.getvalue()
     return output, said.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 from collections.abc import Iterator
@@ -36,6 +37,13 @@ def test_bags_become_a_friction_file_that_loads(identified: tuple[Path, str], sh
     assert "sha256" in text
     assert "provenance: assumed" in text  # the other joints did not move
     assert "<svg" in output.with_suffix(".html").read_text(encoding="utf-8")
+
+
+def test_the_sweeps_of_one_joint_leave_the_weights_of_the_others_alone(identified: tuple[Path, str]) -> None:
+    """A series for joint 4 alone is confirmed on a run of all joints to 1 % of each joint's torque."""
+    _, said = identified
+    (share,) = re.findall(r"confirmed: torque RMS ([\d.]+)%", said)
+    assert float(share) < 1.0
 
 
 def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
