@@ -57,14 +57,17 @@ class Weights:
         # What a plateau has in common is a torque, and the equations of long blocks are scaled up.
         power = np.bincount(cluster, rows.scale**2)
         inner = residual - mean[cluster]
+        # A block's distance from the mean of its plateau is a little less than from the truth; a plateau of one block
+        # shows none, and says nothing of what blocks differ by.
+        several = count[cluster] > 1
+        apart = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
         group = rows.group[np.unique(cluster, return_index=True)[1]]
         share, factor = np.zeros(len(count)), np.ones(len(rows))
         for g in np.unique(group):
             inside, mine = rows.group == g, group == g
-            blocks = float(np.sum(count[mine]))
-            # A block's distance from the mean of its plateau is a little less than from the truth.
-            noise = _spread(inner[inside]) * np.sqrt(blocks / max(1.0, blocks - float(np.sum(mine))))
-            noise = max(noise, 1e-9)
+            known = apart[inside & several]
+            # Without such plateaus the samples alone say what noise a block has, by which the equations are scaled.
+            noise = max(_spread(known), 1e-9) if len(known) else 1.0
             # The mean square of what the fit has left of the means is (1 - leverage) (s^2 / m + t^2).
             left = np.maximum(_LEAST_LEFT, 1.0 - leverage[mine])
             excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
