@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
 from rx90_identification.errors import IdentificationError
@@ -25,6 +26,7 @@ from rx90_identification.validation_run import validate
 
 _RATES = {"sliding": 250.0, "presliding": None, "validation": 1000.0}
 """Hz that records are averaged to: plateaus are averaged anyway, and the validation looks below 40 Hz."""
+_BEYOND = 2.0  # times the range of a joint that no offset of its zero explains
 
 
 def _bags(options: argparse.Namespace) -> Bags:
@@ -95,6 +97,7 @@ def _identify(
         for (use, path), layout in zip(everything, layouts, strict=True):
             step(path.name)
             records[use].append(read_record(path, layout, _RATES[use]))
+            _check_range(records[use][-1], robot)
         _check_unused(records)
         result = identify(
             records["sliding"], records["presliding"], robot.arm, robot.fallback, options.torque_delay, step
@@ -105,6 +108,16 @@ def _identify(
             step(record.source.name)
             checks.append(validate(result, robot, record, tolerances))
     return result, checks, [(use, record) for use, some in records.items() for record in some]
+
+
+def _check_range(record: JointRecord, robot: Robot) -> None:
+    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
+    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
+        if 0.0 < _BEYOND * width < travel:
+            raise IdentificationError(
+                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
+                "accepted: angles of the joints in rad, or of the motors with their --gear"
+            )
 
 
 def _check_unused(records: Mapping[str, Sequence[JointRecord]]) -> None:

@@ -114,6 +114,12 @@ class RigidArm:
         ]
         return np.array(rows).reshape(len(position), len(self.names), 10 * len(self.names))
 
+    def ranges(self) -> Array:
+        """Return the joints' ranges by the URDF, rad, shape (n,); 0 where it has none."""
+        width = self.model.upperPositionLimit - self.model.lowerPositionLimit
+        joints = list(self.model.joints)[1:]
+        return np.array([width[joint.idx_q] if joint.nq == 1 else 0.0 for joint in joints])
+
     def inertial_scale(self) -> Array:
         """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
 

@@ -82,7 +82,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
 
     Raises:
         IdentificationError: for other joints than the arm's, no sweep, and too few speeds or only one direction
-            of a required element or of all elements.
+            of a required element or of all elements, and torques that drive where friction brakes.
     """
     for record in records:
         if record.names != arm.names:
@@ -101,6 +101,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
     rows = sliding_rows(blocks, arm)
     free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
     solution = solve(rows, free)
+    _check_signs(records, arm, solution, free)
     flat = without_stribeck(solution, free)
     if flat.any():
         free[np.ix_(flat, _SHAPED)] = False
@@ -146,6 +147,17 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
         if name in lacking:
             sliding[:, e] = False
     return replace(blocks, sliding=sliding), lacking
+
+
+def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: Solution, free: NDArray[np.bool_]) -> None:
+    """Refuse friction that drives: all torques of an element lie at their bound, 0."""
+    none = (solution.at_bound[:, stribeck.LINEAR] & free[:, stribeck.LINEAR]).all(axis=1)
+    for e in np.flatnonzero(none).tolist():
+        where = ", ".join(str(record.source) for record in records)
+        raise IdentificationError(
+            f"{where}: {arm.element_names[e]}: the torque does not oppose the motion; accepted: efforts of the sign "
+            "with which the drive moves the joint (check the signs of gears and torque constants)"
+        )
 
 
 def _speeds(speed: Array) -> int:

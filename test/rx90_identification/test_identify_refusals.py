@@ -188,6 +188,12 @@ REFUSED = [
         lambda b: ["--sliding", b.bag, "--validation", copied(b)],
         "copy: also used for the identification as .*good",
     ),
+    ("driven", sliding(lambda b: b.write("driven", effort=-b.torque)), "hinge: the torque does not oppose the motion"),
+    (
+        "motor_angles",
+        sliding(lambda b: b.write("motor", position=1e3 * b.position, velocity=1e3 * b.velocity)),
+        r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
+    ),
     # the robot
     ("no_urdf", options("--urdf", "nowhere.urdf"), r"nowhere.urdf: no URDF .*No such file"),
     ("xml", urdf(lambda text: text[:-20]), "bad.urdf: no URDF that Pinocchio can read"),

@@ -104,6 +104,17 @@ def test_lost_messages_and_spikes_are_counted(tmp_path: Path) -> None:
     assert np.abs(record.torque).max() <= 5.0
 
 
+def test_jitter_is_no_loss(tmp_path: Path) -> None:
+    """Stamps that jitter by half a period count as no missing message, and as those that are missing in a gap."""
+    q, v, e = motion()
+    jitter = np.random.default_rng(0).uniform(-0.49, 0.49, len(q)) * PERIOD_NS
+    rows = []
+    for k, stamp in enumerate((10**9 + np.arange(len(q)) * PERIOD_NS + jitter).astype(int).tolist()):
+        rows.append(("/arm", stamp, joint_state(stamp, list(NAMES), q[k], v[k], e[k])))
+    assert read_record(write_ros2(tmp_path / "whole", rows), LAYOUT).missing <= 20
+    assert 180 <= read_record(write_ros2(tmp_path / "gap", rows[:300] + rows[500:]), LAYOUT).missing <= 220
+
+
 def test_a_lower_rate_gives_means(tmp_path: Path) -> None:
     """At a fifth of the rate each sample is the mean of five, its time included."""
     q, v, e = motion()
@@ -147,8 +158,8 @@ def refused(path: Path, layout: BagLayout = LAYOUT) -> str:
 
 
 def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
-    """Wrong names, no or zero effort, no position, stamps that go back and an empty topic are each refused."""
-    q, v, e = motion(50)
+    """Wrong names or velocities, no or zero effort, no position, and stamps that go back are each refused."""
+    q, v, e = motion(200)
 
     def bag(name: str, rows: list[tuple[str, int, Any]]) -> Path:
         return write_ros2(tmp_path / name, rows)
@@ -159,9 +170,12 @@ def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
     assert "carries no effort; accepted" in refused(bag("effort", messages(q, v, None)))
     assert "effort 0 throughout" in refused(bag("zero", messages(q, v, 0.0 * e)))
     assert "carries no effort" in refused(bag("nan", messages(q, v, np.nan * e)))
-    assert "carries no position" in refused(bag("position", messages(np.zeros((50, 0)), v, e)))
+    assert "carries no position" in refused(bag("position", messages(np.zeros((200, 0)), v, e)))
+    for factor, said in ((-1.0, "-1"), (np.degrees(1.0), "57.3")):
+        wrong = bag(f"velocity{said}", messages(q, factor * v, e))
+        assert f"the velocity of 'a' is {said} times the change of its position; accepted: rad" in refused(wrong)
     back = [(topic, 10**9 + k, message) for k, (topic, _, message) in enumerate([*good[25:], *good[:25]])]
-    assert "stamp goes back from 1.098000000 s to 1.000000000 s" in refused(bag("back", back))
+    assert "stamp goes back from 1.398000000 s to 1.000000000 s" in refused(bag("back", back))
     assert "no.mcap" in refused(tmp_path / "no.mcap")
 
 
