@@ -20,6 +20,12 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
     """
     for file in files:
         folder = file.absolute().parent
+        try:
+            file.lstat()
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise IdentificationError(f"{file}: cannot be written ({error.strerror})") from error
         if file.exists() and not file.is_file():
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")

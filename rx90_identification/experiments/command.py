@@ -10,6 +10,7 @@ from pathlib import Path
 
 from rx90_common.errors import ExchangeError, Rx90Error
 from rx90_common.interrupts import terminations_as_interrupts
+from rx90_identification.robot_options import number
 
 REFUSED, NOT_RUN, INTERRUPTED = 1, 3, 130
 _EPILOG = """\
@@ -48,7 +49,8 @@ def _parser() -> argparse.ArgumentParser:
         "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
     )
     run.add_argument("--controller", default="rx90_controller", help="name of the node (%(default)s)")
-    run.add_argument("--timeout", type=float, default=60.0, metavar="S", help="s to wait for the nodes (%(default)s)")
+    seconds = number("a positive number", lambda value: value > 0.0)
+    run.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="s to wait for the nodes (%(default)s)")
     return parser
 
 

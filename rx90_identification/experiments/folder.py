@@ -54,6 +54,13 @@ def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     (folder / INDEX).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 
+def _names(folder: Path) -> list[str]:
+    try:
+        return [path.name for path in folder.iterdir()]
+    except OSError:
+        return []
+
+
 def read_index(folder: Path) -> Bags:
     """Return the bags of a series.
 
@@ -61,7 +68,7 @@ def read_index(folder: Path) -> Bags:
         IdentificationError: if the folder holds no index, or a bag is missing.
         ConfigError: if the index is no such file.
     """
-    if not (folder / INDEX).is_file():
+    if INDEX not in _names(folder):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
                                   "--presliding and --validation")  # fmt: skip
     root = load_yaml(folder / INDEX)

@@ -32,6 +32,7 @@ POSES = (
 Gravity torques of either sign and over most of their range, because a constant torque is what the two directions'
 Coulomb torques differ by, and over a small range gravity is one.
 """
+_MOST_SPEEDS = 1000  # two hours for each group
 _SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
 _LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
 VALIDATION_POSES = (
@@ -93,8 +94,8 @@ class PlanOptions:
                 raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
         if self.travel < _LEAST_TRAVEL:
             raise IdentificationError(f"travel is {self.travel} rad; accepted: {_LEAST_TRAVEL} or more")
-        if self.speeds < LEAST_SPEEDS:
-            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} or more")
+        if not LEAST_SPEEDS <= self.speeds <= _MOST_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MOST_SPEEDS}")
         if self.highest_share > 1.0:
             raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
         if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:

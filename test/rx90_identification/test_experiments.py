@@ -102,7 +102,8 @@ def test_oscillations_are_what_they_say() -> None:
         ({"groups": ("joint_9",)}, "unknown group 'joint_9'"),
         ({"poses": ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0),)}, "joint_2 is 9 rad"),
         ({"poses": ((0.0, 0.0),)}, "pose 1 has 2 angles"),
-        ({"speeds": 4}, "4 speeds; accepted: 5 or more"),
+        ({"speeds": 4}, "4 speeds; accepted: 5 to 1000"),
+        ({"speeds": 10**8}, "100000000 speeds; accepted: 5 to 1000"),
         ({"travel": 0.01}, "travel is 0.01 rad; accepted: 0.016 or more"),
     ],
 )
@@ -156,3 +157,12 @@ def test_kinds_have_topics() -> None:
     from rx90_identification.experiments.folder import TOPICS
 
     assert set(TOPICS) == set(Kind)
+
+
+@pytest.mark.parametrize("seconds", ["nan", "-1", "inf", "soon"])
+def test_a_time_limit_that_is_none_is_wrong_usage(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A --timeout that would never come, or has passed, ends with what is accepted and status 2."""
+    with pytest.raises(SystemExit) as end:
+        command.main(["run", "--nodes", "--output", "nowhere", "--timeout", seconds])
+    assert end.value.code == 2
+    assert f"--timeout: '{seconds}'; accepted: a positive number" in capsys.readouterr().err

@@ -182,6 +182,7 @@ REFUSED = [
     ("twice", lambda b: ["--sliding", b.bag, b.bag], "good: given twice for --sliding"),
     ("both", lambda b: [b.folder, "--sliding", b.bag], "accepted: a folder or single bags, not both"),
     ("none", lambda _: [], "no bag with sweeps"),
+    ("long_series", lambda b: [b.folder / ("s" * 300)], "no experiments.yaml; accepted"),
     ("no_series", lambda b: [b.folder], "no experiments.yaml; accepted"),
     (
         "checked_by_itself",
@@ -244,6 +245,7 @@ REFUSED = [
     ),
     ("device", options("--force", "--output", "/dev/full"), "/dev/full is no regular file; accepted"),
     ("no_folder", options("--output", "nowhere/f.yaml"), "nowhere does not exist; accepted"),
+    ("long", lambda b: ["--sliding", b.bag, "--output", b.folder / f"{'f' * 300}.yaml"], "File name too long"),
     ("same", lambda b: ["--sliding", b.bag, "--output", b.folder / "f.html"], "--output and --report are both"),
 ]
 WRONG = [
