@@ -250,7 +250,7 @@ def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array,
     """Refuse velocities that are far from what positions travel over a window, in size or sign."""
     size = max(1, round(_WINDOW * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
-    travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0.0)
+    travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
     lasting = np.diff(time[edges])
     whole = lasting < 2.0 * np.median(lasting) if len(lasting) else np.zeros(0, dtype=np.bool_)  # no gap in it
     distance, integral = (np.diff(values[edges], axis=0)[whole] for values in (position, travelled))
