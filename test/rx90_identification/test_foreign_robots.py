@@ -23,10 +23,16 @@ C0, C1 = 2e4, 25.0
 
 
 def identified(arguments: Sequence[object], output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    """Run the command and return the friction file's parameters."""
+    """Run the command and return the friction file's parameters, which are also those that the simulation loads."""
     code = command.main([*map(str, arguments), "--output", str(output)])
     assert code == command.CONFIRMED, capsys.readouterr().err
-    parameters: dict[str, Any] = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]["parameters"]
+    content = yaml.safe_load(output.read_text(encoding="utf-8"))
+    parameters: dict[str, Any] = content["identification"]["parameters"]
+    for element, values in parameters.items():
+        for name, entry in values.items():
+            key, _, sign = name.rpartition("_")
+            loaded = content["elements"][element]
+            assert (loaded[key][sign] if key in ("tau_c", "tau_s") else loaded[name]) == entry["value"], (element, name)
     return parameters
 
 
