@@ -48,7 +48,8 @@ def identify(setup: Setup, arm: RigidArm, seed: int, bar: tqdm[None]) -> dict[fl
         records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
         known = measured_sliding(friction.elements, rng)
         began = time.perf_counter()
-        fit = identify_presliding(records, arm, known, 0.0, [sliding_covariance(one) for one in known])
+        spreads = [sliding_covariance(one) for one in known]
+        fit = identify_presliding(records, arm, known, 0.0, spreads, setup.rates.period)
         found[level] = outcomes(fit.estimates, friction.elements), time.perf_counter() - began
         bar.update()
     return found

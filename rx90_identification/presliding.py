@@ -61,6 +61,7 @@ def identify_presliding(
     sliding: Sequence[LuGreElement],
     torque_delay: float = 0.0,
     sliding_covariances: Sequence[Array] | None = None,
+    plant_period: float | None = None,
 ) -> PreslidingFit:
     """Fit c0 and c1 of every element whose joints make micro-oscillations.
 
@@ -71,6 +72,8 @@ def identify_presliding(
         torque_delay: how much later than its stamp a recorded torque acted, s.
         sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); none if it is
             known exactly.
+        plant_period: tick of the simulation that made the records, s, whose half a tick of prediction the bristles
+            felt; None for a real robot.
 
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
@@ -105,7 +108,7 @@ def identify_presliding(
         fitted = [sliding[e] for e in members]
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
         spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
-        solution = solve_group(chosen, inputs, fitted, spread)
+        solution = solve_group(chosen, inputs, fitted, spread, plant_period)
         used += len(chosen)
         for place, e in enumerate(members):
             estimates[e] = _estimate(arm.element_names[e], solution, place, chosen)

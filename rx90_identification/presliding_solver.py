@@ -17,7 +17,6 @@ from scipy.fft import prev_fast_len, rfft, rfftfreq
 from scipy.optimize import least_squares
 from scipy.signal.windows import tukey
 
-from rx90_common.rates import Rates
 from rx90_identification.bristle_path import THIN, slide, thinned
 from rx90_identification.estimate import SLIDING
 from rx90_identification.micro_motion import MicroMotion
@@ -57,8 +56,15 @@ class GroupSolution:
 class _Problem:
     """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, start deflections by motion."""
 
-    def __init__(self, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> None:
+    def __init__(
+        self,
+        motions: Sequence[MicroMotion],
+        inputs: Array,
+        sliding: Sequence[LuGreElement],
+        plant_period: float | None,
+    ) -> None:
         self.motions = motions
+        self.plant_period = plant_period
         self.inputs = inputs
         self.joints, self.own = inputs.shape[1], len(sliding)
         self.count = 2 * len(sliding)
@@ -106,12 +112,14 @@ class _Problem:
         return np.asarray(self.motions[index].mass * np.outer(scale, scale))
 
     def predict(self, x: Array) -> None:
-        """Give the bristles the velocity at which the plant evaluates them.
+        """Give the bristles the velocity at which a simulated plant evaluates them; a real one has no ticks.
 
         The plant predicts the middle of its tick with the friction of the tick before, which is off by half a tick
         squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
         """
-        period, speeds = Rates().period, []
+        if self.plant_period is None:
+            return
+        period, speeds = self.plant_period, []
         for index, motion in enumerate(self.motions):
             rate = np.gradient(self.friction(x, index), THIN * motion.step, axis=0)
             coarse = 0.5 * period**2 * np.linalg.solve(self.mass(x, index), rate.T).T
@@ -208,6 +216,7 @@ def solve_group(
     inputs: Array,
     sliding: Sequence[LuGreElement],
     sliding_covariance: Array | None = None,
+    plant_period: float | None = None,
 ) -> GroupSolution:
     """Fit the elements of a group of joints to all its micro-motions.
 
@@ -217,8 +226,9 @@ def solve_group(
         sliding: the elements with their sliding regime; c0 and c1 are not looked at.
         sliding_covariance: of that regime, element by element in the order of SLIDING, shape (7 e, 7 e); none if it
             is known.
+        plant_period: as in `identify_presliding`.
     """
-    problem = _Problem(motions, inputs, sliding)
+    problem = _Problem(motions, inputs, sliding, plant_period)
     guess = first_guess(motions, inputs, sliding)
     x = np.concatenate([np.log(guess).ravel(), np.zeros(problem.size - problem.count)])
     for _ in range(_PASSES):
