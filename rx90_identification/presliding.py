@@ -13,7 +13,7 @@ from rx90_identification.bristle_path import thinned
 from rx90_identification.errors import IdentificationError
 from rx90_identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_identification.micro_motion import MicroMotion, find_micro_motions, most_telling
-from rx90_identification.presliding_solver import GroupSolution, solve_group
+from rx90_identification.presliding_solver import INERTIA_DEVIATION, GroupSolution, solve_group
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
 from rx90_sim.friction import LuGreElement
@@ -21,6 +21,10 @@ from rx90_sim.friction import LuGreElement
 Array = NDArray[np.float64]
 
 _UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not tell it
+_NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion bend bristles far
+_ALL_SLIDING = 0.95  # of it: bristles slide
+_MISFIT = 0.3  # of the friction torque
+_WRONG_INERTIA = 3.0  # deviations of what is assumed of the inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +113,15 @@ def identify_presliding(
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
         spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
         solution = solve_group(chosen, inputs, fitted, spread, plant_period)
+        gentle = [motion for motion, load in zip(chosen, solution.loads, strict=True) if load.max() < _NEAR_SLIDING]
+        if 0 < len(gentle) < len(chosen):
+            # Joints that share elements may slide in one of them while their own torque is far from break-away.
+            chosen = gentle
+            solution = solve_group(chosen, inputs, fitted, spread, plant_period)
         used += len(chosen)
         for place, e in enumerate(members):
-            estimates[e] = _estimate(arm.element_names[e], solution, place, chosen)
+            names = [arm.names[joint] for joint in group]
+            estimates[e] = _estimate(arm.element_names[e], solution, place, (inputs[place], names), chosen)
         loops += _loops(arm, chosen, solution)
     return PreslidingFit(tuple(estimates), tuple(loops), used)
 
@@ -130,12 +140,21 @@ def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
     return np.flatnonzero(arm.elements()[:, list(group)].any(axis=1)).tolist()
 
 
-def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[MicroMotion]) -> ElementEstimate:
+def _estimate(
+    name: str,
+    solution: GroupSolution,
+    place: int,
+    joints: tuple[Array, Sequence[str]],
+    motions: Sequence[MicroMotion],
+) -> ElementEstimate:
     block = solution.covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
     relative = np.sqrt(np.maximum(np.diag(block), 0.0))
+    doubt = _doubt(solution, place, *joints)
     parameters = {}
     for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
-        if not deviation < _UNTOLD:
+        if doubt:
+            parameters[key] = Estimate.unknown(doubt)
+        elif not deviation < _UNTOLD:
             parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
         else:
             parameters[key] = Estimate(float(value), float(value * deviation))
@@ -143,6 +162,33 @@ def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[
     scale = np.where(known & (relative > 0.0), relative, np.nan)
     sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
     return ElementEstimate(name, parameters, block / np.outer(scale, scale), sources)
+
+
+def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[str]) -> str:
+    """Return why the model does not hold for an element; empty if it does.
+
+    Args:
+        solution: of its group.
+        place: of the element in the group.
+        inputs: of the element, from the group's k joints, shape (k,).
+        names: of these joints.
+    """
+    load = float(solution.loads[:, place].min())
+    if load > _ALL_SLIDING:
+        return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
+    for joint in np.flatnonzero(inputs):
+        factor, misfit = float(solution.inertia[joint]), float(solution.misfit[joint])
+        if abs(np.log(factor)) > _WRONG_INERTIA * INERTIA_DEVIATION:
+            return (
+                f"the inertia of {names[joint]} would be {factor:.3g} times the description's: a payload, a rotor or "
+                "the torque's delay may be missing"
+            )
+        if misfit > _MISFIT:
+            return (
+                f"the torque of {names[joint]} is missed by {100.0 * misfit:.0f} % of its friction: another delay of "
+                "the torque, another inertia, or no bristles"
+            )
+    return ""
 
 
 def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolution) -> list[HysteresisLoop]:

@@ -24,15 +24,17 @@ from rx90_sim.friction import LuGreElement
 
 Array = NDArray[np.float64]
 
+INERTIA_DEVIATION = 0.05
+"""Of the description's inertia, relative, as it is assumed."""
 _LOWEST, _HIGHEST = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
 _TAPER = 0.2  # share of a motion that is faded in and out, against leakage
 _LINE = 1.0  # Hz, over which errors may be correlated: an oscillation's line with its fade
 _DIFFERENCE = 1e-4  # relative, for derivatives
-_INERTIA_DEVIATION = 0.05  # of the description's inertia, relative
 _START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
 _ROUNDS = 30
 _FEW = 3  # motions, below which leaving out one says nothing
 _LEAST_REST = 1e-3  # of a direction that a cluster leaves to the others: a motion's own start is its own
+_CHANCE = 3.0  # deviations of the noise's power that are left to chance
 _PASSES = 3  # of the fit, with the noise told from the one before
 
 
@@ -45,12 +47,16 @@ class GroupSolution:
         covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
         inertia: factor on the mass of each joint, shape (k,).
         torque: friction torque at the joints by the bristles, thinned, Nm, of each micro-motion, shape (m, k).
+        loads: amplitude of each bristle's torque over its Coulomb torque, of each micro-motion, shape (motions, e).
+        misfit: RMS of what is left of each joint's torque beyond noise, over that of its friction torque, shape (k,).
     """
 
     values: Array
     covariance: Array
     inertia: Array
     torque: tuple[Array, ...]
+    loads: Array
+    misfit: Array
 
 
 class _Problem:
@@ -134,8 +140,25 @@ class _Problem:
         inertial = self.acceleration[index] @ self.mass(x, index).T
         return np.asarray(lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale)
 
+    def loads(self, x: Array) -> Array:
+        """Return the amplitude of each bristle's torque over its Coulomb torque, shape (motions, e)."""
+        found = np.empty((len(self.motions), self.own))
+        for index, paths in enumerate(self.paths):
+            for n, path in enumerate(paths):
+                low, high = np.percentile(self.bent(x, index, n)[0], (1.0, 99.0))
+                found[index, n] = 0.5 * (high - low) / path.coulomb
+        return found
+
+    def misfit(self, x: Array) -> Array:
+        """Return the RMS of what is left of each joint's torque beyond noise over that of friction, shape (k,)."""
+        left = np.vstack([self.motion_residual(x, index) for index in range(len(self.motions))])
+        friction = [lines(self.friction(x, index), motion.step)[0] for index, motion in enumerate(self.motions)]
+        beyond = np.sum(left**2, axis=0) - len(left) - _CHANCE * np.sqrt(2.0 * len(left))
+        power = np.sum((np.vstack(friction) / self.scale) ** 2, axis=0)
+        return np.asarray(np.sqrt(np.maximum(beyond, 0.0) / power))
+
     def prior(self, x: Array) -> Array:
-        return np.concatenate([x[self.count : self.shared] / _INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
+        return np.concatenate([x[self.count : self.shared] / INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
 
     def residual(self, x: Array) -> Array:
         parts = [self.motion_residual(x, index).ravel() for index in range(len(self.motions))]
@@ -238,13 +261,15 @@ def solve_group(
         problem.predict(x)
     x = _fit(problem, x, 1e-6)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
+    loads, misfit = problem.loads(x), problem.misfit(x)
     covariance = _covariance(jacobian, residual, problem.groupings()[: 1 if len(motions) < _FEW else 2])
     torque = tuple(problem.friction(x, index) for index in range(len(motions)))
     if sliding_covariance is not None:
         slopes = np.linalg.lstsq(jacobian, -_by_sliding(problem, x, residual), rcond=None)[0]
         covariance = covariance + slopes @ sliding_covariance @ slopes.T
     count = problem.count
-    return GroupSolution(problem.values(x), covariance[:count, :count], np.exp(x[count : problem.shared]), torque)
+    inertia = np.exp(x[count : problem.shared])
+    return GroupSolution(problem.values(x), covariance[:count, :count], inertia, torque, loads, misfit)
 
 
 def _by_sliding(problem: _Problem, x: Array, here: Array) -> Array:
