@@ -45,10 +45,10 @@ class MicroMotion:
         step: sample period, s.
         position: low-passed, at the end of each step, rad, shape (m, k).
         velocity: mean over each step, rad/s, shape (m, k).
-        acceleration: the same, rad/s^2, shape (m, k).
-        drive: drive torque less weight and less what the other joints' accelerations take, held over each step, Nm,
-            shape (m, k).
-        mass: mass matrix of the group, kg m^2, shape (k, k).
+        acceleration: the same of all n joints, rad/s^2, shape (m, n).
+        drive: drive torque less weight, held over each step, Nm, shape (m, k).
+        mass: the group's rows of the mass matrix, kg m^2, shape (k, n).
+        inertia: its diagonal, kg m^2, shape (n,).
         record: the bag's record.
         interval: s, of the record's time.
     """
@@ -60,6 +60,7 @@ class MicroMotion:
     acceleration: Array
     drive: Array
     mass: Array
+    inertia: Array
     record: JointRecord
     interval: tuple[float, float]
 
@@ -215,7 +216,6 @@ def _motion(
     last: int,
 ) -> MicroMotion:
     joints = list(group)
-    beside = [j for j in range(len(record.names)) if j not in group]
     pose = smooth[0][first:last].mean(axis=0)[None]
     nothing = np.zeros_like(pose)
     weight = arm.torque(pose, nothing, nothing)[0]
@@ -226,15 +226,15 @@ def _motion(
     velocity, acceleration = (np.diff(part[first:last], axis=0) / grid.step for part in smooth)
     drive = grid.torque[end][:, joints] - weight[joints]
     drive = drive - (position - pose) @ _stiffness(arm, pose)[joints].T
-    drive = drive - acceleration[:, beside] @ mass[np.ix_(joints, beside)].T
     return MicroMotion(
         joints=group,
         step=grid.step,
         position=np.ascontiguousarray(smooth[0][end][:, joints]),
         velocity=np.ascontiguousarray(velocity[:, joints]),
-        acceleration=np.ascontiguousarray(acceleration[:, joints]),
+        acceleration=acceleration,
         drive=np.ascontiguousarray(drive),
-        mass=np.ascontiguousarray(mass[np.ix_(joints, joints)]),
+        mass=mass[joints],
+        inertia=np.diag(mass),
         record=record,
         interval=(float(grid.time[first]), float(grid.time[last - 1])),
     )

@@ -13,7 +13,7 @@ from rx90_identification.bristle_path import thinned
 from rx90_identification.errors import IdentificationError
 from rx90_identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_identification.micro_motion import MicroMotion, find_micro_motions, most_telling
-from rx90_identification.presliding_solver import INERTIA_DEVIATION, GroupSolution, solve_group
+from rx90_identification.presliding_solver import GroupSolution, solve_group
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
 from rx90_sim.friction import LuGreElement
@@ -24,7 +24,7 @@ _UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not
 _NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion bend bristles far
 _ALL_SLIDING = 0.95  # of it: bristles slide
 _MISFIT = 0.3  # of the friction torque
-_WRONG_INERTIA = 3.0  # deviations of what is assumed of the inertia
+_WRONG_INERTIA = 2.0  # deviations that errors of the inertia would have if they were as small as is assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +112,9 @@ def identify_presliding(
         fitted = [sliding[e] for e in members]
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
         spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
+        if len(members) > 1:
+            chosen = _gentle(chosen, inputs, fitted, plant_period)
         solution = solve_group(chosen, inputs, fitted, spread, plant_period)
-        gentle = [motion for motion, load in zip(chosen, solution.loads, strict=True) if load.max() < _NEAR_SLIDING]
-        if 0 < len(gentle) < len(chosen):
-            # Joints that share elements may slide in one of them while their own torque is far from break-away.
-            chosen = gentle
-            solution = solve_group(chosen, inputs, fitted, spread, plant_period)
         used += len(chosen)
         for place, e in enumerate(members):
             names = [arm.names[joint] for joint in group]
@@ -138,6 +135,14 @@ def joint_groups(arm: RigidArm) -> list[tuple[int, ...]]:
 
 def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
     return np.flatnonzero(arm.elements()[:, list(group)].any(axis=1)).tolist()
+
+
+def _gentle(
+    motions: list[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement], plant_period: float | None
+) -> list[MicroMotion]:
+    """Leave out the motions in which an element nearly slides, though its joints' torques are far from break-away."""
+    loads = solve_group(motions, inputs, sliding, None, plant_period).loads.max(axis=1)
+    return [motion for motion, load in zip(motions, loads, strict=True) if load < _NEAR_SLIDING] or motions
 
 
 def _estimate(
@@ -177,11 +182,11 @@ def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[s
     if load > _ALL_SLIDING:
         return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
     for joint in np.flatnonzero(inputs):
-        factor, misfit = float(solution.inertia[joint]), float(solution.misfit[joint])
-        if abs(np.log(factor)) > _WRONG_INERTIA * INERTIA_DEVIATION:
+        error, misfit = float(np.abs(solution.inertia[joint]).max()), float(solution.misfit[joint])
+        if np.abs(solution.strain[joint]).max() > _WRONG_INERTIA:
             return (
-                f"the inertia of {names[joint]} would be {factor:.3g} times the description's: a payload, a rotor or "
-                "the torque's delay may be missing"
+                f"the inertia at {names[joint]} would be {100.0 * error:.0f} % off the description's: a payload, a "
+                "rotor or the torque's delay may be missing"
             )
         if misfit > _MISFIT:
             return (
