@@ -34,8 +34,8 @@ _START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
 _ROUNDS = 30
 _FEW = 3  # motions, below which leaving out one says nothing
 _LEAST_REST = 1e-3  # of a direction that a cluster leaves to the others: a motion's own start is its own
-_MATTERS = 0.005  # of the torque: smaller shares of an error of the mass matrix are left out
 _TELLING = 0.1  # of what is assumed of the inertia: smaller corrections of it are rounding
+_FLOOR = (0.002, 0.01)  # of c0 and c1: steps of the encoders, and 10 us of timing, are in no noise
 _CHANCE = 3.0  # deviations of the noise's power that are left to chance
 _PASSES = 3  # of the fit, with the noise told from the one before
 
@@ -84,25 +84,13 @@ class _Problem:
         self.count = 2 * len(sliding)
         self.drive = [thinned(motion.drive) for motion in motions]
         self.acceleration = [thinned(motion.acceleration) for motion in motions]
-        self.masses = self._shown()
+        # Of each symmetric pair of the group one. The other joints nearly rest: by less than their encoders tell.
+        group = motions[0].joints
+        self.masses = [(j, group[i]) for j in range(self.joints) for i in range(j, self.joints)]
         self.shared = self.count + len(self.masses)
         self.size = self.shared + self.own * len(motions)
         self.scale = 0.1 * np.abs(inputs).T @ np.array([e.tau_c_positive for e in sliding])
         self.use(sliding, [motion.velocity @ inputs.T for motion in motions])
-
-    def _shown(self) -> list[tuple[int, int]]:
-        """Return the entries of the mass matrix whose errors matter, one of each symmetric pair within the group.
-
-        Joints that nearly rest turn by less than their encoders tell.
-        """
-        group, torque, share = self.motions[0].joints, 0.0, np.zeros_like(self.motions[0].mass)
-        for index, motion in enumerate(self.motions):
-            moved = np.sum(lines(self.acceleration[index], motion.step)[0] ** 2, axis=0)
-            share = share + self.mass_scale(index) ** 2 * moved
-            torque = torque + np.sum(lines(self.drive[index], motion.step)[0] ** 2, axis=0)
-        shown = INERTIA_DEVIATION**2 * share > _MATTERS**2 * np.reshape(torque, (-1, 1))
-        pairs = np.argwhere(shown | (np.arange(shown.shape[1]) == np.reshape(group, (-1, 1)))).tolist()
-        return [(j, i) for j, i in pairs if i not in group[:j]]
 
     def use(self, sliding: Sequence[LuGreElement], speeds: Sequence[Array]) -> None:
         """Take a sliding regime, and input velocities for each motion, shape (m, e)."""
@@ -142,8 +130,7 @@ class _Problem:
         errors = np.zeros_like(self.motions[0].mass)
         for value, (j, i) in zip(x[self.count : self.shared], self.masses, strict=True):
             errors[j, i] = value
-            if i in group:
-                errors[group.index(i), group[j]] = value
+            errors[group.index(i), group[j]] = value
         return errors
 
     def mass(self, x: Array, index: int) -> Array:
@@ -306,6 +293,7 @@ def solve_group(
     if sliding_covariance is not None:
         slopes = np.linalg.lstsq(jacobian, -_by_sliding(problem, x, residual), rcond=None)[0]
         covariance = covariance + slopes @ sliding_covariance @ slopes.T
+    covariance = covariance + np.diag(np.append(np.tile(_FLOOR, problem.own), np.zeros(x.size - problem.count))) ** 2
     count = problem.count
     inertia, strain = problem.inertia(x), problem.inertia(_strain(problem, x, jacobian, covariance))
     return GroupSolution(problem.values(x), covariance[:count, :count], inertia, strain, torque, loads, misfit)

@@ -29,7 +29,13 @@ FOURTH = 3  # joint 4: its index, and its element's
 
 def micro_records(setup: Setup, groups: Sequence[str], noise: float, *seeds: int) -> list[list[JointRecord]]:
     """Run presliding experiments once and return records for each seed; noise in parts of the rig's."""
-    options = PlanOptions(groups=tuple(groups), burst=4.0)  # half of the plan's
+    heavy = not set(groups) <= set(WRIST)
+    options = PlanOptions(
+        groups=tuple(groups),
+        burst=4.0,  # half of the plan's
+        presliding_cycles=(2e-3,) * 3,
+        tone_amplitudes=(2.4e-4, 1.2e-4, 5e-5) if heavy else (5e-5, 1.6e-5, 6e-6),
+    )
     runs = run_presliding(setup, options)
     level = Noise(noise * Noise.torque)
     return [[recorded(setup, run, np.random.default_rng((seed, 1)), level) for run in runs] for seed in seeds]
@@ -102,15 +108,15 @@ def test_errors_of_the_sliding_regime_widen_the_deviations(shipped: Setup) -> No
     assumed = fitted(shipped, records, spreads).estimates[3].parameters
     for name in ("c0", "c1"):
         assert assumed[name].value == known[name].value
-        assert assumed[name].deviation > 1.05 * known[name].deviation
+        assert assumed[name].deviation > 1.2 * known[name].deviation
 
 
 def test_loops_of_measurement_and_simulation_agree(shipped: Setup) -> None:
-    """Without torque noise the simulated friction torque follows the measured one within a tenth of its size."""
+    """Without torque noise the simulated friction torque follows the measured one within 7 % of its size."""
     (records,) = micro_records(shipped, ["joint_1"], 0.0, 0)
     fit = fitted(shipped, records)
     (loop,) = (loop for loop in fit.loops if loop.joint == "joint_1")
-    assert np.std(loop.torque - loop.simulated_torque) < 0.1 * np.std(loop.torque)
+    assert np.std(loop.torque - loop.simulated_torque) < 0.07 * np.std(loop.torque)
 
 
 def test_an_element_without_micro_motion_is_not_told(shipped: Setup) -> None:
@@ -213,7 +219,10 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
     """With 1 kg on the flange that the description lacks, the wrist's c0 and c1 are right or not told."""
     file = tmp_path / "tool.yaml"
     tool = yaml.safe_load(config_path("robot/tool_laser_head.yaml").read_text(encoding="utf-8"))
-    tool["inertial"]["mass"] += 1.0  # in the tool's centre of mass
+    # The tool with a point mass of 1 kg at (0.03, -0.02, 0.15) m.
+    tool["inertial"]["mass"] = 4.5
+    tool["inertial"]["center_of_mass"] = [0.00667, -0.00444, 0.11111]
+    tool["inertial"]["inertia"] = [0.01226, 0.01264, 0.00601, 0.00047, -0.00117, 0.00078]
     file.write_text(yaml.safe_dump(tool), encoding="utf-8")
     loaded = Setup.load(SetupFiles(tool=file))
     (records,) = micro_records(loaded, WRIST, 0.5, 0)
