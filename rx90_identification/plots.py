@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _MOST_POINTS = 3000
 _INTERVAL = 1.96  # standard deviations, 95 %
-_LOOPS = 6  # part of a micro-oscillation that is drawn: more loops cover each other
+_LOOPS = 20  # part of a micro-oscillation that is drawn: more loops cover each other
 _INK, _BAND = "#222222", "#888888"
 
 

@@ -190,7 +190,7 @@ def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[s
             f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor or the "
             "torque's delay may be missing"
         )
-    for joint in np.flatnonzero(inputs):
+    for joint in np.flatnonzero(inputs).tolist():
         if solution.misfit[joint] > _MISFIT:
             return (
                 f"the torque of {names[joint]} is missed by {100.0 * solution.misfit[joint]:.0f} % of its friction: "

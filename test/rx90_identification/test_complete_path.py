@@ -138,7 +138,7 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
 INTERRUPTED = """
 import sys
 import numpy as np
-from rx90_identification.experiments import command
+from rx90_identification.experiments import command, job
 from rx90_identification.experiments.motion import Motion
 from rx90_identification.experiments.plan import Experiment, Kind
 from rx90_loop.setup import Setup
@@ -147,7 +147,7 @@ for name, duration in (("short", 0.5), ("long", 400.0)):
     motion = Motion(np.zeros(6))
     motion.sweep(np.eye(6)[3], 1e-3, duration, 6.0)
     plan.append(Experiment(name, Kind.SLIDING, motion.points(robot.joint_names), 1))
-command.make_plan = lambda *_: plan
+job.make_plan = lambda *_: plan
 sys.exit(command.main(["run", "--nodes", "--output", sys.argv[1]]))
 """
 """The command with a plan of half a second and one that lasts until it is stopped."""

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
 
-from rx90_identification import command
+from rx90_identification import command, identify_job
 from rx90_identification.errors import IdentificationError
 from rx90_identification.output_files import write_all
 
@@ -57,7 +57,7 @@ def test_an_interrupt_leaves_everything(
         whole = Path.write_text
         monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
-        monkeypatch.setattr(command, place, interrupted)
+        monkeypatch.setattr(identify_job, place, interrupted)
     assert command.main([*arguments, "--output", str(output), "--force"]) == command.INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
     assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
