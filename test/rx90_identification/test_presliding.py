@@ -101,9 +101,9 @@ def test_too_much_noise_gives_no_wrong_number(shipped: Setup) -> None:
 
 
 def test_errors_of_the_sliding_regime_widen_the_deviations(shipped: Setup) -> None:
-    """A sliding regime with deviations leaves c0 and c1 as they are and makes them less certain."""
+    """A sliding regime with ten times the usual deviations leaves c0 and c1 as they are and makes them less certain."""
     (records,) = micro_records(shipped, ["joint_4"], 0.0, 0)
-    spreads = [sliding_covariance(element) for element in shipped.friction.elements]
+    spreads = [100.0 * sliding_covariance(element) for element in shipped.friction.elements]
     known = fitted(shipped, records).estimates[3].parameters
     assumed = fitted(shipped, records, spreads).estimates[3].parameters
     for name in ("c0", "c1"):
