@@ -14,6 +14,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from tqdm import tqdm
 
 from benchmarks.presliding_runs import (
     Outcome,
@@ -34,18 +35,23 @@ SETS = 30
 LEVELS = (0.0, 0.5, 1.0, 2.0)
 
 
-def identify(setup: Setup, arm: RigidArm, seed: int) -> dict[float, tuple[list[Outcome], float]]:
+def identify(setup: Setup, arm: RigidArm, seed: int, bar: tqdm[None]) -> dict[float, tuple[list[Outcome], float]]:
     """Make a random set of friction, run the experiments, identify it at each level of noise, in s."""
+    bar.set_description_str(f"set {seed}, experiments")
     friction = random_bristles(setup.friction, np.random.default_rng(seed))
     truth = replace(setup, friction=friction)
     runs, found = run_presliding(truth), {}
+    bar.update()
     for level in LEVELS:
+        bar.set_description_str(f"set {seed}, noise x {level:g}")
         rng = np.random.default_rng((seed, round(10 * level)))
         records = [recorded(setup, run, rng, Noise(level * Noise.torque)) for run in runs]
         known = measured_sliding(friction.elements, rng)
         began = time.perf_counter()
-        fit = identify_presliding(records, arm, known, 0.0, [sliding_covariance(one) for one in known])
+        spreads = [sliding_covariance(one) for one in known]
+        fit = identify_presliding(records, arm, known, 0.0, spreads, setup.rates.period)
         found[level] = outcomes(fit.estimates, friction.elements), time.perf_counter() - began
+        bar.update()
     return found
 
 
@@ -54,10 +60,8 @@ def main() -> int:
     sets = int(sys.argv[1]) if len(sys.argv) > 1 else SETS
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
-    found = []
-    for seed in range(1, sets + 1):
-        found.append(identify(setup, arm, seed))
-        print(f"set {seed} of {sets}", file=sys.stderr, flush=True)
+    with tqdm(total=sets * (1 + len(LEVELS)), file=sys.stderr) as bar:
+        found = [identify(setup, arm, seed, bar) for seed in range(1, sets + 1)]
     rows = []
     for level in LEVELS:
         seconds = float(np.median([one[level][1] for one in found]))

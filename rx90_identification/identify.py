@@ -64,6 +64,7 @@ def identify(
     fallback: Sequence[LuGreElement] | None,
     torque_delay: float = 0.0,
     step: Callable[[str], None] = lambda _: None,
+    plant_period: float | None = None,
 ) -> Identification:
     """Identify all elements of an arm.
 
@@ -75,6 +76,7 @@ def identify(
             to refuse such data.
         torque_delay: how much later than its stamp a recorded torque acted, s.
         step: called with a word before each step.
+        plant_period: as in `identify_presliding`.
 
     Raises:
         IdentificationError: if the data do not fit or do not suffice.
@@ -85,7 +87,11 @@ def identify(
     known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE)[0] for e, est in enumerate(slid.estimates)]
     step("presliding regime")
     covariances = [estimate.covariance() for estimate in slid.estimates]
-    bent = identify_presliding(presliding, arm, known, torque_delay, covariances) if presliding else _not_bent(arm)
+    bent = (
+        identify_presliding(presliding, arm, known, torque_delay, covariances, plant_period)
+        if presliding
+        else _not_bent(arm)
+    )
     elements = []
     for e, (first, second) in enumerate(zip(slid.estimates, bent.estimates, strict=True)):
         element, assumed = _merged(first, second, _standing(fallback, e), {})

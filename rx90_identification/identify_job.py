@@ -100,7 +100,13 @@ def _identify(
             _check_range(records[use][-1], robot)
         _check_unused(records)
         result = identify(
-            records["sliding"], records["presliding"], robot.arm, robot.fallback, options.torque_delay, step
+            records["sliding"],
+            records["presliding"],
+            robot.arm,
+            robot.fallback,
+            options.torque_delay,
+            step,
+            robot.plant_period,
         )
         tolerances = Tolerances(options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance)
         checks = []

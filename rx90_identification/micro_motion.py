@@ -1,4 +1,4 @@
-"""Find the micro-oscillations of a record and prepare them for a simulation from the recorded torque."""
+"""Find the micro-oscillations of a record and prepare them for bending bristles along them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from rx90_identification.errors import IdentificationError
 from rx90_identification.record import JointRecord
 from rx90_identification.rigid_arm import RigidArm
+from rx90_identification.spikes import spikes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -29,7 +30,10 @@ _MOST = 3  # motions of a group in a bag
 _FINEST = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
 _SLOW, _FAST = 2.0, 60.0  # Hz, the band of micro-oscillations
 _SMOOTH = 200.0  # Hz, above which positions hold little but the encoder's noise
-_ACROSS_GAP = 1.5  # sample periods
+_GAP = 3e-3  # s without a message, over which straight lines are not the motion
+_GAP_SAMPLES = 2.5  # sample periods, where these are longer
+_RING = 0.01  # s beside a gap that the low-pass carries it to
+_BLOCK = 1.0  # s, within which a wild sample is told by its size
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +45,10 @@ class MicroMotion:
         step: sample period, s.
         position: low-passed, at the end of each step, rad, shape (m, k).
         velocity: mean over each step, rad/s, shape (m, k).
-        acceleration: the same, rad/s^2, shape (m, k).
-        drive: drive torque less weight and less what the other joints' accelerations take, held over each step, Nm,
-            shape (m, k).
-        mass: mass matrix of the group, kg m^2, shape (k, k).
-        known: whether the sample was recorded, shape (m,).
+        acceleration: the same of all n joints, rad/s^2, shape (m, n).
+        drive: drive torque less weight, held over each step, Nm, shape (m, k).
+        mass: the group's rows of the mass matrix, kg m^2, shape (k, n).
+        inertia: its diagonal, kg m^2, shape (n,).
         record: the bag's record.
         interval: s, of the record's time.
     """
@@ -57,7 +60,7 @@ class MicroMotion:
     acceleration: Array
     drive: Array
     mass: Array
-    known: Mask
+    inertia: Array
     record: JointRecord
     interval: tuple[float, float]
 
@@ -89,7 +92,7 @@ def find_micro_motions(
     """
     grid = _on_grid(record, torque_delay)
     velocity = _derivative(grid.position, grid.step)
-    active = _active(grid)
+    active = _active(grid) & grid.known[:, None]
     found = []
     for group in groups:
         for first, last in _runs(np.asarray(active[:, list(group)].any(axis=1)), round(_SHORTEST / grid.step)):
@@ -99,7 +102,7 @@ def find_micro_motions(
 
 
 def most_telling(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
-    """Return the motions that bend the bristles well without breaking away, at most two of each bag.
+    """Return the motions that bend the bristles well without breaking away, at most three of each bag.
 
     Args:
         motions: of one group of k joints.
@@ -133,16 +136,30 @@ def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
             f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
             "presliding regime, such as motor_states"
         )
-    count = round((record.time[-1] - record.time[0]) / step) + 1
-    time = record.time[0] + step * np.arange(count)
-    before = np.clip(np.searchsorted(record.time, time + 0.5 * step) - 1, 0, len(record.time) - 1)
-    known = np.abs(time - record.time[before]) < _ACROSS_GAP * step
-    joints = range(len(record.names))
-    position = np.column_stack([np.interp(time, record.time, record.position[:, j]) for j in joints])
-    torque = np.column_stack([np.interp(time - torque_delay, record.time, record.torque[:, j]) for j in joints])
+    rows = _calm_rows(record, step)
+    taken = record.time[rows]
+    time = taken[0] + step * np.arange(round((taken[-1] - taken[0]) / step) + 1)
+    position = np.column_stack([np.interp(time, taken, column) for column in record.position[rows].T])
+    torque = np.column_stack([np.interp(time - torque_delay, taken, column) for column in record.torque[rows].T])
+    known = _known(taken, time, step)
     # Steps of the set-points leave images of an oscillation beside multiples of their rate, which coarser steps would
     # fold back onto it.
     return _coarser(_Grid(step, time, _low_passed(position, step), _low_passed(torque, step), known))
+
+
+def _calm_rows(record: JointRecord, step: float) -> NDArray[np.intp]:
+    """Return the samples without a spike: one that the range of the whole record hides is wild for small motions."""
+    size, values = max(1, round(_BLOCK / step)), np.hstack([record.position, record.torque])
+    wild = [spikes(values[first : first + size]) for first in range(0, len(record.time), size)]
+    return np.flatnonzero(~np.concatenate(wild))
+
+
+def _known(taken: Array, time: Array, step: float) -> Mask:
+    """Return which times are not in a gap between the samples taken, nor beside one."""
+    known = np.ones(len(time), dtype=np.bool_)
+    for k in np.flatnonzero(np.diff(taken) > max(_GAP, _GAP_SAMPLES * step)):
+        known[slice(*np.searchsorted(time, (taken[k] - _RING, taken[k + 1] + _RING)))] = False
+    return known
 
 
 def _low_passed(values: Array, step: float) -> Array:
@@ -199,7 +216,6 @@ def _motion(
     last: int,
 ) -> MicroMotion:
     joints = list(group)
-    beside = [j for j in range(len(record.names)) if j not in group]
     pose = smooth[0][first:last].mean(axis=0)[None]
     nothing = np.zeros_like(pose)
     weight = arm.torque(pose, nothing, nothing)[0]
@@ -210,16 +226,15 @@ def _motion(
     velocity, acceleration = (np.diff(part[first:last], axis=0) / grid.step for part in smooth)
     drive = grid.torque[end][:, joints] - weight[joints]
     drive = drive - (position - pose) @ _stiffness(arm, pose)[joints].T
-    drive = drive - acceleration[:, beside] @ mass[np.ix_(joints, beside)].T
     return MicroMotion(
         joints=group,
         step=grid.step,
         position=np.ascontiguousarray(smooth[0][end][:, joints]),
         velocity=np.ascontiguousarray(velocity[:, joints]),
-        acceleration=np.ascontiguousarray(acceleration[:, joints]),
+        acceleration=acceleration,
         drive=np.ascontiguousarray(drive),
-        mass=np.ascontiguousarray(mass[np.ix_(joints, joints)]),
-        known=grid.known[end],
+        mass=mass[joints],
+        inertia=np.diag(mass),
         record=record,
         interval=(float(grid.time[first]), float(grid.time[last - 1])),
     )

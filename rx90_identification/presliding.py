@@ -21,6 +21,10 @@ from rx90_sim.friction import LuGreElement
 Array = NDArray[np.float64]
 
 _UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not tell it
+_NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion bend bristles far
+_ALL_SLIDING = 0.95  # of it: bristles slide
+_MISFIT = 0.3  # of the friction torque
+_WRONG_INERTIA = 2.0  # deviations that errors of the inertia would have if they were as small as is assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,7 @@ def identify_presliding(
     sliding: Sequence[LuGreElement],
     torque_delay: float = 0.0,
     sliding_covariances: Sequence[Array] | None = None,
+    plant_period: float | None = None,
 ) -> PreslidingFit:
     """Fit c0 and c1 of every element whose joints make micro-oscillations.
 
@@ -71,6 +76,8 @@ def identify_presliding(
         torque_delay: how much later than its stamp a recorded torque acted, s.
         sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); none if it is
             known exactly.
+        plant_period: tick of the simulation that made the records, s, whose half a tick of prediction the bristles
+            felt; None for a real robot.
 
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
@@ -105,10 +112,13 @@ def identify_presliding(
         fitted = [sliding[e] for e in members]
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
         spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
-        solution = solve_group(chosen, inputs, fitted, spread)
+        if len(members) > 1:
+            chosen = _gentle(chosen, inputs, fitted, plant_period)
+        solution = solve_group(chosen, inputs, fitted, spread, plant_period)
         used += len(chosen)
         for place, e in enumerate(members):
-            estimates[e] = _estimate(arm.element_names[e], solution, place, chosen)
+            names = [arm.names[joint] for joint in group]
+            estimates[e] = _estimate(arm.element_names[e], solution, place, (inputs[place], names), chosen)
         loops += _loops(arm, chosen, solution)
     return PreslidingFit(tuple(estimates), tuple(loops), used)
 
@@ -127,12 +137,29 @@ def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
     return np.flatnonzero(arm.elements()[:, list(group)].any(axis=1)).tolist()
 
 
-def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[MicroMotion]) -> ElementEstimate:
+def _gentle(
+    motions: list[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement], plant_period: float | None
+) -> list[MicroMotion]:
+    """Leave out the motions in which an element nearly slides, though its joints' torques are far from break-away."""
+    loads = solve_group(motions, inputs, sliding, None, plant_period).loads.max(axis=1)
+    return [motion for motion, load in zip(motions, loads, strict=True) if load < _NEAR_SLIDING] or motions
+
+
+def _estimate(
+    name: str,
+    solution: GroupSolution,
+    place: int,
+    joints: tuple[Array, Sequence[str]],
+    motions: Sequence[MicroMotion],
+) -> ElementEstimate:
     block = solution.covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
     relative = np.sqrt(np.maximum(np.diag(block), 0.0))
+    doubt = _doubt(solution, place, *joints)
     parameters = {}
     for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
-        if not deviation < _UNTOLD:
+        if doubt:
+            parameters[key] = Estimate.unknown(doubt)
+        elif not deviation < _UNTOLD:
             parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
         else:
             parameters[key] = Estimate(float(value), float(value * deviation))
@@ -140,6 +167,36 @@ def _estimate(name: str, solution: GroupSolution, place: int, motions: Sequence[
     scale = np.where(known & (relative > 0.0), relative, np.nan)
     sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
     return ElementEstimate(name, parameters, block / np.outer(scale, scale), sources)
+
+
+def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[str]) -> str:
+    """Return why the model does not hold for an element; empty if it does.
+
+    Args:
+        solution: of its group.
+        place: of the element in the group.
+        inputs: of the element, from the group's k joints, shape (k,).
+        names: of these joints.
+    """
+    load = float(solution.loads[:, place].min())
+    if load > _ALL_SLIDING:
+        return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
+    # A wrong inertia of one joint spoils what its neighbours' elements are told apart by.
+    strain = np.abs(solution.strain).max(axis=1)
+    worst = int(np.argmax(strain))
+    if strain[worst] > _WRONG_INERTIA:
+        error = 100.0 * float(np.abs(solution.inertia[worst]).max())
+        return (
+            f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor or the "
+            "torque's delay may be missing"
+        )
+    for joint in np.flatnonzero(inputs).tolist():
+        if solution.misfit[joint] > _MISFIT:
+            return (
+                f"the torque of {names[joint]} is missed by {100.0 * solution.misfit[joint]:.0f} % of its friction: "
+                "another delay of the torque, another inertia, or no bristles"
+            )
+    return ""
 
 
 def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolution) -> list[HysteresisLoop]:

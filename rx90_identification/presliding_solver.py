@@ -17,7 +17,6 @@ from scipy.fft import prev_fast_len, rfft, rfftfreq
 from scipy.optimize import least_squares
 from scipy.signal.windows import tukey
 
-from rx90_common.rates import Rates
 from rx90_identification.bristle_path import THIN, slide, thinned
 from rx90_identification.estimate import SLIDING
 from rx90_identification.micro_motion import MicroMotion
@@ -25,15 +24,19 @@ from rx90_sim.friction import LuGreElement
 
 Array = NDArray[np.float64]
 
+INERTIA_DEVIATION = 0.05
+"""Of errors of the mass matrix in parts of sqrt(M_jj M_ii), as they are assumed."""
 _LOWEST, _HIGHEST = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
 _TAPER = 0.2  # share of a motion that is faded in and out, against leakage
 _LINE = 1.0  # Hz, over which errors may be correlated: an oscillation's line with its fade
 _DIFFERENCE = 1e-4  # relative, for derivatives
-_INERTIA_DEVIATION = 0.05  # of the description's inertia, relative
 _START_DEVIATION = 0.3  # of the largest deflection: what a bristle starts with
 _ROUNDS = 30
 _FEW = 3  # motions, below which leaving out one says nothing
 _LEAST_REST = 1e-3  # of a direction that a cluster leaves to the others: a motion's own start is its own
+_TELLING = 0.1  # of what is assumed of the inertia: smaller corrections of it are rounding
+_FLOOR = (0.002, 0.01)  # of c0 and c1: steps of the encoders, and 10 us of timing, are in no noise
+_CHANCE = 3.0  # deviations of the noise's power that are left to chance
 _PASSES = 3  # of the fit, with the noise told from the one before
 
 
@@ -44,28 +47,48 @@ class GroupSolution:
     Attributes:
         values: c0 Nm/rad and c1 Nm s/rad of the e elements, shape (e, 2).
         covariance: of ln c0 and ln c1, element by element, shape (2 e, 2 e).
-        inertia: factor on the mass of each joint, shape (k,).
+        inertia: errors of the group's rows of the mass matrix, in parts of sqrt(M_jj M_ii), shape (k, n).
+        strain: the same in the deviations that they would have if they were as small as is assumed, shape (k, n).
         torque: friction torque at the joints by the bristles, thinned, Nm, of each micro-motion, shape (m, k).
+        loads: amplitude of each bristle's torque over its Coulomb torque, of each micro-motion, shape (motions, e).
+        misfit: RMS of what is left of each joint's torque beyond noise, over that of its friction torque, shape (k,).
     """
 
     values: Array
     covariance: Array
     inertia: Array
+    strain: Array
     torque: tuple[Array, ...]
+    loads: Array
+    misfit: Array
 
 
 class _Problem:
-    """Scaled parameters: ln c0 and ln c1 of each element, ln inertia of each joint, start deflections by motion."""
+    """Scaled parameters: ln c0 and ln c1 of each element, errors of the mass matrix, start deflections by motion.
 
-    def __init__(self, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> None:
+    All micro-oscillations are made at one pose, where whatever the description of the links lacks is a constant error
+    of the mass matrix, beside its diagonal as well.
+    """
+
+    def __init__(
+        self,
+        motions: Sequence[MicroMotion],
+        inputs: Array,
+        sliding: Sequence[LuGreElement],
+        plant_period: float | None,
+    ) -> None:
         self.motions = motions
+        self.plant_period = plant_period
         self.inputs = inputs
         self.joints, self.own = inputs.shape[1], len(sliding)
         self.count = 2 * len(sliding)
-        self.shared = self.count + self.joints
-        self.size = self.shared + self.own * len(motions)
         self.drive = [thinned(motion.drive) for motion in motions]
         self.acceleration = [thinned(motion.acceleration) for motion in motions]
+        # Of each symmetric pair of the group one. The other joints nearly rest: by less than their encoders tell.
+        group = motions[0].joints
+        self.masses = [(j, group[i]) for j in range(self.joints) for i in range(j, self.joints)]
+        self.shared = self.count + len(self.masses)
+        self.size = self.shared + self.own * len(motions)
         self.scale = 0.1 * np.abs(inputs).T @ np.array([e.tau_c_positive for e in sliding])
         self.use(sliding, [motion.velocity @ inputs.T for motion in motions])
 
@@ -101,20 +124,36 @@ class _Problem:
             total.append(torque + values[n, 1] * rate + path.viscous)
         return np.column_stack(total) @ self.inputs
 
+    def inertia(self, x: Array) -> Array:
+        """Return the errors of the mass matrix in parts of sqrt(M_jj M_ii), shape (k, n)."""
+        group = self.motions[0].joints
+        errors = np.zeros_like(self.motions[0].mass)
+        for value, (j, i) in zip(x[self.count : self.shared], self.masses, strict=True):
+            errors[j, i] = value
+            errors[group.index(i), group[j]] = value
+        return errors
+
     def mass(self, x: Array, index: int) -> Array:
-        scale = np.exp(0.5 * np.clip(x[self.count : self.shared], -1.0, 1.0))
-        return np.asarray(self.motions[index].mass * np.outer(scale, scale))
+        """Return the group's rows of the mass matrix, kg m^2, shape (k, n)."""
+        motion = self.motions[index]
+        return np.asarray(motion.mass + self.inertia(x) * self.mass_scale(index))
+
+    def mass_scale(self, index: int) -> Array:
+        inertia = self.motions[index].inertia
+        return np.asarray(np.sqrt(np.outer(inertia[list(self.motions[index].joints)], inertia)))
 
     def predict(self, x: Array) -> None:
-        """Give the bristles the velocity at which the plant evaluates them.
+        """Give the bristles the velocity at which a simulated plant evaluates them; a real one has no ticks.
 
         The plant predicts the middle of its tick with the friction of the tick before, which is off by half a tick
         squared times the rate of the friction over the mass: 1 % of the stiffness of a light joint.
         """
-        period, speeds = Rates().period, []
+        if self.plant_period is None:
+            return
+        period, speeds = self.plant_period, []
         for index, motion in enumerate(self.motions):
             rate = np.gradient(self.friction(x, index), THIN * motion.step, axis=0)
-            coarse = 0.5 * period**2 * np.linalg.solve(self.mass(x, index), rate.T).T
+            coarse = 0.5 * period**2 * np.linalg.solve(self.mass(x, index)[:, motion.joints], rate.T).T
             place = (np.arange(len(motion.velocity)) + 0.5) / THIN - 0.5
             ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
             speeds.append((motion.velocity + ahead) @ self.inputs.T)
@@ -126,8 +165,25 @@ class _Problem:
         inertial = self.acceleration[index] @ self.mass(x, index).T
         return np.asarray(lines(self.drive[index] - inertial - self.friction(x, index), motion.step)[0] / self.scale)
 
+    def loads(self, x: Array) -> Array:
+        """Return the amplitude of each bristle's torque over its Coulomb torque, shape (motions, e)."""
+        found = np.empty((len(self.motions), self.own))
+        for index, paths in enumerate(self.paths):
+            for n, path in enumerate(paths):
+                low, high = np.percentile(self.bent(x, index, n)[0], (1.0, 99.0))
+                found[index, n] = 0.5 * (high - low) / path.coulomb
+        return found
+
+    def misfit(self, x: Array) -> Array:
+        """Return the RMS of what is left of each joint's torque beyond noise over that of friction, shape (k,)."""
+        left = np.vstack([self.motion_residual(x, index) for index in range(len(self.motions))])
+        friction = [lines(self.friction(x, index), motion.step)[0] for index, motion in enumerate(self.motions)]
+        beyond = np.sum(left**2, axis=0) - len(left) - _CHANCE * np.sqrt(2.0 * len(left))
+        power = np.sum((np.vstack(friction) / self.scale) ** 2, axis=0)
+        return np.asarray(np.sqrt(np.maximum(beyond, 0.0) / power))
+
     def prior(self, x: Array) -> Array:
-        return np.concatenate([x[self.count : self.shared] / _INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
+        return np.concatenate([x[self.count : self.shared] / INERTIA_DEVIATION, x[self.shared :] / _START_DEVIATION])
 
     def residual(self, x: Array) -> Array:
         parts = [self.motion_residual(x, index).ravel() for index in range(len(self.motions))]
@@ -140,7 +196,7 @@ class _Problem:
             first = self.shared + index * self.own
             torques = self._element_slopes(x, index)
             columns = [*range(self.shared), *range(first, first + self.own)]
-            slopes = [*torques[: self.count], *self._mass_slopes(x, index), *torques[self.count :]]
+            slopes = [*torques[: self.count], *self._mass_slopes(index), *torques[self.count :]]
             seen = lines(np.hstack(slopes), motion.step)[0].reshape(-1, len(columns), self.joints)
             part = np.zeros((seen.shape[0] * self.joints, x.size))
             part[:, columns] = -(seen / self.scale).transpose(0, 2, 1).reshape(-1, len(columns))
@@ -162,13 +218,12 @@ class _Problem:
             own.append(np.outer(by_start, row))
         return shared + own
 
-    def _mass_slopes(self, x: Array, index: int) -> list[Array]:
-        mass, slopes = self.mass(x, index), []
-        for joint in range(self.joints):
-            share = np.zeros_like(mass)
-            share[joint] += 0.5 * mass[joint]
-            share[:, joint] += 0.5 * mass[:, joint]
-            slopes.append(self.acceleration[index] @ share.T)
+    def _mass_slopes(self, index: int) -> list[Array]:
+        """Return derivatives of the joints' torques by the errors of the mass matrix, each (m, k)."""
+        scale, acceleration, slopes = self.mass_scale(index), self.acceleration[index], []
+        for row in np.eye(len(self.masses)):
+            share = self.inertia(np.concatenate([np.zeros(self.count), row]))
+            slopes.append(acceleration @ (share * scale).T)
         return slopes
 
     def groupings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -184,7 +239,9 @@ class _Problem:
             by_line.append(np.repeat(first + line, self.joints))
             by_motion.append(np.full(by_line[-1].size, index))
             first += int(line.max()) + 1
-        assumed = np.concatenate([np.zeros(self.joints, np.int64), np.repeat(np.arange(len(self.motions)), self.own)])
+        assumed = np.concatenate(
+            [np.zeros(len(self.masses), np.int64), np.repeat(np.arange(len(self.motions)), self.own)]
+        )
         own = first + np.arange(self.size - self.count)
         return np.concatenate([*by_line, own]), np.concatenate([*by_motion, assumed])
 
@@ -208,6 +265,7 @@ def solve_group(
     inputs: Array,
     sliding: Sequence[LuGreElement],
     sliding_covariance: Array | None = None,
+    plant_period: float | None = None,
 ) -> GroupSolution:
     """Fit the elements of a group of joints to all its micro-motions.
 
@@ -217,8 +275,9 @@ def solve_group(
         sliding: the elements with their sliding regime; c0 and c1 are not looked at.
         sliding_covariance: of that regime, element by element in the order of SLIDING, shape (7 e, 7 e); none if it
             is known.
+        plant_period: as in `identify_presliding`.
     """
-    problem = _Problem(motions, inputs, sliding)
+    problem = _Problem(motions, inputs, sliding, plant_period)
     guess = first_guess(motions, inputs, sliding)
     x = np.concatenate([np.log(guess).ravel(), np.zeros(problem.size - problem.count)])
     for _ in range(_PASSES):
@@ -228,13 +287,31 @@ def solve_group(
         problem.predict(x)
     x = _fit(problem, x, 1e-6)
     residual, jacobian = problem.residual(x), problem.jacobian(x)
+    loads, misfit = problem.loads(x), problem.misfit(x)
     covariance = _covariance(jacobian, residual, problem.groupings()[: 1 if len(motions) < _FEW else 2])
     torque = tuple(problem.friction(x, index) for index in range(len(motions)))
     if sliding_covariance is not None:
         slopes = np.linalg.lstsq(jacobian, -_by_sliding(problem, x, residual), rcond=None)[0]
         covariance = covariance + slopes @ sliding_covariance @ slopes.T
+    covariance = covariance + np.diag(np.append(np.tile(_FLOOR, problem.own), np.zeros(x.size - problem.count))) ** 2
     count = problem.count
-    return GroupSolution(problem.values(x), covariance[:count, :count], np.exp(x[count : problem.shared]), torque)
+    inertia, strain = problem.inertia(x), problem.inertia(_strain(problem, x, jacobian, covariance))
+    return GroupSolution(problem.values(x), covariance[:count, :count], inertia, strain, torque, loads, misfit)
+
+
+def _strain(problem: _Problem, x: Array, jacobian: Array, covariance: Array) -> Array:
+    """Return x with the errors of the mass matrix in deviations of what data with noise make of assumed ones.
+
+    What is assumed draws them to zero; where the data tell little, small ones already speak against it. What the
+    covariance has beyond noise may be errors of the model instead.
+    """
+    own = slice(problem.count, problem.shared)
+    left = np.diag(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))[own]
+    beyond = np.maximum(np.diag(covariance)[own] - left, 0.0)
+    told = np.sqrt(np.maximum(INERTIA_DEVIATION**2 - left, (_TELLING * INERTIA_DEVIATION) ** 2) + beyond)
+    strain = np.zeros_like(x)
+    strain[own] = x[own] / told
+    return strain
 
 
 def _by_sliding(problem: _Problem, x: Array, here: Array) -> Array:

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
-from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_bag.joint_series import JointSeries
@@ -22,14 +21,11 @@ from rx90_description.wrist import coupling_matrix
 from rx90_exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_identification.errors import IdentificationError
 from rx90_identification.record import JointRecord
+from rx90_identification.spikes import spikes
 from rx90_loop.setup import Setup
 
 Array = NDArray[np.float64]
 
-_NEIGHBOURS = 5  # samples whose median a sample is compared with
-_OUTLIER = 4.0  # times what 99 % of the samples keep from it
-_SPIKE = 0.02  # and this part of the signal's range
-_ALONE = 0.25  # share of its distance that its neighbours keep
 _BANDWIDTH = 40.0  # Hz of the velocity made from positions
 _FACTOR = 2.0  # between a velocity and the change of the position, beyond which they do not belong together
 _WINDOW = 0.1  # s, over which they are compared
@@ -206,20 +202,7 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
     rows = np.flatnonzero(good)
     if len(rows) == 0:
         raise IdentificationError(f"{path}: {series.topic} carries no message with finite numbers alone")
-    return np.asarray(rows[~(_spikes(position[rows]) | _spikes(effort[rows]))])
-
-
-def _spikes(values: Array) -> NDArray[np.bool_]:
-    """Return the rows in which a joint stands out from its neighbours, and these do not.
-
-    The start of a motion stands out, too, but not for a single sample.
-    """
-    distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
-    usual = np.percentile(distance, 99.0, axis=0)
-    low, high = np.percentile(values, (1.0, 99.0), axis=0)
-    far = distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9
-    beside = np.pad(distance, ((1, 1), (0, 0)))
-    return np.asarray((far & (_ALONE * distance > beside[:-2]) & (_ALONE * distance > beside[2:])).any(axis=1))
+    return np.asarray(rows[~(spikes(position[rows]) | spikes(effort[rows]))])
 
 
 def _missing(time: Array) -> int:

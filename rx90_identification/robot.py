@@ -41,6 +41,11 @@ class Robot:
     fallback_name: str | None
     record_time: bool = False
 
+    @property
+    def plant_period(self) -> float | None:
+        """Return the tick of this project's plant, s; None for another robot."""
+        return None if self.setup is None else self.setup.rates.period
+
     def layout(self, bag: Path, *, fast: bool) -> BagLayout:
         """Return what to read of a bag: the motors' states where the rate matters and they are there."""
         return replace(self._layout(bag, fast=fast), record_time=self.record_time)

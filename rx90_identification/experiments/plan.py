@@ -82,9 +82,9 @@ class PlanOptions:
     home: tuple[float, ...] = HOME
     poses: tuple[tuple[float, ...], ...] = POSES
     groups: tuple[str, ...] = ()
-    presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3)
+    presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3, 5e-4)
     tones: tuple[float, ...] = (3.0, 9.0, 19.0, 33.0)
-    tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 6e-5, 2e-5)
+    tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 5e-5, 1.6e-5, 6e-6)
     burst: float = 8.0
 
     def __post_init__(self) -> None:
