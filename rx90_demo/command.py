@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import count
 from pathlib import Path
-from types import FrameType
 
 from rx90_common.errors import ConfigError, Rx90Error
+from rx90_common.interrupts import terminations_as_interrupts
 from rx90_common.share import resolve_config
 from rx90_exchange.environment import prepare
 
@@ -20,21 +19,16 @@ from rx90_exchange.environment import prepare
 def main(args: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0 same and within the limit, 1 otherwise, 130 after Ctrl-C."""
     options = _parser().parse_args(args)
-    # A terminal that closes must not leave the processes behind either.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     try:
-        return _run(options)
+        # A terminal that closes must not leave the processes behind either.
+        with terminations_as_interrupts():
+            return _run(options)
     except KeyboardInterrupt:
         print("\nrx90_demo: stopped; every process has ended", file=sys.stderr)
         return 130
     except Rx90Error as error:
         print(f"rx90_demo: {error}", file=sys.stderr)
         return 1
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -13,10 +13,10 @@ from rx90_identification.robot_options import add_robot_arguments, number
 from rx90_identification.tolerances import Tolerances
 
 CONFIRMED, NOT_CONFIRMED, REFUSED, INTERRUPTED = 0, 1, 3, 130
-_USAGE = """
-  rx90_identify FOLDER --output FILE [options]
-  rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
-  rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]"""
+_USAGE = """\
+rx90_identify FOLDER --output FILE [options]
+       rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
+       rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]"""
 _EPILOG = """\
 example of another robot, with currents of its motors on /arm/motors:
   rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\

@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from rx90_description.branch import BRANCHES, Branch
 from rx90_description.inverse import (
-    BRANCHES,
-    Branch,
     SphericalWristArm,
     nearest_turn,
     singularity_margins,
