@@ -31,7 +31,7 @@ from rx90_identification.presliding import identify_presliding
 from rx90_identification.rigid_arm import RigidArm
 from rx90_loop.setup import Setup
 
-SETS = 30
+SETS = 5
 LEVELS = (0.0, 0.5, 1.0, 2.0)
 
 

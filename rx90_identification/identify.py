@@ -26,13 +26,11 @@ class IdentifiedElement:
         element: values to simulate with.
         estimates: by the names in PARAMETERS.
         sources: the bags each parameter rests on.
-        assumed: parameters that the data do not tell, whose value comes from elsewhere.
     """
 
     element: LuGreElement
     estimates: dict[str, Estimate]
     sources: dict[str, tuple[Source, ...]]
-    assumed: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +82,7 @@ def identify(
     step("sliding regime")
     slid = identify_sliding(sliding, arm)
     # Not yet known parameters are irrelevant for the sliding part of an element.
-    known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE)[0] for e, est in enumerate(slid.estimates)]
+    known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE) for e, est in enumerate(slid.estimates)]
     step("presliding regime")
     covariances = [estimate.covariance() for estimate in slid.estimates]
     bent = (
@@ -94,10 +92,10 @@ def identify(
     )
     elements = []
     for e, (first, second) in enumerate(zip(slid.estimates, bent.estimates, strict=True)):
-        element, assumed = _merged(first, second, _standing(fallback, e), {})
+        element = _merged(first, second, _standing(fallback, e), {})
         estimates = {**first.parameters, **second.parameters}
         sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
-        elements.append(IdentifiedElement(element, estimates, sources, assumed))
+        elements.append(IdentifiedElement(element, estimates, sources))
     return Identification(arm, tuple(elements), slid, bent)
 
 
@@ -116,10 +114,10 @@ def _merged(
     presliding: ElementEstimate | None,
     fallback: LuGreElement | None,
     given: dict[str, float],
-) -> tuple[LuGreElement, tuple[str, ...]]:
-    """Return the element and the names of the parameters that come from the fallback."""
+) -> LuGreElement:
+    """Return the element; what the data do not tell comes from the fallback."""
     estimates = {**sliding.parameters, **({} if presliding is None else presliding.parameters)}
-    values, assumed = dict(given), []
+    values = dict(given)
     for name in PARAMETERS:
         estimate = estimates.get(name)
         if estimate is not None and estimate.identifiable:
@@ -132,10 +130,9 @@ def _merged(
                     "--fallback with a friction file for such values"
                 )
             values[name] = float(getattr(fallback, name))
-            assumed.append(name)
     for sign in ("positive", "negative"):
         # A fallback's static torque may lie below an identified Coulomb torque.
         values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
     if fallback is not None:
         values["omega_d"] = fallback.omega_d
-    return LuGreElement(**values), tuple(assumed)
+    return LuGreElement(**values)

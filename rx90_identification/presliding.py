@@ -108,7 +108,7 @@ def identify_presliding(
         if not own:
             continue
         members = _members(arm, group)
-        inputs = arm.elements()[members][:, list(group)]
+        inputs = arm.element_matrix[members][:, list(group)]
         fitted = [sliding[e] for e in members]
         chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
         spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
@@ -126,7 +126,7 @@ def identify_presliding(
 def joint_groups(arm: RigidArm) -> list[tuple[int, ...]]:
     """Return the joints in groups that share no friction element, from base to tip."""
     groups = [{j} for j in range(len(arm.names))]
-    for row in arm.elements():
+    for row in arm.element_matrix:
         joined: set[int] = set(np.flatnonzero(row).tolist())
         touched = [group for group in groups if group & joined]
         groups = [group for group in groups if not group & joined] + [set().union(*touched)]
@@ -134,7 +134,7 @@ def joint_groups(arm: RigidArm) -> list[tuple[int, ...]]:
 
 
 def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
-    return np.flatnonzero(arm.elements()[:, list(group)].any(axis=1)).tolist()
+    return np.flatnonzero(arm.element_matrix[:, list(group)].any(axis=1)).tolist()
 
 
 def _gentle(

@@ -87,10 +87,6 @@ class RigidArm:
         matrix = np.vstack([np.eye(n), *together])
         return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude)
 
-    def elements(self) -> Array:
-        """Return E, shape (n_el, n)."""
-        return self.element_matrix
-
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
         model, data = self.model, self.model.createData()

@@ -134,7 +134,7 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
 
     acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
     arm = result.arm
-    friction = smooth(friction_along(arm.elements(), result.lugre, record.time, record.position))
+    friction = smooth(friction_along(arm.element_matrix, result.lugre, record.time, record.position))
     inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
     position = record.position[kept]

@@ -58,7 +58,7 @@ def test_the_regressor_is_the_derivative_by_the_inertial_parameters(arm: RigidAr
 def test_elements_are_the_joints_and_joints_five_and_six_together(arm: RigidArm, shipped: Setup) -> None:
     """E has the joints' velocities and the sum of joints 5 and 6, under the friction file's names."""
     assert arm.element_names == shipped.friction.names
-    assert np.array_equal(arm.elements() @ [1, 2, 3, 4, 5, 7], [1, 2, 3, 4, 5, 7, 12])
+    assert np.array_equal(arm.element_matrix @ [1, 2, 3, 4, 5, 7], [1, 2, 3, 4, 5, 7, 12])
 
 
 def test_any_arm_with_a_gripper_held(urdf: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_coupling_makes_an_element_of_its_own(urdf: Path) -> None:
     assert two.element_names == ("shoulder", "elbow", "shoulder+elbow")
     differential = RigidArm.from_urdf(urdf, ["shoulder", "elbow"], [[1, 1], [1, -0.5]])
     assert differential.element_names == ("shoulder", "elbow", "shoulder+elbow", "shoulder-0.5*elbow")
-    assert np.array_equal(two.elements(), [[1, 0], [0, 1], [1, 1]])
+    assert np.array_equal(two.element_matrix, [[1, 0], [0, 1], [1, 1]])
     assert np.allclose(two.rotor, [[0.7, 0.2], [0.2, 0.2]])
 
 
