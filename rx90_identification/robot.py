@@ -82,12 +82,7 @@ def _own(options: argparse.Namespace) -> Robot:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
             )
-    files: dict[str, Path | None] = {}
-    if options.tool is not None:
-        files["tool"] = None if options.tool == "none" else resolve_config(options.tool)
-    if options.drives is not None:
-        files["drives"] = resolve_config(options.drives)
-    setup = Setup.load(SetupFiles(**files))  # type: ignore[arg-type]
+    setup = Setup.load(SetupFiles.named(options.tool, drives=options.drives))
     arm = RigidArm.from_setup(setup)
     name = options.fallback or "robot/friction.yaml"
     return Robot(arm, setup, None, *_fallback(name, arm), record_time=options.record_time)

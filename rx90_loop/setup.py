@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rx90_common.rates import Rates
-from rx90_common.share import config_path
+from rx90_common.share import config_path, resolve_config
 from rx90_controller.cs7b import CS7B
 from rx90_controller.cs7b_parameters import CS7BParameters, load_controller
 from rx90_description.drives import DriveParameters, load_drives
@@ -24,6 +24,23 @@ class SetupFiles:
     drives: Path = field(default_factory=lambda: config_path("robot/drives.yaml"))
     friction: Path = field(default_factory=lambda: config_path("robot/friction.yaml"))
     controller: Path = field(default_factory=lambda: config_path("controller/cs7b.yaml"))
+
+    @classmethod
+    def named(cls, tool: str | None = None, **others: str | None) -> SetupFiles:
+        """Return the files that a command line names, the shipped one for each that it does not.
+
+        Args:
+            tool: its file, or "none" for no tool.
+            others: urdf, drives, friction, controller.
+
+        Raises:
+            ConfigError: for a file that is not there.
+        """
+        files = {key: resolve_config(name) for key, name in others.items() if name is not None}
+        chosen = cls(**files)
+        if tool is None:
+            return chosen
+        return replace(chosen, tool=None if tool == "none" else resolve_config(tool))
 
 
 @dataclass(frozen=True)

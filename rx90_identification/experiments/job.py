@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from rx90_common.errors import ExchangeError
-from rx90_common.share import resolve_config
 from rx90_identification.experiments.engine import run_on_engine
 from rx90_identification.experiments.folder import make_folder, write_index
 from rx90_identification.experiments.load import check_load
@@ -29,16 +27,15 @@ _QUICK = PlanOptions(
 
 
 def _setup(options: argparse.Namespace) -> Setup:
-    given = {
-        "urdf": options.urdf,
-        "drives": options.drives,
-        "friction": options.friction,
-        "controller": options.controller_file,
-    }
-    files: dict[str, Path | None] = {key: resolve_config(value) for key, value in given.items() if value is not None}
-    if options.tool is not None:
-        files["tool"] = None if options.tool == "none" else resolve_config(options.tool)
-    return Setup.load(SetupFiles(**files))  # type: ignore[arg-type]
+    return Setup.load(
+        SetupFiles.named(
+            options.tool,
+            urdf=options.urdf,
+            drives=options.drives,
+            friction=options.friction,
+            controller=options.controller_file,
+        )
+    )
 
 
 def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:
