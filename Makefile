@@ -35,7 +35,7 @@ lint: environment-dev
 	@$(BIN)/mypy
 
 clean:
-	@rm -rf .venv build install log rx90_emulator.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf .venv build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 environment-run environment-dev: environment-%: suitable

@@ -26,11 +26,11 @@ from tqdm import tqdm
 from benchmarks.closed_loop import Work
 from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, hybrid_reference
 from benchmarks.report import merge, print_table
-from rx90_description.kinematics import forward
-from rx90_loop.closed_loop import simulate
-from rx90_loop.setup import Setup
-from rx90_report.drawing import COLOURS, make_figure
-from rx90_sim.friction import FrictionSet
+from rx90_common.description.kinematics import forward
+from rx90_common.friction import FrictionSet
+from rx90_common.report.drawing import COLOURS, make_figure
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 

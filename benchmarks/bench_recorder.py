@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90_bag.summary import summarise
+from rx90_common.bags.summary import summarise
 
 ROOT = Path(__file__).resolve().parent.parent
 FAST = ("motor_states", "motor_commands")
@@ -34,9 +34,9 @@ def publish(seconds: float) -> None:
     import rclpy  # only in the process that publishes
     from sensor_msgs.msg import JointState
 
-    from rx90_exchange.environment import prepare
-    from rx90_exchange.joint_state_cdr import JointStateCodec
-    from rx90_exchange.qos import STATE_QOS, TICK_QOS
+    from rx90_common.exchange.environment import prepare
+    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
 
     prepare()
     rclpy.init()
@@ -75,7 +75,7 @@ def measure(seconds: float, storage: str, folder: Path) -> dict[str, float | str
         RuntimeError: if the recorder lost a message.
     """
     own = [sys.executable, __file__, "--publish", "--seconds", str(seconds)]
-    record = ["-m", "rx90_bag.command", "record", "-o", str(folder / "bag"), "-s", storage, *FAST, *SLOW]
+    record = ["-m", "rx90_emulator.cli.bag", "record", "-o", str(folder / "bag"), "-s", storage, *FAST, *SLOW]
     pipe = subprocess.PIPE
     with (
         subprocess.Popen(own, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as publisher,

@@ -25,13 +25,13 @@ from benchmarks.mujoco_arm import mujoco_arm
 from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge, print_table
-from rx90_common.share import config_path
-from rx90_controller.line import plan_line
-from rx90_controller.line_task import load_task
+from rx90_common.base.share import config_path
+from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_loop.closed_loop import simulate
-from rx90_loop.setup import Setup
-from rx90_loop.task_run import line_points
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.task_run import line_points
 from rx90_sim.manipulator import mass_and_bias
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90_loop.setup import Setup
-from rx90_sim.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_emulator.loop.setup import Setup
 
 
 def negligible_element() -> LuGreElement:

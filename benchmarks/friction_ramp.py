@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from benchmarks.report import merge, print_table
-from friction_bench.client import RigClient
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.identification import identify
-from friction_bench.native import native_library
-from friction_bench.ramp import run_ramp
-from friction_bench.rig import Rig, load_rig
-from rx90_common.share import config_path
+from friction_bench.experiment.identification import identify
+from friction_bench.experiment.ramp import run_ramp
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.native import native_library
+from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.share import config_path
 
 COULOMB = (0.012, 0.03, 0.06, 0.1)
 VISCOUS = (5.5e-4, 7e-4, 1e-3)

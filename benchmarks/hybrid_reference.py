@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import odeint
 from tqdm import tqdm
 
-from rx90_common.compiled import kernel
+from rx90_common.description.wrist import to_joint_torque
+from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_description.wrist import to_joint_torque
-from rx90_loop.setup import Setup
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.manipulator import mass_and_bias
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives

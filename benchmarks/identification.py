@@ -21,13 +21,13 @@ from tqdm import tqdm
 
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, Noise, random_friction
-from rx90_identification.experiments.plan import Experiment, Kind, make_plan
-from rx90_identification.record import JointRecord
-from rx90_identification.rigid_arm import RigidArm
-from rx90_identification.sliding import identify_sliding
-from rx90_loop.closed_loop import simulate
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
+from rx90_common.friction import FrictionSet
+from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.sliding.fit import identify_sliding
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
 
 SETS = 10
 LEVELS = {"no noise": 0.0, "half the rig's noise": 0.5, "the rig's noise": 1.0, "twice the rig's noise": 2.0}

@@ -27,9 +27,9 @@ from benchmarks.presliding_runs import (
 )
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import Noise
-from rx90_identification.presliding import identify_presliding
-from rx90_identification.rigid_arm import RigidArm
-from rx90_loop.setup import Setup
+from rx90_emulator.identification.presliding.fit import identify_presliding
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.loop.setup import Setup
 
 SETS = 5
 LEVELS = (0.0, 0.5, 1.0, 2.0)

@@ -15,12 +15,12 @@ def main() -> int:
     """Write a series on the engine, identify it twice (the first time may compile), print the time."""
     with tempfile.TemporaryDirectory() as folder:
         series = Path(folder) / "series"
-        _run("rx90_identification.experiments.command", "run", "--engine", "--output", str(series))
+        _run("rx90_emulator.cli.experiment", "run", "--engine", "--output", str(series))
         elapsed = 0.0
         for _ in range(2):
             began = time.perf_counter()
             output = str(Path(folder) / "friction.yaml")
-            _run("rx90_identification.command", str(series), "--output", output, "--force")
+            _run("rx90_emulator.cli.identify", str(series), "--output", output, "--force")
             elapsed = time.perf_counter() - began
     print(f"identification of seven elements from bags: {elapsed:.1f} s (asked for: at most {LIMIT:g} s)")
     return 0 if elapsed <= LIMIT else 1

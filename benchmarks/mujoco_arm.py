@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rx90_description.drives import DriveParameters
-from rx90_loop.setup import Setup
-from rx90_sim.friction import LuGreElement
+from rx90_common.description.drives import DriveParameters
+from rx90_common.friction import LuGreElement
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 _WRIST = "wrist"

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from benchmarks.decoupled import decoupled_setup
 from benchmarks.hybrid_reference import StiffPlant
 from benchmarks.report import print_table
-from rx90_loop.setup import Setup
-from rx90_sim.friction import LuGreElement
+from rx90_common.friction import LuGreElement
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 

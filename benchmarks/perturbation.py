@@ -23,18 +23,18 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from benchmarks.report import merge, print_table
-from rx90_common.share import config_path
-from rx90_controller.cs7b_parameters import CS7BParameters, FeedForward
-from rx90_controller.line import plan_line
-from rx90_controller.line_task import LineTask, load_task
+from rx90_common.base.share import config_path
+from rx90_common.friction import FrictionSet
+from rx90_common.report.drawing import COLOURS, make_figure
+from rx90_controller.law.parameters import CS7BParameters, FeedForward
+from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_loop.closed_loop import RunResult, simulate
-from rx90_loop.setup import Setup
-from rx90_loop.task_run import SETTLING, line_points, path_accuracy
-from rx90_perturbation.agreement import Agreement, agreement
-from rx90_perturbation.model import PerturbationModel, prepare
-from rx90_report.drawing import COLOURS, make_figure
-from rx90_sim.friction import FrictionSet
+from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.task_run import SETTLING, line_points, path_accuracy
+from rx90_emulator.perturbation.agreement import Agreement, agreement
+from rx90_emulator.perturbation.model import PerturbationModel, prepare
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.errors import ExchangeError
-from rx90_exchange.environment import prepare
-from rx90_exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_common.base.errors import ExchangeError
+from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 
 PERIOD_NS = 250_000
 _READY_TIMEOUT = 60.0
@@ -103,10 +103,10 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel
-    from rx90_exchange.joint_state_cdr import JointStateCodec
-    from rx90_exchange.lockstep import LockstepSimulation
-    from rx90_exchange.qos import TICK_QOS
+    from rx90_common.exchange.channel import Channel
+    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.lockstep import LockstepSimulation
+    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -172,10 +172,10 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import try_shutdown
 
-    from rx90_exchange.channel import Channel
-    from rx90_exchange.joint_state_cdr import JointStateCodec
-    from rx90_exchange.lockstep import LockstepController
-    from rx90_exchange.qos import TICK_QOS
+    from rx90_common.exchange.channel import Channel
+    from rx90_common.exchange.joint_state_cdr import JointStateCodec
+    from rx90_common.exchange.lockstep import LockstepController
+    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")

@@ -10,8 +10,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
-from rx90_description.wrist import coupled_inertia
-from rx90_loop.setup import Setup
+from rx90_common.description.wrist import coupled_inertia
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 _ELEMENT_INPUT = np.vstack([np.eye(6), [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])

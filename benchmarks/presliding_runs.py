@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, WRIST, Noise
-from rx90_identification.estimate import PRESLIDING, SLIDING, ElementEstimate
-from rx90_identification.experiments.plan import Kind, PlanOptions, make_plan
-from rx90_identification.record import JointRecord
-from rx90_loop.closed_loop import simulate
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_emulator.identification.estimate import PRESLIDING, SLIDING, ElementEstimate
+from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90_loop.setup import Setup
+from rx90_emulator.loop.setup import Setup
 
 
 class PythonDrives:

@@ -19,11 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.report import ROOT, merge, print_table
-from rx90_common.share import config_path
-from rx90_loop.task_run import run_task
-from rx90_sweep.info import summary
-from rx90_sweep.plan_file import load_plan
-from rx90_sweep.sweep import Sweep
+from rx90_common.base.share import config_path
+from rx90_emulator.loop.task_run import run_task
+from rx90_emulator.sweep.info import summary
+from rx90_emulator.sweep.plan_file import load_plan
+from rx90_emulator.sweep.sweep import Sweep
 
 PLAN = config_path("sweep/reference_1000.yaml")
 SAMPLES = 30
@@ -48,7 +48,7 @@ def measure() -> SweepFigures:
         arguments = ["run", str(PLAN), "--output", str(output), "--workers", str(WORKERS)]
         before = _children_time()
         began = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "rx90_sweep.command", *arguments], cwd=ROOT, check=True)
+        subprocess.run([sys.executable, "-m", "rx90_emulator.cli.sweep", *arguments], cwd=ROOT, check=True)
         elapsed, cores = time.perf_counter() - began, _children_time() - before
         print("\n".join(line for line in summary(output) if "runs" in line or "path_error" in line))
     single, loop = [], []

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_identification.record import JointRecord
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_description.robot import RigidChain
+from rx90_common.description.robot import RigidChain
 
 Array = NDArray[np.float64]
 

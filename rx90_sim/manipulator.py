@@ -1,6 +1,6 @@
 """The rigid arm in compiled code: mass matrix and bias torques of a serial chain of six revolute joints.
 
-All six links are worked on at once, one lane each (rx90_common.lanes); only the product of the rotations runs
+All six links are worked on at once, one lane each (rx90_common.kernels.lanes); only the product of the rotations runs
 from link to link. Every quantity is expressed in the base frame about the base origin, where inertias and
 forces of several links simply add up: the composite-rigid-body algorithm (Featherstone 2008, table 6.2)
 becomes a sum over lanes. Mass distributions are first and second moments, integrals of r and r r^T, of the
@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.compiled import inlined, kernel
-from rx90_common.elementary import sine_cosine
-from rx90_common.lanes import Lanes, fma, load, store, suffix_sum
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.elementary import sine_cosine
+from rx90_common.kernels.lanes import Lanes, fma, load, store, suffix_sum
 from rx90_sim.vectors import (
     Vector,
     add_cross,

@@ -7,11 +7,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rx90_common.errors import ConfigError, DivergenceError
-from rx90_common.rates import Rates
-from rx90_description.drives import DriveParameters
-from rx90_description.robot import RobotModel
-from rx90_sim.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.base.errors import ConfigError, DivergenceError
+from rx90_common.base.rates import Rates
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 

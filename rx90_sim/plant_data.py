@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.errors import ConfigError
-from rx90_common.rates import Rates
-from rx90_description.drives import DriveParameters
-from rx90_description.robot import RobotModel
-from rx90_description.wrist import coupled_inertia
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.wrist import coupled_inertia
+from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_common.friction.bristle import elements_dtype
+from rx90_common.friction.lugre import ELEMENT_DTYPE
 from rx90_sim.base_parameters import base_parameters
-from rx90_sim.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
-from rx90_sim.friction.bristle import elements_dtype
-from rx90_sim.friction.lugre import ELEMENT_DTYPE
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
 PLANT_DTYPE = np.dtype(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from rx90_common.compiled import inlined
-from rx90_common.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, suffix_sum
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, suffix_sum
 
 Vector: TypeAlias = tuple[Lanes, Lanes, Lanes]
 

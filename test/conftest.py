@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from rx90_loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup, SetupFiles
 
 pytest_plugins = ["processes"]
 

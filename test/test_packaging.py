@@ -123,7 +123,7 @@ def test_every_installed_executable_explains_itself(name: str, workspace: Path, 
 
 def test_the_install_space_needs_no_source_tree(workspace: Path, processes: Processes) -> None:
     """In a sourced workspace modules and data come from the install space, not from the source tree."""
-    code = "import rx90_sim, rx90_common.share as s; print(rx90_sim.__file__); print(s.share_directory())"
+    code = "import rx90_sim, rx90_common.base.share as s; print(rx90_sim.__file__); print(s.share_directory())"
     done = processes.run(sys.executable, "-c", code)
     found = [Path(line).resolve() for line in done.stdout.splitlines()]
     assert len(found) == 2, done.stderr

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.errors import TrajectoryError
+from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline, interpolate

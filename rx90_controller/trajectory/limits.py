@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.errors import ConfigError, TrajectoryError
+from rx90_common.base.errors import ConfigError, TrajectoryError
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.errors import TrajectoryError
+from rx90_common.base.errors import TrajectoryError
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.compiled import kernel
+from rx90_common.kernels.compiled import kernel
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from benchmarks.mujoco_arm import mujoco_arm
 from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge
-from rx90_description.wrist import to_joint_torque
-from rx90_loop.setup import Setup
+from rx90_common.description.wrist import to_joint_torque
+from rx90_emulator.loop.setup import Setup
 
 
 def test_the_peers_have_the_same_arm(shipped: Setup) -> None:

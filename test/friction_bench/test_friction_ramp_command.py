@@ -9,14 +9,15 @@ from typing import Any
 import pytest
 import yaml
 
-from friction_bench import experiment, ramp_job
-from friction_bench.client import RigClient
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.ramp_command import main
-from friction_bench.rig import Rig
-from rx90_bag.reading import read_joint_states
-from rx90_common.share import config_path
-from rx90_sim.friction import load_friction
+from friction_bench.experiment import job as ramp_job
+from friction_bench.experiment import series as experiment
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.rig_file import Rig
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.share import config_path
+from rx90_common.friction import load_friction
+from rx90_emulator.cli.friction_ramp import main
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 QUICK = ["--repeats", "2", "--slopes", "0.03", "0.06"]

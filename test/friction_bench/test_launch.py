@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from rx90_common.share import config_path
+from rx90_common.base.share import config_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 

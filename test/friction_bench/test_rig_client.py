@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from friction_bench.asymptote import fit_asymptote
-from friction_bench.client import COMMAND_TIMEOUT, RigClient, Unwrapper
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.errors import RigError, RigFaultError, RigLostError, RigResetError
-from friction_bench.messages import Fault, ResetCause
-from friction_bench.native import NativeBoard
-from friction_bench.ramp import run_ramp
-from friction_bench.rig import Rig
+from friction_bench.experiment.asymptote import fit_asymptote
+from friction_bench.experiment.ramp import run_ramp
+from friction_bench.protocol.errors import RigError, RigFaultError, RigLostError, RigResetError
+from friction_bench.protocol.messages import Fault, ResetCause
+from friction_bench.rig.client import COMMAND_TIMEOUT, RigClient, Unwrapper
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.native import NativeBoard
+from friction_bench.rig.rig_file import Rig
 
 
 @pytest.mark.parametrize("bits", [16, 24])

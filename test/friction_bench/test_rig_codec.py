@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_bench.codec import (
+from friction_bench.protocol.codec import (
     MAX_DECODED,
     Frame,
     FrameDecoder,
@@ -21,8 +21,8 @@ from friction_bench.codec import (
     decode,
     encode,
 )
-from friction_bench.messages import parse_hello, parse_report
-from friction_bench.native import native_library
+from friction_bench.protocol.messages import parse_hello, parse_report
+from friction_bench.rig.native import native_library
 
 BYTE = st.integers(0, 255)
 FRAMES = st.builds(Frame, BYTE, BYTE, st.binary(max_size=MAX_DECODED - 4))

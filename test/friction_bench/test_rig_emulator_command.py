@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from friction_bench.emulated import EmulatedRig
-from friction_bench.emulator_command import main
-from friction_bench.pty_rig import PtyRig
-from friction_bench.rig import Rig
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.pty_rig import PtyRig
+from friction_bench.rig.rig_file import Rig
+from rx90_emulator.cli.friction_rig_emulator import main
 
 
 def test_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:

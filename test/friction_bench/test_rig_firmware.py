@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from rig_conformance import TRANSCRIPTS, MismatchError, Player
 
-from friction_bench.client import RigClient
-from friction_bench.codec import Frame, encode
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.messages import Command
-from friction_bench.ramp import run_ramp
-from friction_bench.rig import Rig
+from friction_bench.experiment.ramp import run_ramp
+from friction_bench.protocol.codec import Frame, encode
+from friction_bench.protocol.messages import Command
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.rig_file import Rig
 
 SIMULATED = [pytest.param(target, marks=pytest.mark.firmware) for target in ("mcs51", "avr")]
 ALL = ["native", *SIMULATED]

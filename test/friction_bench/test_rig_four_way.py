@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from friction_bench.client import RigClient
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.experiment import evaluate
-from friction_bench.four_way import (
+from friction_bench.experiment.four_way import (
     BLOCK,
     CLOSED,
     EXPERIMENT,
@@ -17,10 +14,13 @@ from friction_bench.four_way import (
     integrate_equation_3,
     simulate_multibody,
 )
-from friction_bench.plant import slide
-from friction_bench.ramp import run_ramp
-from friction_bench.ramp_model import RampModel
-from friction_bench.rig import Rig
+from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.ramp_model import RampModel
+from friction_bench.experiment.series import evaluate
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.plant import slide
+from friction_bench.rig.rig_file import Rig
 
 MODELS = [
     RampModel(0.03, 6.4e-4, 1.3e-5, 0.02),

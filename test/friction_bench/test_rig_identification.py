@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from friction_bench.asymptote import fit_asymptote, wander_covariance
-from friction_bench.client import RigClient
-from friction_bench.emulated import EmulatedRig, VirtualPort
-from friction_bench.errors import IdentificationError, RecordError
-from friction_bench.identification import Identification, identify, joint_friction, source_formulas
-from friction_bench.plant import JointFriction
-from friction_bench.ramp import run_ramp
-from friction_bench.ramp_model import RampModel
-from friction_bench.record import RampRecord, read_csv, read_text, write_csv
-from friction_bench.rig import Rig
+from friction_bench.experiment.asymptote import fit_asymptote, wander_covariance
+from friction_bench.experiment.identification import Identification, identify, joint_friction, source_formulas
+from friction_bench.experiment.ramp import run_ramp
+from friction_bench.experiment.ramp_model import RampModel
+from friction_bench.experiment.record import RampRecord, read_csv, read_text, write_csv
+from friction_bench.protocol.errors import IdentificationError, RecordError
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.plant import JointFriction
+from friction_bench.rig.rig_file import Rig
 
 TICK = 0.02
 STEP = math.tau / 504

@@ -12,10 +12,10 @@ import pytest
 from processes import wait_until
 from rig_bench import Bench
 
-from friction_bench.client import RigClient
-from friction_bench.errors import RigLostError, RigRefusedError, RigResetError
-from friction_bench.messages import State
-from friction_bench.serial_port import SerialPort
+from friction_bench.protocol.errors import RigLostError, RigRefusedError, RigResetError
+from friction_bench.protocol.messages import State
+from friction_bench.protocol.serial_port import SerialPort
+from friction_bench.rig.client import RigClient
 
 
 def disturbances(bench: Bench) -> list[str]:

@@ -26,12 +26,12 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from friction_bench.emulated import EmulatedRig
-from friction_bench.pty_rig import PtyRig
-from friction_bench.rig import Rig
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.pty_rig import PtyRig
+from friction_bench.rig.rig_file import Rig
 
 pytestmark = pytest.mark.ros
-START = "import sys; from friction_bench.node import main; sys.exit(main(sys.argv[1:]))"
+START = "import sys; from friction_bench.node.entry import main; sys.exit(main(sys.argv[1:]))"
 
 
 class Session:

@@ -14,13 +14,13 @@ import pytest
 from processes import wait_until
 from rig_bench import Bench
 
-from friction_bench.client import STOP_SEQUENCES, RigClient
-from friction_bench.codec import Frame, FrameDecoder, encode
-from friction_bench.emulated import EmulatedRig
-from friction_bench.errors import RigLostError, RigRefusedError
-from friction_bench.messages import Command, Fault, State
-from friction_bench.rig import Rig
-from friction_bench.serial_port import WRITE_TIMEOUT, SerialPort
+from friction_bench.protocol.codec import Frame, FrameDecoder, encode
+from friction_bench.protocol.errors import RigLostError, RigRefusedError
+from friction_bench.protocol.messages import Command, Fault, State
+from friction_bench.protocol.serial_port import WRITE_TIMEOUT, SerialPort
+from friction_bench.rig.client import STOP_SEQUENCES, RigClient
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.rig_file import Rig
 
 
 def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: EmulatedRig) -> None:

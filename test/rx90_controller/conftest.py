@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.rates import Rates
-from rx90_controller.cs7b import CS7B
-from rx90_controller.cs7b_parameters import CS7BParameters, FeedForward
-from rx90_loop.setup import Setup
+from rx90_common.base.rates import Rates
+from rx90_controller.law.cs7b import CS7B
+from rx90_controller.law.parameters import CS7BParameters, FeedForward
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ import pytest
 import yaml
 from refusals import refusal_by
 
-from rx90_common.errors import ConfigError
-from rx90_controller.cs7b_parameters import CS7BParameters, load_controller
-from rx90_loop.setup import Setup, SetupFiles
+from rx90_common.base.errors import ConfigError
+from rx90_controller.law.parameters import CS7BParameters, load_controller
+from rx90_emulator.loop.setup import Setup, SetupFiles
 
 Edit = Callable[..., Path]
 POSITIVE_SIX = [("servo", "inertia"), ("current_loop", "slew_rate")]

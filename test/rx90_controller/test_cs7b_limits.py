@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_controller.cs7b_parameters import FeedForward
+from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_loop.setup import Setup
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 MakeServo = Callable[..., Any]

@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from rx90_common.rates import Rates
-from rx90_controller.cs7b_parameters import FeedForward
+from rx90_common.base.rates import Rates
+from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 
 Array = NDArray[np.float64]

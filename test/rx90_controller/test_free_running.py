@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rx90_common.errors import MessageError
-from rx90_common.rates import Rates
+from rx90_common.base.errors import MessageError
+from rx90_common.base.rates import Rates
 
-free_running = pytest.importorskip("rx90_controller.free_running", reason="needs rclpy", exc_type=ImportError)
-from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_exchange.pacing import Pacer  # noqa: E402
+free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
+from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.pacing import Pacer  # noqa: E402
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period

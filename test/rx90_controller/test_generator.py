@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from rx90_common.errors import ConfigError, TrajectoryError
+from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 
 Array = NDArray[np.float64]

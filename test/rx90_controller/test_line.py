@@ -10,15 +10,15 @@ import pytest
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
-from rx90_common.share import config_path
-from rx90_controller.line import LinePlan, approach_time, plan_line
-from rx90_controller.line_task import LineTask, load_task
+from rx90_common.base.share import config_path
+from rx90_common.description.branch import BRANCHES, Branch
+from rx90_common.description.inverse import SphericalWristArm
+from rx90_common.description.kinematics import forward, jacobian, path_error
+from rx90_common.description.robot import RobotModel, load_robot
+from rx90_controller.lines.plan import LinePlan, approach_time, plan_line
+from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_description.branch import BRANCHES, Branch
-from rx90_description.inverse import SphericalWristArm
-from rx90_description.kinematics import forward, jacobian, path_error
-from rx90_description.robot import RobotModel, load_robot
-from rx90_loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup, SetupFiles
 
 TURNING = LineTask(
     start=(0.5, -0.2, 0.4),

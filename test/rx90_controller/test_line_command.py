@@ -20,11 +20,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from rx90_common.share import config_path
-from rx90_controller.line import approach_time, plan_line
-from rx90_controller.line_command import main
-from rx90_controller.line_task import load_task
-from rx90_loop.setup import Setup
+from rx90_common.base.share import config_path
+from rx90_controller.lines.plan import approach_time, plan_line
+from rx90_controller.lines.task import load_task
+from rx90_emulator.cli.line import main
+from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "task/reference_line.yaml"
 PATIENCE = 60.0
@@ -192,7 +192,7 @@ def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        code = "import sys; from rx90_controller.line_command import main; sys.exit(main())"
+        code = "import sys; from rx90_emulator.cli.line import main; sys.exit(main())"
         process = subprocess.Popen(
             [sys.executable, "-c", code, "--from-file", REFERENCE, *arguments],
             stdout=subprocess.PIPE,

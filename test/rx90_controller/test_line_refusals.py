@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rx90_common.errors import ConfigError, LineError, Rx90Error
-from rx90_common.share import config_path
-from rx90_controller.line import approach_time, plan_line
-from rx90_controller.line_task import LineTask, load_task
-from rx90_description.branch import Branch
-from rx90_description.kinematics import forward
-from rx90_loop.setup import Setup
+from rx90_common.base.errors import ConfigError, LineError, Rx90Error
+from rx90_common.base.share import config_path
+from rx90_common.description.branch import Branch
+from rx90_common.description.kinematics import forward
+from rx90_controller.lines.plan import approach_time, plan_line
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "task/reference_line.yaml"
 DOWN = (0.0, np.pi, 0.0)

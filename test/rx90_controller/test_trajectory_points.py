@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_common.errors import Rx90Error, TrajectoryError
+from rx90_common.base.errors import Rx90Error, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.decoupled import decoupled_setup, negligible_element
-from rx90_common.rates import Rates
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet, LuGreElement
+from rx90_common.base.rates import Rates
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
 Array = NDArray[np.float64]

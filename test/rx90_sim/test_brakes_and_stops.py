@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rx90_common.errors import ConfigError, DivergenceError, Rx90Error
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
+from rx90_common.base.errors import ConfigError, DivergenceError, Rx90Error
+from rx90_common.friction import FrictionSet
+from rx90_emulator.loop.setup import Setup
 
 COUPLING = np.eye(6)
 COUPLING[5, 4] = 1.0

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_sim.friction import FrictionSet, LuGreElement
-from rx90_sim.friction.bristle import bristle_step, damping, friction_torque
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction.bristle import bristle_step, damping, friction_torque
 
 Record = Callable[[LuGreElement], Any]
 ELEMENT = LuGreElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)

@@ -13,9 +13,9 @@ import pytest
 import yaml
 from refusals import refusal_by
 
-from rx90_common.errors import ConfigError
-from rx90_description.drives import DriveParameters, load_drives
-from rx90_loop.setup import Setup, SetupFiles
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.drives import DriveParameters, load_drives
+from rx90_emulator.loop.setup import Setup, SetupFiles
 
 Edit = Callable[..., Path]
 SIX = [

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from rx90_common.errors import ConfigError
-from rx90_common.rates import Rates
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.friction import FrictionSet
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
 Masses = Callable[..., Plant]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.lanes import load, store
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
-from rx90_sim.friction.bristle import bristle_step, friction_torque, load_elements
+from rx90_common.friction import FrictionSet
+from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
+from rx90_common.kernels.lanes import load, store
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 STEP = 2.5e-4

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_description.wrist import to_joint, to_joint_torque, to_motor
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
+from rx90_common.description.wrist import to_joint, to_joint_torque, to_motor
+from rx90_common.friction import FrictionSet
+from rx90_emulator.loop.setup import Setup
 
 POSE = np.array([0.4, 0.9, -0.6, 0.5, 0.3, -0.3])
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from refusals import refusal_by
 
-from rx90_common.errors import ConfigError
-from rx90_loop.setup import Setup, SetupFiles
-from rx90_sim.friction import FrictionSet, LuGreElement, load_friction
+from rx90_common.base.errors import ConfigError
+from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+from rx90_emulator.loop.setup import Setup, SetupFiles
 
 Edit = Callable[..., Path]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))

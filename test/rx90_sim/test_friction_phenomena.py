@@ -14,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_common.compiled import kernel
-from rx90_loop.setup import Setup
-from rx90_sim.friction import LuGreElement
-from rx90_sim.friction.bristle import bristle_step
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.kernels.compiled import kernel
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import plant_step
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-held_command = pytest.importorskip("rx90_sim.held_command", reason="needs rclpy", exc_type=ImportError)
-from rx90_exchange.channel import Matches  # noqa: E402
-from rx90_exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+held_command = pytest.importorskip("rx90_sim.node.held_command", reason="needs rclpy", exc_type=ImportError)
+from rx90_common.exchange.channel import Matches  # noqa: E402
+from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.accuracy import compare, full_speed, run_plant, without_rounding
 from benchmarks.closed_loop import Work
 from benchmarks.hybrid_reference import StiffPlant, hybrid_reference
-from rx90_loop.setup import Setup
+from rx90_emulator.loop.setup import Setup
 
 POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])
 

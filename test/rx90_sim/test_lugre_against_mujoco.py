@@ -11,7 +11,7 @@ if not hasattr(mujoco.MjsActuator, "set_to_dcmotor"):
 
 from benchmarks import mujoco_lugre as bench  # noqa: E402, after the check for MuJoCo
 from benchmarks.decoupled import decoupled_setup  # noqa: E402
-from rx90_loop.setup import Setup  # noqa: E402
+from rx90_emulator.loop.setup import Setup  # noqa: E402
 
 
 @pytest.mark.parametrize("scenario", bench.SCENARIOS, ids=[s.name for s in bench.SCENARIOS])

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_common.rates import Rates
-from rx90_loop.setup import Setup
-from rx90_sim.friction import LuGreElement
-from rx90_sim.friction.bristle import bristle_step, friction_torque
+from rx90_common.base.rates import Rates
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import bristle_step, friction_torque
+from rx90_emulator.loop.setup import Setup
 
 Record = Callable[[LuGreElement], Any]
 TICK = Rates().period

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_description.robot import load_robot
-from rx90_loop.setup import Setup
+from rx90_common.description.robot import load_robot
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 Array = NDArray[np.float64]

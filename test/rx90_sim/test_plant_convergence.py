@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_loop.setup import Setup
-from rx90_sim.friction import FrictionSet
+from rx90_common.friction import FrictionSet
+from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ import random
 import threading
 import time
 
-from rx90_sim.run_control import RunControl, Turn
+from rx90_sim.node.run_control import RunControl, Turn
 
 
 class Ticking:

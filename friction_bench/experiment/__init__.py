@@ -1,0 +1,3 @@
+"""Ramp tests: run, recorded, identified and reported."""
+
+__all__ = ["job", "record"]

@@ -1,0 +1,315 @@
+"""Fit the velocity's asymptote a t - b to encoder angles, with a covariance that knows the noise's nature.
+
+After break-away the angle follows c - b t + a t^2 / 2. Its deviations have two sources: the encoder's
+rounding, white, and torque noise, which the rotor integrates into a wandering angle. Ordinary least squares
+would take the second for the first and promise far too much, so this is generalised least squares with
+    V = r I + q K,  r = step^2 / 12,
+where K is the covariance of an inertia J with viscous friction f_v (time constant T) driven from rest by
+white torque noise, and its strength q comes from the data by restricted maximum likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from friction_bench.experiment.ramp_model import RampModel
+from friction_bench.experiment.record import RampRecord
+from friction_bench.protocol.errors import IdentificationError
+
+Array = NDArray[np.float64]
+
+MOVED_COUNTS = 2.0
+MOVED_SHARE = 1e-3
+"""A shaft has broken away for certain when it has moved two counts, one may be jitter at an edge, and this
+share of the ramp's angle: bristles let it move a little before."""
+SETTLED = 6.0
+"""The window starts after so many time constants: 0.25 % of the transient is left."""
+ONSET_TICKS = 10
+"""The first certain motion is looked at for so many ticks."""
+ONSET_SHARE = 0.1
+"""Break-away is sought so far back from it, as a share of the motion's time."""
+MIN_POINTS = 30
+MIN_WINDOW = 4.0
+"""Shortest window, in time constants."""
+MOST_POINTS = 100
+ROUGH_POINTS = 30
+"""The least squares problem is solved with at most so many readings; its cost grows with their cube."""
+CURVATURE_LIMIT = 0.05
+SATURATION_LIMIT = 0.06
+"""Relative shortfall of the measured torque that counts as saturation."""
+
+
+@dataclass(frozen=True)
+class RampFit:
+    """The asymptote of one ramp; time counts from the zero of the commanded torque.
+
+    Attributes:
+        slope: m, Nm/s.
+        a, b: asymptote of the velocity, rad/s² and rad/s.
+        offset: c of c - b t + a t²/2, rad.
+        covariance: of (a, b), shape (2, 2).
+        break_away: time of break-away, s.
+        window: first and last time used, s.
+        noise: q, strength of the wandering, rad²/s.
+        points: readings used.
+    """
+
+    record: RampRecord
+    slope: float
+    a: float
+    b: float
+    offset: float
+    covariance: Array
+    break_away: float
+    window: tuple[float, float]
+    noise: float
+    points: int
+
+    @property
+    def time_constant(self) -> float:
+        """Return J / f_v as this one ramp shows it, s."""
+        return self.b / self.a - self.break_away
+
+
+def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False) -> RampFit:
+    """Fit the asymptote of one ramp.
+
+    Args:
+        record: the ramp.
+        time_constant: J / f_v, s, where ramps at two slopes have told it; else this ramp's own b / a - t_b.
+        preliminary: the time constant is still to be found, so a transient that is not over is no fault.
+
+    Raises:
+        IdentificationError: no break-away, too short a ramp, too few points, saturation.
+    """
+    time = record.time - record.origin
+    angle = record.angle - record.angle[0]
+    _refuse_saturated_command(record, time)
+    first = _first_motion(record, angle)
+    _refuse_saturated_current(record)
+    T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
+    break_away = _break_away(time, angle, first, record.tick, a, b, time_constant)
+    T = time_constant or max(T, b / a - break_away)
+    angle = angle - staircase_angle(record, time, break_away, a, T)
+    use = time >= break_away + SETTLED * T
+    _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
+    most = ROUGH_POINTS if preliminary else MOST_POINTS
+    solution = _solve(time[use], angle[use], record.angle_step, break_away, T, most)
+    fit = RampFit(
+        record=record,
+        slope=record.slope,
+        a=solution.a,
+        b=solution.b,
+        offset=solution.offset,
+        covariance=solution.covariance,
+        break_away=break_away,
+        window=(float(time[use][0]), float(time[-1])),
+        noise=solution.noise,
+        points=int(use.sum()),
+    )
+    if not preliminary:
+        _refuse_curved(fit, time[use], angle[use], T)
+    return fit
+
+
+def _refuse_saturated_command(record: RampRecord, time: Array) -> None:
+    if record.torque is None:
+        return
+    middle = time + record.tick / 2
+    late = np.abs(record.torque - record.slope * middle)
+    allowed = max(1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick)
+    if late.max() > allowed:
+        when = float(time[int(np.argmax(late))])
+        raise IdentificationError(
+            f"{record.label}: the commanded torque leaves the ramp of {record.slope:.4g} Nm/s by "
+            f"{late.max():.3g} Nm at {when:.2f} s; the command saturates or the slope is wrong"
+        )
+
+
+def _refuse_saturated_current(record: RampRecord) -> None:
+    if record.torque is None or record.measured_torque is None:
+        return
+    n = record.time.size // 5
+    # A reading is taken just before the tick at which the command changes: it belongs to the one before.
+    command, measured = record.torque[:-1], record.measured_torque[1:]
+    scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
+    shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
+    if shortfall > SATURATION_LIMIT:
+        raise IdentificationError(
+            f"{record.label}: the measured torque falls {100 * shortfall:.0f} % behind the command at the "
+            "ramp's end; the amplifier saturates, end the ramp earlier"
+        )
+
+
+def _first_motion(record: RampRecord, angle: Array) -> int:
+    """Return the index of the first reading after which the shaft never is back at its start."""
+    moved = angle >= max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1])
+    moved[-1] &= angle[-1] >= (MOVED_COUNTS - 0.5) * record.angle_step
+    if not moved[-1]:
+        reached = record.slope * (record.time[-1] - record.origin)
+        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
+    first = int(np.argmax(np.logical_and.accumulate(moved[::-1])[::-1]))
+    if first == 0:
+        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
+    return first
+
+
+def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
+    """Return the time of break-away, s: the closed form through the first readings of the motion.
+
+    Without a known time constant the asymptote a t - b gives it for each t_b, T = b / a - t_b.
+    """
+    few = slice(max(first - 2, 0), first + ONSET_TICKS)
+    latest = float(time[first]) if T else min(float(time[first]), b / a - 1e-3 * tick)
+
+    def misfit(moment: float) -> float:
+        inertia = T or b / a - moment  # with f_v = 1
+        model = RampModel(coulomb=moment * a, viscous=1.0, inertia=inertia, slope=a)
+        return float(np.sum((model.angle(time[few]) - angle[few]) ** 2))
+
+    back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
+    bounds = (latest - back, latest)
+    return float(minimize_scalar(misfit, bounds=bounds, method="bounded").x)
+
+
+def staircase_angle(record: RampRecord, time: Array, break_away: float, a: float, T: float) -> Array:
+    """Return what the command's steps add to the angle of a smooth ramp after break-away, rad, shape (n,).
+
+    The command is a staircase about the ramp. Its steps are known, so their effect on an inertia with time
+    constant T is taken out instead of being counted as noise.
+    """
+    extra = np.zeros_like(time)
+    if record.torque is None:
+        return extra
+    final = (record.torque - record.slope * (time + record.tick / 2)) * a / record.slope
+    angle = speed = 0.0
+    for k in range(1, time.size):
+        if time[k - 1] >= break_away:
+            step = time[k] - time[k - 1]
+            decay = math.exp(-step / T)
+            angle += final[k - 1] * step + (speed - final[k - 1]) * T * (1.0 - decay)
+            speed = final[k - 1] + (speed - final[k - 1]) * decay
+        extra[k] = angle
+    return extra
+
+
+def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> tuple[float, float, float]:
+    """Return T, a and b roughly: ordinary least squares where the transient, by T, is over."""
+    last = float(time[-1])
+    T = (last - break_away) / (4 * SETTLED)
+    for _ in range(20):
+        start = break_away + SETTLED * T
+        use = time >= start
+        _check_length(record, int(use.sum()), last - start, T)
+        a, b = np.polyfit(time[use], angle[use], 2)[:2] * (2.0, -1.0)
+        if a <= 0.0:
+            raise IdentificationError(
+                f"{record.label}: the shaft does not accelerate after break-away (a = {a:.3g} rad/s²); "
+                "saturation, or the joint runs against a stop"
+            )
+        fresh = max(b / a - break_away, record.tick)
+        if abs(fresh - T) < 0.02 * T:
+            break
+        T = (T + fresh) / 2
+    return T, float(a), float(b)
+
+
+def _check_length(record: RampRecord, points: int, length: float, T: float) -> None:
+    if points < MIN_POINTS:
+        raise IdentificationError(
+            f"{record.label}: the ramp is too short, {points} readings after the transient; "
+            f"accepted: at least {MIN_POINTS}; take a slower ramp or a higher end torque"
+        )
+    if length < MIN_WINDOW * T:
+        raise IdentificationError(
+            f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant "
+            f"of {T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
+        )
+
+
+@dataclass(frozen=True)
+class _Solution:
+    a: float
+    b: float
+    offset: float
+    covariance: Array
+    noise: float
+
+
+def wander_covariance(time: Array, T: float) -> Array:
+    """Return the covariance of an angle driven by white torque noise from rest at time 0, shape (n, n).
+
+    With unit noise of the final velocity's integral: K(s, t) = int_0^min (1 - e^-(s-u)/T)(1 - e^-(t-u)/T) du.
+    """
+    s = np.minimum.outer(time, time)
+    gap = np.abs(np.subtract.outer(time, time))
+    far = np.exp(-gap / T)
+    return np.asarray(
+        s + T * np.expm1(-s / T) - T * (far - np.exp(-(s + gap) / T)) + T / 2 * (far - np.exp(-(2 * s + gap) / T))
+    )
+
+
+def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS) -> _Solution:
+    """Solve the generalised least squares problem; q by restricted maximum likelihood."""
+    thin = slice(None, None, -(-time.size // most))  # angles are sums: thinning loses next to nothing
+    time, angle = time[thin], angle[thin]
+    middle = float(time.mean())
+    half = float(np.ptp(time)) / 2
+    x = (time - middle) / half  # keeps the normal equations well conditioned
+    basis = np.column_stack((np.ones_like(x), x, x * x))
+    K = wander_covariance(time - break_away, T)
+    values, vectors = np.linalg.eigh(K)
+    X, y = vectors.T @ basis, vectors.T @ angle
+    r = step**2 / 12
+
+    def weighted(log_q: float) -> tuple[Array, Array, Array, float]:
+        variance = r + math.exp(log_q) * np.maximum(values, 0.0)
+        information = X.T @ (X / variance[:, None])
+        beta = np.linalg.solve(information, X.T @ (y / variance))
+        residual = y - X @ beta
+        likelihood = np.sum(np.log(variance)) + np.linalg.slogdet(information)[1]
+        return variance, information, beta, float(likelihood + np.sum(residual**2 / variance))
+
+    span = math.log(r / max(float(time[-1] - time[0]), 1e-9))
+    best = minimize_scalar(lambda v: weighted(v)[3], bounds=(span - 14, span + 20), method="bounded")
+    _, information, beta, _ = weighted(float(best.x))
+    # beta of (1, x, x^2) back to (c, -b, a / 2) of (1, t, t^2)
+    back = np.array(
+        [
+            [1.0, -middle / half, (middle / half) ** 2],
+            [0.0, 1 / half, -2 * middle / half**2],
+            [0, 0, half**-2],
+        ]
+    )
+    c, linear, square = back @ beta
+    covariance = back @ np.linalg.inv(information) @ back.T
+    to_ab = np.array([[0.0, 0.0, 2.0], [0.0, -1.0, 0.0]])
+    return _Solution(
+        a=2.0 * float(square),
+        b=-float(linear),
+        offset=float(c),
+        covariance=np.asarray(to_ab @ covariance @ to_ab.T),
+        noise=math.exp(float(best.x)),
+    )
+
+
+def _refuse_curved(fit: RampFit, time: Array, angle: Array, T: float) -> None:
+    """Refuse a velocity that is no straight line: fit both halves of the window and compare their a."""
+    half = time.size // 2
+    if half < MIN_POINTS // 2:
+        return
+    step = fit.record.angle_step
+    early = _solve(time[:half], angle[:half], step, fit.break_away, T, ROUGH_POINTS)
+    late = _solve(time[half:], angle[half:], step, fit.break_away, T, ROUGH_POINTS)
+    difference = late.a - early.a
+    error = math.sqrt(early.covariance[0, 0] + late.covariance[0, 0])
+    if abs(difference) > 5 * error and abs(difference) > CURVATURE_LIMIT * fit.a:
+        raise IdentificationError(
+            f"{fit.record.label}: the velocity follows no straight asymptote, its slope goes from "
+            f"{early.a:.4g} to {late.a:.4g} rad/s²; saturation, or a transient that is not over"
+        )

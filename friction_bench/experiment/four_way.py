@@ -1,0 +1,163 @@
+"""The source's comparison: rig, block diagram, multibody model and closed form of one ramp test.
+
+The source compares its experiment with Simulink (equation 3 as a block diagram) and ADAMS (a multibody
+model) and solves the equation in Maple. Here the same four: readings of the rig, equation 3 integrated
+numerically, a revolute joint in Pinocchio behind its gear, and the closed form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from friction_bench.experiment.ramp_model import RampModel
+from friction_bench.experiment.record import RampRecord
+
+Array = NDArray[np.float64]
+
+EXPERIMENT, BLOCK, MULTIBODY, CLOSED = "experiment", "equation 3, integrated", "multibody", "closed form"
+SOURCE_BANDS = {
+    frozenset((BLOCK, MULTIBODY)): 2.0,
+    frozenset((EXPERIMENT, MULTIBODY)): 7.0,
+    frozenset((EXPERIMENT, BLOCK)): 10.0,
+}
+"""The source's differences, per cent: Simulink and ADAMS, experiment and ADAMS, experiment and Simulink."""
+SMOOTHING = 5
+"""Readings over which the experiment's velocity is averaged: one count in 20 ms is 0.62 rad/s."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The difference of two velocities, per cent of the closed form's final velocity.
+
+    Attributes:
+        band: the source's figure for this pair, per cent, None if it gives none.
+    """
+
+    first: str
+    second: str
+    worst: float
+    rms: float
+    band: float | None
+
+    @property
+    def within(self) -> bool:
+        """Return whether the difference stays within the source's band."""
+        return self.band is None or self.worst <= self.band
+
+
+@dataclass(frozen=True)
+class FourWay:
+    """Velocities of one ramp, motor side: time s, shape (n,), and rad/s by name, each of shape (n,)."""
+
+    time: Array
+    velocities: dict[str, Array]
+    pairs: tuple[Pair, ...]
+
+
+def integrate_equation_3(model: RampModel, time: Array) -> Array:
+    """Return the velocity of J w' = m t - f_v w - f_c sgn w from rest, rad/s, integrated numerically.
+
+    The joint rests until the ramp exceeds f_c; the solver starts there, where sgn w is one from then on.
+    """
+
+    def derivative(t: float, state: Array) -> list[float]:
+        speed = float(state[0])
+        return [(model.slope * t - model.viscous * speed - model.coulomb) / model.inertia]
+
+    moving = time > model.break_away_time
+    velocity = np.zeros_like(time)
+    if moving.any():
+        span = (model.break_away_time, float(time[-1]))
+        solution = solve_ivp(derivative, span, [0.0], "LSODA", time[moving], rtol=1e-9, atol=1e-9)
+        velocity[moving] = solution.y[0]
+    return velocity
+
+
+def multibody_joint(inertia: float, ratio: float) -> pin.Model:
+    """Return a revolute joint about z that carries `inertia`, kg m² at the motor, through gear `ratio`.
+
+    A disc on the load shaft holds half of it and the geared rotor the other half, so that both ways in which
+    a multibody program holds inertia take part.
+    """
+    model = pin.Model()
+    model.gravity = pin.Motion.Zero()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "revolute")
+    spin = inertia / 2 * ratio**2
+    body = pin.Inertia(1.0, np.zeros(3), np.diag([spin / 2, spin / 2, spin]))
+    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    model.armature = np.array([inertia / 2 * ratio**2])
+    return model
+
+
+def simulate_multibody(model: RampModel, ratio: float, time: Array, step: float = 1e-3) -> Array:
+    """Return the motor's velocity by the articulated-body algorithm with Runge-Kutta steps, rad/s."""
+    joint = multibody_joint(model.inertia, ratio)
+    data = joint.createData()
+    q = np.zeros(1)
+
+    def acceleration(t: float, speed: float) -> float:
+        motor = speed * ratio
+        torque = model.slope * t - model.viscous * motor - model.coulomb
+        return float(pin.aba(joint, data, q, np.array([speed]), np.array([torque * ratio]))[0])
+
+    velocity = np.zeros_like(time)
+    t, speed = model.break_away_time, 0.0
+    for k in np.flatnonzero(time > t):
+        count = max(1, int(np.ceil((time[k] - t) / step)))
+        h = (time[k] - t) / count
+        for _ in range(count):
+            k1 = acceleration(t, speed)
+            k2 = acceleration(t + h / 2, speed + h / 2 * k1)
+            k3 = acceleration(t + h / 2, speed + h / 2 * k2)
+            k4 = acceleration(t + h, speed + h * k3)
+            speed += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            t += h
+        velocity[k] = speed * ratio
+    return velocity
+
+
+def measured_velocity(record: RampRecord) -> tuple[Array, Array]:
+    """Return times and mean velocities of a record, differences over SMOOTHING readings, each shape (n,)."""
+    time = record.time - record.origin
+    width = min(SMOOTHING, time.size - 1)
+    velocity = (record.angle[width:] - record.angle[:-width]) / (time[width:] - time[:-width])
+    return (time[width:] + time[:-width]) / 2, velocity
+
+
+def compare(record: RampRecord, model: RampModel, ratio: float) -> FourWay:
+    """Compare one ramp with the three models of the identified friction.
+
+    Args:
+        record: the experiment.
+        model: friction and inertia at the motor, with the record's slope.
+        ratio: of the gear.
+    """
+    time, experiment = measured_velocity(record)
+    keep = time > 0.0
+    time = time[keep]
+    velocities = {
+        EXPERIMENT: experiment[keep],
+        BLOCK: integrate_equation_3(model, time),
+        MULTIBODY: simulate_multibody(model, ratio, time),
+        CLOSED: model.velocity(time),
+    }
+    final = float(velocities[CLOSED][-1])
+    pairs = []
+    for first, second in combinations(velocities, 2):
+        difference = 100.0 * (velocities[first] - velocities[second]) / final
+        pairs.append(
+            Pair(
+                first,
+                second,
+                float(np.abs(difference).max()),
+                float(np.sqrt(np.mean(difference**2))),
+                SOURCE_BANDS.get(frozenset((first, second))),
+            )
+        )
+    return FourWay(time, velocities, tuple(pairs))

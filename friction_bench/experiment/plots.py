@@ -1,0 +1,73 @@
+"""The report's plots, as SVG text, after the source's figures 4 to 8."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from friction_bench.experiment.four_way import EXPERIMENT, FourWay, measured_velocity
+from friction_bench.experiment.identification import Identification, slopes_of
+from friction_bench.experiment.series import Result
+from rx90_common.report.drawing import COLOURS as PALETTE
+from rx90_common.report.drawing import as_svg, make_figure
+
+COLOURS = PALETTE[:6]
+
+_FIT: Any = {"color": "black", "linestyle": "--", "linewidth": 0.9}
+
+
+def velocity_plot(part: Identification) -> str:
+    """Draw the velocities of all repeats with their asymptotes, one panel a slope (figures 4 to 6)."""
+    slopes = slopes_of(part.fits)
+    figure, panels = make_figure(len(slopes) + 1, 3.0 + 2.2 * len(slopes), share_x=False)
+    for j, (axes, slope) in enumerate(zip(panels, slopes, strict=False)):
+        fits = [fit for fit in part.fits if abs(fit.slope - slope) <= 0.02 * slope]
+        for k, fit in enumerate(fits):
+            time, velocity = measured_velocity(fit.record)
+            axes.plot(time, velocity, color=COLOURS[k % len(COLOURS)], linewidth=0.7, alpha=0.8)
+            ends = (max(fit.b / fit.a, 0.0), fit.window[1])
+            axes.plot(ends, [fit.a * t - fit.b for t in ends], **_FIT)
+            settled = time >= fit.window[0]
+            deviation = velocity[settled] - (fit.a * time[settled] - fit.b)
+            panels[-1].plot(time[settled], deviation, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.7)
+            axes.axvline(fit.break_away, color=COLOURS[k % len(COLOURS)], linewidth=0.5, linestyle=":")
+        axes.set_xlabel("time since the torque's zero, s")
+        axes.set_ylabel("motor velocity, rad/s")
+        axes.set_title(f"m = {slope:.4g} Nm/s, {len(fits)} repeats", fontsize=9, loc="left")
+    panels[0].plot([], [], label="asymptote a t - b", **_FIT)
+    panels[0].plot([], [], color="grey", linestyle=":", linewidth=0.8, label="break-away")
+    panels[0].legend(frameon=False, loc="upper left")
+    panels[-1].set(xlabel="time since the torque's zero, s", ylabel="less asymptote, rad/s")
+    panels[-1].set_title("all repeats where the transient is over, one colour a slope", fontsize=9, loc="left")
+    return as_svg(figure)
+
+
+def load_plot(result: Result) -> str:
+    """Draw one no-load and one loaded ramp of each slope on the same axes."""
+    figure, (axes,) = make_figure(1, 3.0)
+    for k, (name, part) in enumerate(result.parts):
+        for j, slope in enumerate(slopes_of(part.fits)):
+            fit = min(part.fits, key=lambda f: abs(f.slope - slope))
+            time, velocity = measured_velocity(fit.record)
+            torque = time * fit.slope
+            style = ("-", "--", ":", "-.")[j % 4]
+            label = f"{name}, {slope:.3g} Nm/s"
+            axes.plot(torque, velocity, color=COLOURS[k], linewidth=1.0, linestyle=style, label=label)
+    axes.set(xlabel="motor torque m t, Nm", ylabel="motor velocity, rad/s")
+    axes.legend(frameon=False)
+    return as_svg(figure)
+
+
+def comparison_plot(comparison: FourWay) -> str:
+    """Draw the four velocities and their differences from the closed form (figures 7 and 8)."""
+    figure, (upper, lower) = make_figure(2, 4.6)
+    *_, closed = comparison.velocities.values()
+    for k, (name, velocity) in enumerate(comparison.velocities.items()):
+        style = ("-", "--", ":", "-.")[k]
+        width = 0.8 if name == EXPERIMENT else 1.4
+        upper.plot(comparison.time, velocity, color=COLOURS[k], linestyle=style, linewidth=width, label=name)
+        share = 100 * (velocity - closed) / closed[-1]
+        lower.plot(comparison.time, share, color=COLOURS[k], linestyle=style, linewidth=width)
+    upper.set_ylabel("motor velocity, rad/s")
+    upper.legend(frameon=False)
+    lower.set(xlabel="time since the torque's zero, s", ylabel="less closed form, %")
+    return as_svg(figure)

@@ -1,0 +1,99 @@
+"""Run one ramp on a rig and keep what it measured."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+import numpy as np
+
+from friction_bench.experiment.record import RampRecord
+from friction_bench.protocol.errors import RigError
+from friction_bench.protocol.messages import State
+from friction_bench.rig.client import RigClient, Sample, raise_fault
+from friction_bench.rig.rig_file import Rig
+
+REST_TICKS = 10
+"""The shaft rests when it has not moved for so many ticks."""
+REST_TIMEOUT = 30.0
+
+
+def wait_for_rest(client: RigClient) -> None:
+    """Wait until the shaft stands still, for a ramp starts from rest.
+
+    Raises:
+        RigError: if it does not come to rest within REST_TIMEOUT seconds.
+    """
+    end = client.port.now() + REST_TIMEOUT
+    still: list[int] = []
+    while client.port.now() < end:
+        for sample in client.pump():
+            still = [*still[-REST_TICKS + 1 :], sample.counts]
+        if len(still) == REST_TICKS and still[0] == still[-1]:
+            return
+    raise RigError(f"the shaft does not come to rest within {REST_TIMEOUT:g} s")
+
+
+def run_ramp(
+    client: RigClient,
+    slope: float,
+    end_torque: float,
+    loaded: bool,
+    label: str,
+    on_sample: Callable[[Sample], None] = lambda _: None,
+) -> RampRecord:
+    """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
+
+    The rig is disarmed again when this returns, and told to stop when it raises.
+
+    Raises:
+        RigError: refused, faulted, lost or reset.
+    """
+    rig = client.rig
+    step = rig.ramp_step(slope)
+    client.end_code(end_torque)  # refused before anything is switched on
+    wait_for_rest(client)
+    if client.last is not None:
+        raise_fault(client.last.report)
+    try:
+        client.arm()
+        samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
+    except BaseException:  # Ctrl-C above all: never leave with the power stage on
+        with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
+            client.urgent_stop()
+        client.permitted = client.stops  # this stop is the ramp's own: the next command is not overtaken by it
+        raise
+    return _record(samples, rig, rig.slope_of_step(step), loaded, label)
+
+
+def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
+    samples = [sample for sample in first if sample.report.state == State.RAMPING]
+    ended = False
+    while not ended:
+        for sample in client.pump():
+            raise_fault(sample.report)
+            if sample.report.state == State.RAMPING:
+                samples.append(sample)
+            elif sample.report.ramp_done:
+                ended = True
+            else:
+                raise RigError("the ramp was stopped before its end")
+            on_sample(sample)
+    return samples
+
+
+def _record(samples: list[Sample], rig: Rig, slope: float, loaded: bool, label: str) -> RampRecord:
+    if len(samples) < 2:
+        raise RigError(f"{label}: {len(samples)} readings during the ramp; accepted: at least 2")
+    step = 2 * np.pi / rig.counts_per_revolution
+    counts = np.array([sample.counts for sample in samples], dtype=np.float64)
+    return RampRecord(
+        time=np.array([sample.time - samples[0].time for sample in samples]),
+        angle=(counts - counts[0]) * step,
+        slope=slope,
+        angle_step=step,
+        torque=np.array([rig.torque(sample.report.dac) for sample in samples]),
+        measured_torque=np.array([rig.measured_torque(sample.report.adc) for sample in samples]),
+        loaded=loaded,
+        label=label,
+    )

@@ -1,0 +1,199 @@
+"""One ramp test as data: from a rig, a CSV file, or the plain text that the source's program saved."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_bench.protocol.errors import RecordError
+
+Array = NDArray[np.float64]
+
+CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
+TEXT_KINDS = ("increments", "counts", "velocity")
+
+
+@dataclass(frozen=True)
+class RampRecord:
+    """One ramp, motor side.
+
+    Attributes:
+        time: of each reading, s, increasing, shape (n,).
+        angle: of the motor, rad, cumulative, shape (n,).
+        slope: m of tau = m t, Nm/s.
+        angle_step: what one encoder count stands for, rad.
+        torque: commanded torque held from each reading to the next, Nm, shape (n,), None if unknown.
+        measured_torque: by the current, Nm, shape (n,), None if unknown.
+        loaded: the revolute joint was coupled.
+        label: names the ramp in messages and plots.
+    """
+
+    time: Array
+    angle: Array
+    slope: float
+    angle_step: float
+    torque: Array | None = None
+    measured_torque: Array | None = None
+    loaded: bool = False
+    label: str = "ramp"
+
+    def __post_init__(self) -> None:
+        if self.time.ndim != 1 or self.time.size < 2 or self.time.shape != self.angle.shape:
+            raise RecordError(f"{self.label}: {self.time.size} readings; accepted: at least 2")
+        for name in ("time", "angle", "torque", "measured_torque"):
+            values = getattr(self, name)
+            if values is not None and not (values.shape == self.time.shape and np.isfinite(values).all()):
+                raise RecordError(f"{self.label}: column {name} holds values that are missing or not finite")
+        steps = np.diff(self.time)
+        if steps.min() <= 0.0:
+            row = int(np.argmin(steps)) + 2
+            raise RecordError(f"{self.label}: time does not increase at reading {row}")
+        if not (math.isfinite(self.slope) and self.slope > 0.0):
+            raise RecordError(f"{self.label}: slope m is {self.slope:g} Nm/s; accepted: a number > 0")
+        if not self.angle_step > 0.0:
+            raise RecordError(f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0")
+
+    @property
+    def tick(self) -> float:
+        """Return the usual time between readings, s."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def origin(self) -> float:
+        """Return the time at which the line through the commanded torques is zero, s.
+
+        The command is a staircase, held from reading to reading; the ramp is the line through its middles.
+        Without commanded torques it is the time axis's own zero.
+        """
+        if self.torque is None:
+            return 0.0
+        rising = self.torque > 0.0
+        if rising.sum() < 2:
+            raise RecordError(f"{self.label}: the commanded torque never rises")
+        middle = self.time[rising] + self.tick / 2
+        return float(np.mean(middle - self.torque[rising] / self.slope))
+
+
+def _columns(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return a file's header and its rows, each with its line number; a byte order mark is Excel's."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            rows = [(reader.line_num, row) for row in reader if any(row) and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from error
+    if not rows:
+        raise RecordError(f"{path}: is empty; accepted: a header and at least 2 readings")
+    return [name.strip() for name in rows[0][1]], rows[1:]
+
+
+def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) -> RampRecord:
+    """Read a CSV file with a header of `time` (s) and `counts`, and perhaps `torque`, `measured_torque` (Nm).
+
+    Lines that start with # are comments.
+
+    Raises:
+        RecordError: naming line and column of what cannot be used.
+    """
+    header, rows = _columns(path)
+    missing = [name for name in CSV_COLUMNS[:2] if name not in header]
+    if missing:
+        found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
+        raise RecordError(f"{path}: column '{missing[0]}' is missing, found {found!r}; accepted: {accepted}")
+    data: dict[str, Array] = {}
+    for name in CSV_COLUMNS:
+        if name in header:
+            at = header.index(name)
+            data[name] = np.array([_number(path, line, row, at, name) for line, row in rows])
+    return RampRecord(
+        time=data["time"],
+        angle=data["counts"] * angle_step,
+        slope=slope,
+        angle_step=angle_step,
+        torque=data.get("torque"),
+        measured_torque=data.get("measured_torque"),
+        loaded=loaded,
+        label=path.name,
+    )
+
+
+def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
+    try:
+        return float(row[at])
+    except (IndexError, ValueError):
+        found = row[at] if at < len(row) else "nothing"
+        raise RecordError(f"{path}: line {line}, column {name} holds '{found}'; accepted: a number") from None
+
+
+def write_csv(record: RampRecord, path: Path) -> None:
+    """Write a record so that `read_csv` gives it back.
+
+    Raises:
+        RecordError: if the file cannot be written.
+    """
+    counts = np.rint(record.angle / record.angle_step).astype(int)
+    torques = [column for column in (record.torque, record.measured_torque) if column is not None]
+    try:
+        with path.open("w", newline="", encoding="utf-8") as stream:
+            stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+            writer = csv.writer(stream)
+            writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
+            for i, time in enumerate(record.time):
+                writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
+    """Read the plain text of the source's program: one reading per line, every 20 ms.
+
+    A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
+    The paper does not say what the numbers were, so `kind` says it: `increments` (pulses since the last
+    reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading).
+
+    Raises:
+        RecordError: naming file and line of what cannot be used.
+    """
+    if kind not in TEXT_KINDS:
+        raise RecordError(f"kind of reading is '{kind}'; accepted: {', '.join(TEXT_KINDS)}")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordError(f"{path}: cannot be read ({error})") from error
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, 1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith(("#", "%")):
+            continue
+        try:
+            rows.append([float(word) for word in words])
+        except ValueError:
+            raise RecordError(f"{path}: line {number} holds '{line.strip()}'; accepted: numbers") from None
+        if len(rows[-1]) not in {1, 2} or len(rows[-1]) != len(rows[0]):
+            raise RecordError(
+                f"{path}: line {number} holds {len(words)} numbers; accepted: 1 or 2, the same on every line"
+            )
+    if len(rows) < 2:
+        raise RecordError(f"{path}: {len(rows)} readings; accepted: at least 2")
+    table = np.array(rows)
+    regular = tick * np.arange(1, len(rows) + 1, dtype=np.float64)
+    time: Array = table[:, 0] if table.shape[1] == 2 else regular
+    step = float(np.median(np.diff(time)))
+    if not tick / 2 <= step <= tick * 2:
+        raise RecordError(
+            f"{path}: its first column, read as time, advances by {step:.3g} a line; "
+            f"accepted: s, about {tick:g} a line, and a point for decimals"
+        )
+    values = np.asarray(table[:, -1], dtype=np.float64)
+    if kind == "counts":
+        angle = values * angle_step
+    elif kind == "increments":
+        angle = np.asarray(np.cumsum(values) * angle_step, dtype=np.float64)
+    else:
+        angle = np.asarray(np.cumsum(values * np.diff(time, prepend=time[0] - tick)), dtype=np.float64)
+    return RampRecord(time, angle, slope, angle_step, loaded=loaded, label=path.name)

@@ -1,0 +1,206 @@
+"""The friction_bench node: a rig on ROS topics and services."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import MultiThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from friction_bench.protocol.messages import Fault, State, fault_text
+from friction_bench.protocol.serial_port import SerialPort
+from friction_bench.rig.client import Port, RigClient, Sample
+from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.link import RigLink
+from friction_bench.rig.pty_rig import PtyRig
+from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.errors import Rx90Error
+from rx90_common.base.share import resolve_config
+from rx90_common.exchange.node_tools import Diagnostics, declare
+from rx90_common.exchange.node_tools import spin as spin_node
+
+JOINT = "rig_motor"
+EMULATED = "emulated"
+_ALIVE_PERIOD = 0.02
+_SERVICE_TIMEOUT = 3.0
+_THREADS = 3
+"""Timers, requests that wait for the rig, and the stop."""
+
+
+class BenchNode:
+    """Publishes the rig's readings and passes requests on to it; the line has a thread of its own."""
+
+    def __init__(self) -> None:
+        self.node = Node("friction_bench")
+        port = declare(self.node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
+        rig_file = declare(self.node, "rig", "rig/gm8224.yaml", "rig file: own path or a shipped file's name")
+        self.rig = load_rig(resolve_config(rig_file))
+        baud = declare(self.node, "baud", self.rig.baud, "line rate", low=1200, high=1_000_000)
+        seed = declare(self.node, "seed", 0, "seed of the emulated rig's noise", low=0, high=2**31 - 1)
+        self._declare_ramp()
+        self._emulated: PtyRig | None = None
+        if port == EMULATED:
+            self._emulated = PtyRig(EmulatedRig(self.rig, seed))
+            port = self._emulated.path
+        log = self.node.get_logger()
+        self._link = RigLink(
+            lambda: _open(port, baud),
+            self.rig,
+            self._publish,
+            log.error,
+            lambda text: log.info(f"{port}: {text}"),
+        )
+        self._states = self.node.create_publisher(JointState, "~/joint_states", 10)
+        self._commands = self.node.create_publisher(JointState, "~/joint_commands", 10)
+        self._previous: Sample | None = None
+        self._epoch_ns = 0
+        self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
+        self._diagnostics = Diagnostics(self.node, self._collect)
+        # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
+        waiting = MutuallyExclusiveCallbackGroup()
+        urgent = MutuallyExclusiveCallbackGroup()
+        callbacks = {
+            "arm": (self._serve(RigClient.arm, "armed"), waiting),
+            "clear": (self._serve(RigClient.clear, "faults cleared, disarmed"), waiting),
+            "run_ramp": (self._serve(self._ramp, "ramp started"), waiting),
+            "load": (self._couple(True), waiting),
+            "unload": (self._couple(False), waiting),
+            "stop": (self._stop, urgent),
+        }
+        self._services = [
+            self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group)
+            for name, (callback, group) in callbacks.items()
+        ]
+
+    def _declare_ramp(self) -> None:
+        plan = self.rig.ramps
+        declare(
+            self.node,
+            "ramp_slope",
+            plan.slopes[0],
+            "slope of run_ramp, Nm/s at the motor",
+            low=1e-4,
+            high=1.0,
+            read_only=False,
+        )
+        declare(
+            self.node,
+            "ramp_end_torque",
+            plan.end_torque,
+            "torque at which run_ramp ends, Nm at the motor",
+            low=0.0,
+            high=self.rig.dac_full_scale,
+            read_only=False,
+        )
+
+    def _ramp(self, client: RigClient) -> None:
+        slope = self.node.get_parameter("ramp_slope").value
+        end = self.node.get_parameter("ramp_end_torque").value
+        client.start_ramp(slope, end)
+
+    def _serve(self, job: Callable[[RigClient], None], done: str) -> Callable[[Any, Any], Any]:
+        def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            future = self._link.submit(job)
+            try:
+                future.result(_SERVICE_TIMEOUT)
+                response.success, response.message = True, done
+            except Rx90Error as error:
+                response.success, response.message = False, str(error)
+            except TimeoutError:
+                future.cancel()  # what the caller has been told is not done must not be done later
+                response.success, response.message = (
+                    False,
+                    f"the rig did not answer in {_SERVICE_TIMEOUT:g} s",
+                )
+            return response
+
+        return callback
+
+    def _stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            self._link.stop_rig()
+            response.success, response.message = True, "stop sent"
+        except Rx90Error as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _couple(self, loaded: bool) -> Callable[[Any, Any], Any]:
+        def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            if self._emulated is None:
+                response.success, response.message = False, "only an emulated rig can be coupled by a service"
+            else:
+                self._emulated.load(loaded)
+                response.success = True
+                response.message = "joint coupled" if loaded else "joint taken off"
+            return response
+
+        return callback
+
+    def _publish(self, sample: Sample) -> None:
+        """Publish one reading; its stamp is the firmware's tick on the computer's clock."""
+        previous, self._previous = self._previous, sample
+        if previous is None or sample.tick <= previous.tick:
+            now = self.node.get_clock().now().nanoseconds
+            self._epoch_ns = now - round(sample.time * 1e9)
+            previous = sample
+        scale = math.tau / self.rig.counts_per_revolution
+        elapsed = sample.time - previous.time
+        velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
+        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * 1e9), 1_000_000_000)
+        stamp = Time(sec=seconds, nanosec=nanoseconds)
+        state = JointState(
+            name=[JOINT],
+            position=[sample.counts * scale],
+            velocity=[velocity],
+            effort=[self.rig.measured_torque(sample.report.adc)],
+        )
+        command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
+        state.header.stamp = command.header.stamp = stamp
+        self._states.publish(state)
+        self._commands.publish(command)
+
+    def _collect(self) -> tuple[bytes, str, dict[str, str]]:
+        report = self._link.last
+        client = self._link.client
+        values = {
+            "bad frames": str(self._link.bad_frames + (client.bad_frames if client else 0)),
+            "lost reports": str(self._link.lost_reports + (client.lost_reports if client else 0)),
+        }
+        if not self._link.connected or report is None:
+            return DiagnosticStatus.ERROR, "no connection to the rig", values
+        values |= {
+            "state": State(report.state).name.lower(),
+            "fault": fault_text(report.fault),
+            "frames the rig refused": str(report.bad_frames),
+        }
+        if report.fault != Fault.NONE:
+            return DiagnosticStatus.ERROR, fault_text(report.fault), values
+        return DiagnosticStatus.OK, f"connected, {State(report.state).name.lower()}", values
+
+    def tick_loop(self) -> None:
+        """Serve the line until `stop`."""
+        try:
+            self._link.run()
+        finally:
+            if self._emulated is not None:
+                self._emulated.close()
+
+    def stop(self) -> None:
+        """Take the torque away and end `tick_loop`."""
+        self._link.close()
+
+
+def _open(port: str, baud: int) -> Port:
+    return SerialPort(port, baud)
+
+
+def spin(args: Sequence[str]) -> None:
+    """Run the node until it is interrupted."""
+    spin_node(BenchNode, args, lambda: MultiThreadedExecutor(_THREADS))

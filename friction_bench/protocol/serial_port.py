@@ -1,0 +1,114 @@
+"""A rig at a serial port: a device, a pseudo-terminal, or any URL that pyserial opens."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import select
+import termios
+import threading
+import time
+
+import serial
+
+from friction_bench.protocol.errors import RigLostError
+
+_READ_SLICE = 0.01
+WRITE_TIMEOUT = 0.02
+"""Longest time for which a write may hold its caller, s. The system's buffer takes two seconds' worth of bytes: a
+line that does not even take a heartbeat into it is dead, and the stop must not wait behind it."""
+_FAILURES = (serial.SerialException, OSError, termios.error, ValueError)
+
+
+class SerialPort:
+    """The line to a real rig; time is the computer's monotonic clock.
+
+    `write` may be called from any thread, so that a stop need not wait for a read.
+
+    Args:
+        url: /dev/ttyUSB0, a pseudo-terminal, socket://host:port, …
+        baud: line rate; a pseudo-terminal ignores it.
+
+    Raises:
+        RigLostError: if the port is not there or another program has it.
+    """
+
+    def __init__(self, url: str, baud: int) -> None:
+        self.url = url
+        self._lock = threading.Lock()
+        try:
+            self._serial = serial.serial_for_url(url, baudrate=baud, timeout=_READ_SLICE, do_not_open=True)
+            if "://" not in url:
+                self._serial.exclusive = True
+            self._serial.write_timeout = WRITE_TIMEOUT
+            self._serial.open()
+        except _FAILURES as error:
+            raise RigLostError(f"{url}: cannot be opened ({_reason(error)})") from error
+
+    def now(self) -> float:
+        """Return the monotonic clock, s."""
+        return time.monotonic()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; after WRITE_TIMEOUT give up."""
+        self._write(data, first=False)
+
+    def write_first(self, data: bytes) -> None:
+        """Send bytes ahead of what is still waiting in this computer: that is thrown away, perhaps in mid-frame."""
+        self._write(data, first=True)
+
+    def _write(self, data: bytes, *, first: bool) -> None:
+        try:
+            with self._lock:
+                if first:
+                    self._serial.reset_output_buffer()
+                self._send(data)
+        except _FAILURES as error:
+            raise RigLostError(f"{self.url}: lost while writing ({_reason(error)})") from error
+
+    def _send(self, data: bytes) -> None:
+        """Put all bytes on the line.
+
+        pyserial's own `write` calls a write that has succeeded lost if the computer stood still meanwhile for longer
+        than its timeout; it serves here where there is no file descriptor.
+
+        Raises:
+            RigLostError: if the line takes nothing for WRITE_TIMEOUT.
+        """
+        try:
+            descriptor = self._serial.fileno()
+        except io.UnsupportedOperation:
+            self._serial.write(data)
+            return
+        end = self.now() + WRITE_TIMEOUT
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                data = data[os.write(descriptor, data) :]
+            if not data:
+                return
+            if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
+                raise RigLostError(f"{self.url}: lost while writing (the line takes nothing)")
+
+    def read(self, timeout: float) -> bytes:
+        """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte."""
+        end = self.now() + timeout
+        try:
+            while True:
+                data = self._serial.read(max(1, self._serial.in_waiting))
+                if data or self.now() >= end:
+                    return bytes(data)
+        except (*_FAILURES, TypeError) as error:  # TypeError: closed by another thread meanwhile
+            raise RigLostError(f"{self.url}: lost while reading ({_reason(error)})") from error
+
+    def close(self) -> None:
+        """Give the port back."""
+        with contextlib.suppress(*_FAILURES):  # an unplugged adapter cannot even be closed
+            self._serial.close()
+
+
+def _reason(error: Exception) -> str:
+    text = str(error)
+    if "exclusively lock" in text or getattr(error, "errno", None) in {11, 16}:
+        return "another program has it open"
+    return " ".join(text.split())

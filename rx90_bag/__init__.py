@@ -1,1 +1,0 @@
-"""Bags: recorded from the running nodes, written from arrays, read back, summarised and compared."""

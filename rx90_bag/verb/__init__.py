@@ -1,1 +1,0 @@
-"""The verbs of `rx90_bag`, one module each, with `add_arguments()` and `main()`."""

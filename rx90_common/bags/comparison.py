@@ -1,0 +1,325 @@
+"""Compare two bags value by value, and judge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.alignment import Alignment, Side, align
+from rx90_common.bags.joint_series import FloatArray, JointSeries
+from rx90_common.bags.reading import read_joint_series
+from rx90_common.bags.storage import BagReader
+from rx90_common.bags.tolerance import Tolerances
+from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
+from rx90_common.base.errors import BagError
+
+
+class Verdict(IntEnum):
+    """What a comparison comes to; its number is the exit code, and the worst one stands for the whole."""
+
+    SAME = 0
+    DIFFERS = 1
+    INCOMPARABLE = 2
+
+
+@dataclass(frozen=True)
+class ValueDifference:
+    """How one field of one joint differs over the pairs of messages.
+
+    Attributes:
+        joint: joint name.
+        field: position, velocity or effort (rad, rad/s, Nm).
+        maximum: largest absolute difference of finite values.
+        at_ns: stamp of that difference; None when it is 0.
+        rms: root mean square of the differences of finite values.
+        tolerance: what the difference may be; 0 wants equal bits.
+        beyond: number of pairs beyond the tolerance, also those of which only one is NaN or infinite.
+        not_finite: number of pairs of which only one is NaN, or which are infinite and unequal.
+    """
+
+    joint: str
+    field: str
+    maximum: float
+    at_ns: int | None
+    rms: float
+    tolerance: float
+    beyond: int
+    not_finite: int
+
+
+@dataclass(frozen=True)
+class TopicComparison:
+    """The comparison of one topic, or of one set of joints in it.
+
+    Attributes:
+        topic: absolute topic name.
+        joints: the joints that both bags have, in the order of the first.
+        pairs: number of messages compared.
+        range_ns: first and last stamp of the common range.
+        a: what only the first bag has.
+        b: what only the second bag has.
+        values: the differences by field and joint.
+        reasons: why the topic differs or cannot be compared, values aside.
+        verdict: the judgement.
+    """
+
+    topic: str
+    joints: tuple[str, ...]
+    pairs: int
+    range_ns: tuple[int, int] | None
+    a: Side | None
+    b: Side | None
+    values: tuple[ValueDifference, ...]
+    reasons: tuple[str, ...]
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class BagComparison:
+    """The comparison of two bags; `skipped` names what is there and is no JointState."""
+
+    path_a: Path
+    path_b: Path
+    topics: tuple[TopicComparison, ...]
+    skipped: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return the worst verdict of all topics."""
+        return max(topic.verdict for topic in self.topics)
+
+
+@dataclass(frozen=True)
+class Scope:
+    """What is compared.
+
+    Attributes:
+        topics: only these; by default all JointState topics, each of which must then be in both bags.
+        fields: which of position, velocity, effort.
+        start_ns: messages before this stamp are left out.
+        end_ns: messages after this stamp are left out.
+        same_range: stamps outside the common range make a difference too.
+    """
+
+    topics: tuple[str, ...] | None = None
+    fields: tuple[str, ...] = FIELDS
+    start_ns: int | None = None
+    end_ns: int | None = None
+    same_range: bool = False
+
+    def __post_init__(self) -> None:
+        for field in self.fields:
+            if field not in FIELDS:
+                raise BagError(f"field {field!r}; accepted: {', '.join(FIELDS)}")
+        if not self.fields:
+            raise BagError(f"no fields to compare; accepted: {', '.join(FIELDS)}")
+        if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
+            window = f"{self.start_ns / 1e9:g} s to {self.end_ns / 1e9:g} s"
+            raise BagError(f"time window from {window}; accepted: a start before the end")
+
+    def cut(self, series: JointSeries) -> JointSeries:
+        """Return the part of a series that is compared."""
+        inside = np.ones(len(series.stamp_ns), dtype=np.bool_)
+        if self.start_ns is not None:
+            inside &= series.stamp_ns >= self.start_ns
+        if self.end_ns is not None:
+            inside &= series.stamp_ns <= self.end_ns
+        part = series if inside.all() else series.take(inside)
+        fields = {field: values for field, values in part.fields.items() if field in self.fields}
+        return JointSeries(part.topic, part.names, part.stamp_ns, **fields)
+
+
+def compare_bags(path_a: Path | str, path_b: Path | str, tolerances: Tolerances, scope: Scope) -> BagComparison:
+    """Compare the JointState topics of two bags.
+
+    Raises:
+        BagError: if a bag cannot be read, or there is nothing to compare, or a tolerance fits nothing.
+    """
+    paths = (Path(path_a), Path(path_b))
+    topics_a, skipped_a = _joint_state_topics(paths[0])
+    topics_b, skipped_b = _joint_state_topics(paths[1])
+    both = topics_a | topics_b
+    if not both:
+        raise BagError(f"neither {paths[0]} nor {paths[1]} holds a JointState topic")
+    wanted = sorted(both) if scope.topics is None else [absolute(topic) for topic in scope.topics]
+    for topic in wanted:
+        if topic not in both:
+            raise BagError(f"topic {topic} is in neither bag; JointState topics: {', '.join(sorted(both))}")
+    series_a = read_joint_series(paths[0], [topic for topic in wanted if topic in topics_a])
+    series_b = read_joint_series(paths[1], [topic for topic in wanted if topic in topics_b])
+    joints = {
+        topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
+        for topic in wanted
+    }
+    tolerances.check(both, joints)
+    results: list[TopicComparison] = []
+    for topic in wanted:
+        results += _compare_topic(topic, series_a.get(topic), series_b.get(topic), tolerances, scope)
+    if not results:
+        raise BagError(f"neither {paths[0]} nor {paths[1]} has a JointState message in the time window")
+    return BagComparison(*paths, tuple(results), tuple(sorted(skipped_a | skipped_b)))
+
+
+def _joint_state_topics(path: Path) -> tuple[set[str], set[str]]:
+    """Return the bag's JointState topics and its other topics."""
+    with BagReader(path) as bag:
+        ours = {topic.name for topic in bag.topics if topic.msgtype == JOINT_STATE}
+        others = {topic.name for topic in bag.topics} - ours
+        if not any(topic.count for topic in bag.topics):
+            raise BagError(f"{path}: holds no messages")
+        if not ours:
+            raise BagError(f"{path}: holds no JointState topic, only {', '.join(sorted(others))}")
+    return ours, others
+
+
+def _compare_topic(
+    topic: str,
+    found_a: list[JointSeries] | None,
+    found_b: list[JointSeries] | None,
+    tolerances: Tolerances,
+    scope: Scope,
+) -> list[TopicComparison]:
+    """Compare each set of joints of a topic."""
+    cut_a, cut_b = (_cut(found, scope) for found in (found_a, found_b))
+    if not cut_a and not cut_b:
+        return [] if scope.topics is None else [_incomparable(topic, "no message of it is in either bag")]
+    if not cut_a or not cut_b:
+        lacking, found = ("first", found_a) if not cut_a else ("second", found_b)
+        what = "the topic is not" if found is None else "no message of it is"
+        within = "" if not found else " within the time window"
+        return [_incomparable(topic, f"{what} in the {lacking} bag{within}")]
+    results = []
+    for series_a, series_b in _pair_up(cut_a, cut_b):
+        if series_a is None or series_b is None:
+            there, where = (series_a, "first") if series_a is not None else (series_b, "second")
+            names = ", ".join(there.names) if there is not None else ""
+            results.append(_incomparable(topic, f"only the {where} bag has messages of {names}"))
+        else:
+            results.append(compare_series(series_a, series_b, tolerances, scope))
+    return results
+
+
+def _cut(found: list[JointSeries] | None, scope: Scope) -> list[JointSeries]:
+    return [part for series in found or [] if len((part := scope.cut(series)).stamp_ns)]
+
+
+def _pair_up(
+    found_a: Sequence[JointSeries], found_b: Sequence[JointSeries]
+) -> list[tuple[JointSeries | None, JointSeries | None]]:
+    """Pair series with the same set of joints; what is left on both sides is paired in its order."""
+    left_b = list(found_b)
+    pairs: list[tuple[JointSeries | None, JointSeries | None]] = []
+    left_a: list[JointSeries] = []
+    for a in found_a:
+        same = next((b for b in left_b if set(b.names) == set(a.names)), None)
+        if same is None:
+            left_a.append(a)
+        else:
+            left_b.remove(same)
+            pairs.append((a, same))
+    for i in range(max(len(left_a), len(left_b))):
+        pairs.append((left_a[i] if i < len(left_a) else None, left_b[i] if i < len(left_b) else None))
+    return pairs
+
+
+def compare_series(a: JointSeries, b: JointSeries, tolerances: Tolerances, scope: Scope = Scope()) -> TopicComparison:
+    """Compare two series within the scope, aligned on stamps and joint names."""
+    a, b = scope.cut(a), scope.cut(b)
+    joints = tuple(name for name in a.names if name in b.names)
+    if not joints:
+        return _incomparable(a.topic, f"no joint in common: {', '.join(a.names)} against {', '.join(b.names)}")
+    alignment = align(a, b)
+    if not len(alignment.stamp_ns):
+        return _incomparable(a.topic, f"no stamp in common: {_span(a)} against {_span(b)}")
+    reasons = [*_other_reasons(a, b), *_stamp_reasons(alignment, scope)]
+    values: list[ValueDifference] = []
+    for field in FIELDS:
+        if field in a.fields and field in b.fields:
+            columns_a = a.fields[field][alignment.rows_a]
+            columns_b = b.fields[field][alignment.rows_b]
+            for joint in joints:
+                pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
+                tolerance = tolerances.of(a.topic, joint, field)
+                values.append(_difference(joint, field, *pair, alignment, tolerance))
+    differs = bool(reasons) or any(value.beyond for value in values)
+    return TopicComparison(
+        a.topic,
+        joints,
+        len(alignment.stamp_ns),
+        alignment.range_ns,
+        alignment.a,
+        alignment.b,
+        tuple(values),
+        tuple(reasons),
+        Verdict.DIFFERS if differs else Verdict.SAME,
+    )
+
+
+def _difference(
+    joint: str, field: str, a: FloatArray, b: FloatArray, alignment: Alignment, tolerance: float
+) -> ValueDifference:
+    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
+    finite = np.isfinite(a) & np.isfinite(b)
+    same_but_not_finite = (np.isnan(a) & np.isnan(b)) | (a == b)
+    not_finite = int((~finite & ~same_but_not_finite).sum())
+    with np.errstate(over="ignore"):
+        distance = np.abs(np.where(finite, a, 0.0) - np.where(finite, b, 0.0))
+    distance = np.minimum(distance, np.finfo(np.float64).max)
+    equal_bits = a.view(np.int64) == b.view(np.int64)
+    beyond = distance > tolerance if tolerance > 0.0 else finite & ~equal_bits
+    largest = int(np.argmax(distance))
+    maximum = float(distance[largest])
+    rms = 0.0
+    if maximum > 0.0:  # scaled by it, so that the squares neither under- nor overflow
+        rms = maximum * float(np.sqrt(np.sum((distance / maximum) ** 2) / finite.sum()))
+    return ValueDifference(
+        joint,
+        field,
+        maximum,
+        int(alignment.stamp_ns[largest]) if maximum > 0.0 else None,
+        rms,
+        tolerance,
+        int(beyond.sum()) + not_finite,
+        not_finite,
+    )
+
+
+def _other_reasons(a: JointSeries, b: JointSeries) -> list[str]:
+    """Return which joints and arrays only one of two series has."""
+    reasons = []
+    for one, other, where in ((a, b, "first"), (b, a, "second")):
+        names = [name for name in one.names if name not in other.names]
+        if names:
+            reasons.append(f"only the {where} bag has {', '.join(names)}")
+        fields = [field for field in one.fields if field not in other.fields]
+        if fields:
+            reasons.append(f"only the {where} bag has {', '.join(fields)}")
+    return reasons
+
+
+def _stamp_reasons(alignment: Alignment, scope: Scope) -> list[str]:
+    reasons = []
+    for side, where in ((alignment.a, "first"), (alignment.b, "second")):
+        if side.missing and side.first_missing_ns is not None:
+            reasons.append(
+                f"only the {where} bag has {side.missing} messages of the common range, "
+                f"the first at t = {side.first_missing_ns / 1e9:.9f} s"
+            )
+        if scope.same_range and side.outside:
+            reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
+    return reasons
+
+
+def _incomparable(topic: str, reason: str) -> TopicComparison:
+    return TopicComparison(topic, (), 0, None, None, None, (), (reason,), Verdict.INCOMPARABLE)
+
+
+def _span(series: JointSeries) -> str:
+    stamps = series.stamp_ns
+    if not len(stamps):
+        return "none"
+    return f"{len(stamps)} from {stamps.min() / 1e9:.9f} to {stamps.max() / 1e9:.9f} s"

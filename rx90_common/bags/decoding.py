@@ -1,0 +1,227 @@
+"""Turn the messages of one JointState topic into arrays, thousands of equally laid out ones at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.bags.joint_series import FloatArray, Int64Array, JointSeries
+from rx90_common.bags.topics import FIELDS
+from rx90_common.base.errors import BagError, ExchangeError
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+
+Deserialize = Callable[[bytes], Any]
+
+_BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
+_MAX_LAYOUTS = 8  # of one topic; messages of further ones are deserialised one by one
+_MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
+_STAMP = slice(4, 12)  # seconds and nanoseconds behind the encapsulation
+_NS_PER_S = 1_000_000_000
+
+_Key = tuple[tuple[str, ...], tuple[bool, bool, bool]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Decoded messages that have the same names in the same order and the same arrays."""
+
+    index: NDArray[np.intp]
+    stamp_ns: Int64Array
+    values: FloatArray  # (n, number of arrays that are there, k)
+
+
+class _Layout:
+    """Where the numbers stand in the messages that look like a given one.
+
+    The codec is asked where: two encodings that differ in every byte of every number show their places. All
+    other bytes (names, counts, frame_id, also what lies in the padding) must equal the given message's.
+    """
+
+    def __init__(self, sample: bytes, key: _Key, frame_id: str) -> None:
+        names, present = key
+        codec = JointStateCodec(names, frame_id)
+        low = np.zeros(len(names))
+        high = np.frombuffer(b"\x01" * 8 * len(names))
+        bytes_low, bytes_high = (
+            np.frombuffer(codec.encode(stamp_ns, *(row if there else None for there in present)), dtype=np.uint8)
+            for stamp_ns, row in ((0, low), (0x01010101 * (_NS_PER_S + 1), high))
+        )
+        variable = bytes_low != bytes_high
+        slack = len(sample) - len(variable)
+        if sample[:4] != bytes_low[:4].tobytes() or not 0 <= slack <= _MAX_SLACK:
+            raise ExchangeError("a layout that the codec does not write")
+        self.key = key
+        self.length = len(sample)
+        self._variable = np.flatnonzero(variable)[8:]
+        self._constant = np.flatnonzero(~variable)
+        self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
+
+    def matches(self, block: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Return for each message of `block`, shape (n, length), whether it has this layout."""
+        return np.asarray((block[:, self._constant] == self._expected).all(axis=1))
+
+    def decode(self, block: NDArray[np.uint8], index: NDArray[np.intp]) -> _Rows:
+        """Return the numbers of messages that have this layout."""
+        names, present = self.key
+        stamp = np.ascontiguousarray(block[:, _STAMP])
+        seconds = stamp[:, :4].copy().view("<i4")[:, 0].astype(np.int64)
+        nanoseconds = stamp[:, 4:].copy().view("<u4")[:, 0].astype(np.int64)
+        numbers = np.ascontiguousarray(block[:, self._variable]).view("<f8").astype(np.float64, copy=False)
+        values = numbers.reshape(len(block), sum(present), len(names))
+        return _Rows(index, seconds * _NS_PER_S + nanoseconds, values)
+
+
+class SeriesBuilder:
+    """Collects the messages of one topic and builds one JointSeries for each set of joints that occurs in it.
+
+    Args:
+        topic: absolute topic name, for messages.
+        deserialize: the general path, by rosbags; gives an object with the message's fields.
+        cdr: whether the messages are CDR, so that the fast path may be tried.
+    """
+
+    def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool) -> None:
+        self._topic = topic
+        self._deserialize = deserialize
+        self._cdr = cdr
+        self._pending: list[bytes] = []
+        self._times: list[int] = []
+        self._layouts: list[_Layout] = []
+        self._rows: dict[_Key, list[_Rows]] = {}
+        self._decoded = 0
+
+    def add(self, message: bytes, stamp_ns: int | None = None) -> None:
+        """Add the next message.
+
+        Args:
+            message: as the bag holds it.
+            stamp_ns: time to take for its stamp; None in all messages for those in their headers.
+
+        Raises:
+            BagError: if a message is no JointState with names and arrays of equal length or none.
+        """
+        self._pending.append(message)
+        if stamp_ns is not None:
+            self._times.append(stamp_ns)
+        if len(self._pending) == _BLOCK:
+            self._decode_pending()
+
+    def build(self) -> list[JointSeries]:
+        """Return one series per set of joints; joints that changed their order come in the first one's.
+
+        Raises:
+            BagError: as `add`, or if an array is there in some messages of a set of joints and not in others.
+        """
+        self._decode_pending()
+        groups: dict[frozenset[str], list[_Key]] = {}
+        for key in sorted(self._rows, key=lambda key: min(rows.index[0] for rows in self._rows[key])):
+            groups.setdefault(frozenset(key[0]), []).append(key)
+        return [self._merge(keys) for keys in groups.values()]
+
+    def _merge(self, keys: list[_Key]) -> JointSeries:
+        names, present = keys[0]
+        for other in keys[1:]:
+            if other[1] != present:
+                start = min(int(rows.stamp_ns[0]) for rows in self._rows[other])
+                raise BagError(
+                    f"{self._topic}: carries {_arrays(present)} in some messages "
+                    f"and {_arrays(other[1])} in others (from t = {start / 1e9:.9f} s)"
+                )
+        index, stamps, values = [], [], []
+        for key in keys:
+            order = [key[0].index(name) for name in names]
+            for rows in self._rows[key]:
+                index.append(rows.index)
+                stamps.append(rows.stamp_ns)
+                values.append(rows.values[:, :, order])
+        place = np.concatenate(index)
+        order_of_bag = np.argsort(place)
+        stamp = np.array(self._times, dtype=np.int64)[place] if self._times else np.concatenate(stamps)
+        data = np.concatenate(values)[order_of_bag]
+        columns = iter(range(sum(present)))
+        fields = {
+            field: np.ascontiguousarray(data[:, next(columns)])
+            for field, there in zip(FIELDS, present, strict=True)
+            if there
+        }
+        return JointSeries(self._topic, names, stamp[order_of_bag], **fields)
+
+    def _decode_pending(self) -> None:
+        messages, self._pending = self._pending, []
+        start, self._decoded = self._decoded, self._decoded + len(messages)
+        index = np.arange(start, self._decoded)
+        lengths = np.array([len(message) for message in messages])
+        for length in np.unique(lengths):
+            chosen = np.flatnonzero(lengths == length)
+            self._decode_equally_long([messages[i] for i in chosen], index[chosen])
+
+    def _decode_equally_long(self, messages: Sequence[bytes], index: NDArray[np.intp]) -> None:
+        block = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), -1)
+        left = np.ones(len(messages), dtype=np.bool_)
+        for layout in self._layouts:
+            self._decode_with(layout, block, index, left)
+        while left.any():
+            first = int(np.flatnonzero(left)[0])
+            new_layout = self._decode_one(messages[first], index[first : first + 1])
+            left[first] = False
+            if new_layout is not None:
+                self._decode_with(new_layout, block, index, left)
+
+    def _decode_with(
+        self, layout: _Layout, block: NDArray[np.uint8], index: NDArray[np.intp], left: NDArray[np.bool_]
+    ) -> None:
+        if layout.length != block.shape[1]:
+            return
+        rows = np.flatnonzero(left)
+        rows = rows[layout.matches(block[rows])]
+        if len(rows):
+            self._rows.setdefault(layout.key, []).append(layout.decode(block[rows], index[rows]))
+            left[rows] = False
+
+    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> _Layout | None:
+        """Decode a message by the general path; return its layout if it is new and worth keeping."""
+        message = self._deserialize_with_slack(raw)
+        names = tuple(message.name)
+        arrays = [np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS]
+        stamp = message.header.stamp
+        stamp_ns = int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        self._check(names, arrays, stamp_ns)
+        position, velocity, effort = (len(array) > 0 for array in arrays)
+        key = (names, (position, velocity, effort))
+        values = np.array([array for array in arrays if len(array)]).reshape(1, -1, len(names))
+        self._rows.setdefault(key, []).append(_Rows(index, np.array([stamp_ns], dtype=np.int64), values))
+        if not self._cdr or len(self._layouts) >= _MAX_LAYOUTS:
+            return None
+        try:
+            layout = _Layout(raw, key, message.header.frame_id)
+        except ExchangeError:
+            return None
+        self._layouts.append(layout)
+        return layout
+
+    def _deserialize_with_slack(self, raw: bytes) -> Any:
+        """Deserialize a message that may end in unused bytes, of which rosbags tolerates 3."""
+        try:
+            return self._deserialize(raw)
+        except BagError:
+            for slack in range(4, _MAX_SLACK + 1, 4) if self._cdr else ():
+                with suppress(BagError):
+                    return self._deserialize(raw[:-slack])
+            raise
+
+    def _check(self, names: tuple[str, ...], arrays: Sequence[FloatArray], stamp_ns: int) -> None:
+        where = f"{self._topic} at t = {stamp_ns / 1e9:.9f} s"
+        if not names or len(set(names)) != len(names):
+            raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
+        for field, array in zip(FIELDS, arrays, strict=True):
+            if len(array) not in (0, len(names)):
+                raise BagError(f"{where}: {len(array)} numbers in {field} for {len(names)} joints")
+
+
+def _arrays(present: tuple[bool, bool, bool]) -> str:
+    return ", ".join(field for field, there in zip(FIELDS, present, strict=True) if there) or "no arrays"

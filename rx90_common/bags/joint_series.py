@@ -1,0 +1,87 @@
+"""A recorded JointState topic as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.bags.topics import FIELDS
+from rx90_common.base.errors import BagError
+
+Int64Array = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointSeries:
+    """n messages of k joints, in the order of the bag's log time.
+
+    Attributes:
+        topic: absolute topic name.
+        names: k joint names.
+        stamp_ns: header.stamp in ns, int64 of shape (n,).
+        position: rad, float64 of shape (n, k); None when the messages carry none.
+        velocity: rad/s, as position.
+        effort: Nm, as position.
+
+    Raises:
+        BagError: if names repeat or an array has another shape or type.
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamp_ns: Int64Array
+    position: FloatArray | None = None
+    velocity: FloatArray | None = None
+    effort: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if len(set(self.names)) != len(self.names):
+            raise BagError(f"{self.topic}: joint names {', '.join(self.names)}; accepted: each name once")
+        if self.stamp_ns.ndim != 1 or self.stamp_ns.dtype != np.int64:
+            found = f"{self.stamp_ns.dtype} of shape {self.stamp_ns.shape}"
+            raise BagError(f"{self.topic}: stamp_ns is {found}; accepted: int64 (n,)")
+        shape = (len(self.stamp_ns), len(self.names))
+        for field, values in self.fields.items():
+            if values.shape != shape or values.dtype != np.float64:
+                found = f"{values.dtype} of shape {values.shape}"
+                raise BagError(f"{self.topic}: {field} is {found}; accepted: float64 {shape}")
+
+    @property
+    def fields(self) -> dict[str, FloatArray]:
+        """Return the arrays that are there, by field name."""
+        return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
+
+    @property
+    def time(self) -> FloatArray:
+        """Return header.stamp in s, float64 of shape (n,)."""
+        return np.asarray(self.stamp_ns / 1e9, dtype=np.float64)
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> JointSeries:
+        """Return the series of these messages (an index, a mask or a slice)."""
+        return JointSeries(
+            self.topic,
+            self.names,
+            self.stamp_ns[rows],
+            **{field: values[rows] for field, values in self.fields.items()},
+        )
+
+    def select(self, names: Sequence[str]) -> JointSeries:
+        """Return the series of these joints, in this order.
+
+        Raises:
+            BagError: if a joint is not there.
+        """
+        for name in names:
+            if name not in self.names:
+                raise BagError(f"{self.topic}: no joint {name!r}; there are {', '.join(self.names)}")
+        columns = [self.names.index(name) for name in names]
+        return JointSeries(
+            self.topic,
+            tuple(names),
+            self.stamp_ns,
+            **{field: np.ascontiguousarray(values[:, columns]) for field, values in self.fields.items()},
+        )

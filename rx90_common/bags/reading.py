@@ -1,0 +1,94 @@
+"""Read recorded joint states as arrays; needs no ROS.
+
+series = read_joint_states("bag", "joint_states")
+series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from rx90_common.bags.decoding import SeriesBuilder
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.topics import JOINT_STATE, absolute
+from rx90_common.base.errors import BagError
+
+__all__ = ["BagReader", "BagTopic", "JointSeries", "read_joint_series", "read_joint_states"]
+
+
+def read_joint_states(
+    path: Path | str, topic: str, names: Sequence[str] | None = None, *, record_time: bool = False
+) -> JointSeries:
+    """Read one JointState topic of a bag.
+
+    Args:
+        path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
+        topic: topic name; the leading slash may be left out.
+        names: joints wanted, in the order wanted; by default all, as the first message has them.
+        record_time: take the times at which messages were recorded for their stamps.
+
+    Raises:
+        BagError: if the bag cannot be read, has no such JointState topic, no messages in it, or no such
+            joint; or if the topic carries several sets of joints and `names` does not pick from one of them.
+    """
+    found = read_joint_series(path, [topic], record_time=record_time)[absolute(topic)]
+    if not found:
+        raise BagError(f"{path}: no messages in {absolute(topic)}")
+    if names is not None:
+        fitting = [series for series in found if set(names) <= set(series.names)]
+        try:
+            return (fitting or found)[0].select(names)
+        except BagError as error:
+            raise BagError(f"{path}: {error}") from error
+    if len(found) > 1:
+        sets = "; ".join(", ".join(series.names) for series in found)
+        raise BagError(f"{path}: {absolute(topic)} carries several sets of joints: {sets}; say which joints")
+    return found[0]
+
+
+def read_joint_series(
+    path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
+) -> dict[str, list[JointSeries]]:
+    """Read JointState topics of a bag in one pass.
+
+    Args:
+        path: as `read_joint_states`.
+        topics: topic names; by default all JointState topics of the bag.
+        record_time: as `read_joint_states`.
+
+    Returns:
+        By absolute topic name one series for each set of joints that the topic carries, in the order of their
+        first messages; an empty list for a topic without messages.
+
+    Raises:
+        BagError: if the bag cannot be read or a topic is not there as JointState.
+    """
+    with BagReader(path) as bag:
+        there = {topic.name: topic for topic in bag.topics if topic.msgtype == JOINT_STATE}
+        wanted = there if topics is None else _pick(Path(path), bag.topics, topics)
+        builders = {
+            topic: SeriesBuilder(topic.name, partial(bag.deserialize, topic), cdr=not bag.is_ros1)
+            for topic in wanted.values()
+        }
+        try:
+            for topic, log_ns, data in bag.messages(list(wanted.values())):
+                builders[topic].add(data, log_ns if record_time else None)
+            return {topic.name: builder.build() for topic, builder in builders.items()}
+        except BagError as error:
+            text = str(error)
+            raise error if text.startswith(str(bag.path)) else BagError(f"{bag.path}: {text}") from error
+
+
+def _pick(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> dict[str, BagTopic]:
+    by_name = {topic.name: topic for topic in there if topic.msgtype == JOINT_STATE}
+    picked = {}
+    for name in map(absolute, topics):
+        if name not in by_name:
+            others = [topic.msgtype for topic in there if topic.name == name]
+            what = f"{name} is {others[0]}" if others else f"no topic {name}"
+            raise BagError(f"{path}: {what}; JointState topics: {', '.join(by_name) or 'none'}")
+        picked[name] = by_name[name]
+    return picked

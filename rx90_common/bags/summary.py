@@ -1,0 +1,118 @@
+"""What a bag holds, topic by topic, and where messages are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.bags.ordering import stamp_ns
+from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.base.errors import BagError
+
+_GAP = 1.5  # times the usual distance of two messages
+_ENOUGH_FOR_GAPS = 3
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """What a bag holds of a topic.
+
+    Attributes:
+        topic: topic name.
+        msgtype: message type.
+        count: number of messages.
+        time: "stamp" when the following count header.stamp, "log" when they count log time.
+        first_ns: earliest time, None without messages.
+        last_ns: latest time.
+        rate: messages per second between the two, None below two different times.
+        gaps: distances of more than 1.5 times the usual (median) one.
+        longest_gap_ns: the longest of these, None when there is none.
+        longest_gap_at_ns: time of the message before it.
+        backward: messages with an earlier time than the one before.
+        repeated: messages with the same time as the one before.
+    """
+
+    topic: str
+    msgtype: str
+    count: int
+    time: str
+    first_ns: int | None
+    last_ns: int | None
+    rate: float | None
+    gaps: int
+    longest_gap_ns: int | None
+    longest_gap_at_ns: int | None
+    backward: int
+    repeated: int
+
+
+@dataclass(frozen=True)
+class BagSummary:
+    """What a bag holds; `size` is that of its files in bytes, `storage` the kind of its files."""
+
+    path: Path
+    storage: str
+    size: int
+    topics: tuple[TopicSummary, ...]
+
+    @property
+    def count(self) -> int:
+        """Return the number of messages."""
+        return sum(topic.count for topic in self.topics)
+
+
+def summarise(path: Path | str) -> BagSummary:
+    """Read a bag through and summarise it.
+
+    Raises:
+        BagError: if the bag cannot be read or holds no topics.
+    """
+    with BagReader(path) as bag:
+        topics = bag.topics
+        if not topics:
+            raise BagError(f"{bag.path}: holds no topics")
+        times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
+        for topic, log_ns, data in bag.messages(topics):
+            times[topic].append(_joint_state_stamp(bag, topic, data) if topic.msgtype == JOINT_STATE else log_ns)
+        files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
+        storage = ", ".join(sorted({f.suffix[1:] for f in files if f.suffix in {".mcap", ".db3", ".bag"}}))
+        summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
+        return BagSummary(bag.path, storage, sum(f.stat().st_size for f in files), summaries)
+
+
+def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
+    if not bag.is_ros1:
+        return stamp_ns(data)
+    stamp = bag.deserialize(topic, data).header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
+    steps = np.diff(times)
+    forward = steps[steps > 0]
+    first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
+    rate = None
+    if first is not None and last is not None and last > first:
+        rate = (len(np.unique(times)) - 1) / ((last - first) / 1e9)
+    gaps = np.zeros(0, dtype=np.intp)
+    if len(forward) >= _ENOUGH_FOR_GAPS:
+        gaps = np.flatnonzero(steps > _GAP * float(np.median(forward)))
+    longest = int(gaps[np.argmax(steps[gaps])]) if len(gaps) else None
+    return TopicSummary(
+        topic=topic.name,
+        msgtype=topic.msgtype,
+        count=topic.count,
+        time="stamp" if topic.msgtype == JOINT_STATE else "log",
+        first_ns=first,
+        last_ns=last,
+        rate=rate,
+        gaps=len(gaps),
+        longest_gap_ns=None if longest is None else int(steps[longest]),
+        longest_gap_at_ns=None if longest is None else int(times[longest]),
+        backward=int((steps < 0).sum()),
+        repeated=int((steps == 0).sum()),
+    )

@@ -1,0 +1,129 @@
+"""How far values may differ: per field, per topic, per joint; nothing said means not by a single bit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rx90_common.bags.topics import FIELDS, absolute
+from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.errors import BagError
+
+ANY: Final = "*"
+GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
+
+_JOINTS = "joints"
+
+
+@dataclass(frozen=True)
+class ToleranceRule:
+    """One tolerance in rad, rad/s or Nm, for a field of one or any topic and one or any joint (None)."""
+
+    topic: str | None
+    joint: str | None
+    field: str
+    value: float
+
+    def __post_init__(self) -> None:
+        if self.field not in FIELDS:
+            raise BagError(f"tolerance for the field {self.field!r}; accepted: {', '.join(FIELDS)}")
+        if not (math.isfinite(self.value) and self.value >= 0.0):
+            raise BagError(f"tolerance {self.value} for {self.field}; accepted: a finite number >= 0")
+
+    def fits(self, topic: str, joint: str, field: str) -> bool:
+        """Return whether the rule speaks of this value."""
+        return self.field == field and self.topic in (None, topic) and self.joint in (None, joint)
+
+
+class Tolerances:
+    """A list of rules; the most special one that fits decides, and among equals the last.
+
+    A rule for topic and joint is more special than one for the topic, that more than one for a joint of any
+    topic, and that more than one for the field alone.
+    """
+
+    def __init__(self, rules: Iterable[ToleranceRule] = ()) -> None:
+        self._rules = sorted(rules, key=lambda rule: (rule.topic is not None, rule.joint is not None))
+
+    def of(self, topic: str, joint: str, field: str) -> float:
+        """Return the tolerance for a value, 0 where no rule fits."""
+        return next((r.value for r in reversed(self._rules) if r.fits(topic, joint, field)), 0.0)
+
+    def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
+        """Refuse rules that fit nothing: they are misspelt.
+
+        Args:
+            topics: the topics of both bags.
+            joints: the joints of each topic that is compared.
+
+        Raises:
+            BagError: if a rule names a topic of neither bag, or a joint that no compared topic has.
+        """
+        for rule in self._rules:
+            if rule.topic is not None and rule.topic not in topics:
+                there = ", ".join(sorted(topics))
+                raise BagError(f"tolerance for {rule.topic}, which is in neither bag; topics: {there}")
+            if rule.joint is None or (rule.topic is not None and rule.topic not in joints):
+                continue
+            known = {n for t, names in joints.items() if rule.topic in (None, t) for n in names}
+            if rule.joint not in known:
+                there = ", ".join(sorted(known))
+                raise BagError(f"tolerance for {rule.joint}, which no compared topic has; joints: {there}")
+
+
+def parse_rule(text: str) -> ToleranceRule:
+    """Read `[TOPIC:[JOINT:]]FIELD=VALUE`; TOPIC may be * for any.
+
+    Raises:
+        BagError: if the text is not of that form.
+    """
+    key, equals, value = text.rpartition("=")
+    parts = key.split(":")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not equals or len(parts) > 3 or not all(parts) or math.isnan(number):
+        raise BagError(f"tolerance {text!r}; accepted: {GRAMMAR}, e.g. joint_states:position=1e-6")
+    topic = parts[0] if len(parts) > 1 and parts[0] != ANY else None
+    joint = parts[1] if len(parts) == 3 else None
+    return ToleranceRule(None if topic is None else absolute(topic), joint, parts[-1], number)
+
+
+def load_rules(path: Path) -> list[ToleranceRule]:
+    """Read a YAML file of tolerances.
+
+    ```yaml
+    "*":                      # any topic
+      velocity: 1.0e-6
+    joint_states:
+      position: 1.0e-9
+      joints:
+        joint_1: {position: 1.0e-8}
+    ```
+
+    Raises:
+        ConfigError: if the file cannot be read or holds anything else.
+    """
+    root = load_yaml(path)
+    rules: list[ToleranceRule] = []
+    for name in root:
+        section = root.section(name)
+        topic = None if name == ANY else absolute(name)
+        rules += _field_rules(section, topic, None)
+        if _JOINTS in section:
+            joints = section.section(_JOINTS)
+            for joint in joints:
+                rules += _field_rules(joints.section(joint), topic, joint)
+        section.finish()
+    return rules
+
+
+def _field_rules(section: Section, topic: str | None, joint: str | None) -> list[ToleranceRule]:
+    rules = [ToleranceRule(topic, joint, field, section.number(field, low=0.0)) for field in FIELDS if field in section]
+    if joint is not None:
+        section.finish()
+    return rules

@@ -1,0 +1,272 @@
+"""Write bags, from the recorder's raw messages or from arrays; needs no ROS."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+import numpy as np
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
+from rx90_common.base.errors import BagError
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+
+STORAGES: Final = ("mcap", "sqlite3")
+
+_CHECKPOINT_NS = 1_000_000_000  # of log time; what a killed recorder may lose
+_RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
+_BYTES_PER_SPACE_CHECK = 4 << 20
+_INFINITE = QosTime(9_223_372_036, 854_775_807)
+
+
+@cache
+def typestore() -> Typestore:
+    """Return the message types of ROS 2 Jazzy's common interfaces."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
+    """Return a publisher's quality of service as a recorder sees it: its depth is not announced."""
+    return Qos(
+        history=QosHistory.UNKNOWN,
+        depth=0,
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if transient_local else QosDurability.VOLATILE,
+        deadline=_INFINITE,
+        lifespan=_INFINITE,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_INFINITE,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+class BagWriter:
+    """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
+
+    Equal calls give equal files, byte for byte. All calls must come from one thread.
+
+    Args:
+        path: folder to make; must not exist.
+        storage: "mcap" or "sqlite3".
+
+    Raises:
+        BagError: if the folder exists or cannot be written.
+    """
+
+    def __init__(self, path: Path | str, storage: str = "mcap") -> None:
+        self.path = Path(path)
+        if storage not in STORAGES:
+            raise BagError(f"storage is {storage!r}; accepted: {', '.join(STORAGES)}")
+        self._unchecked_bytes = 0
+        self._checkpoint_ns = 0
+        self._closed = False
+        with self._failures():
+            self._writer = Writer(
+                self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
+            )
+            self._writer.open()
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            with suppress(BagError):  # the first error is the one to tell
+                self.close()
+
+    def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = ()) -> Connection:
+        """Announce a topic and return the handle that `write` wants.
+
+        Raises:
+            BagError: if the type is none of ROS 2's common interfaces, or the disk is full.
+        """
+        if msgtype not in typestore().fielddefs:
+            raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
+        with self._failures():
+            return self._writer.add_connection(
+                absolute(topic), msgtype, typestore=typestore(), offered_qos_profiles=qos
+            )
+
+    def write(self, connection: Connection, log_ns: int, cdr: bytes) -> None:
+        """Write a serialised message.
+
+        Raises:
+            BagError: if the disk is full or nearly so, or writing fails otherwise.
+        """
+        try:
+            self._writer.write(connection, log_ns, cdr)
+            self._unchecked_bytes += len(cdr)
+            if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
+                self._check_space(log_ns)
+            if log_ns >= self._checkpoint_ns + _CHECKPOINT_NS:
+                self._checkpoint_ns = log_ns
+                self._checkpoint()
+        except (WriterError, OSError, sqlite3.Error) as error:
+            raise self._refusal(error) from error
+
+    def close(self) -> None:
+        """Write index and metadata. A second call does nothing.
+
+        Raises:
+            BagError: if that fails; what was written stays.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self._writer.close()
+        except (WriterError, OSError, sqlite3.Error) as error:
+            with suppress(OSError, sqlite3.Error):
+                self._writer.abort()
+            raise self._refusal(error) from error
+
+    def _check_space(self, log_ns: int) -> None:
+        self._unchecked_bytes = 0
+        free = shutil.disk_usage(self.path).free
+        if free < _RESERVE_BYTES:
+            raise BagError(
+                f"{self.path}: stopped at t = {log_ns / 1e9:.6f} s, as the disk is nearly full ({free >> 20} MiB "
+                f"left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
+            )
+
+    def _checkpoint(self) -> None:
+        """Hand what is pending to the system, so that it outlives this process."""
+        storage = self._writer.storage
+        if isinstance(storage, McapWriter):
+            if storage.chunk.msgs:
+                storage.close_chunk()
+            storage.bio.flush()
+        elif isinstance(storage, Sqlite3Writer):
+            storage.conn.commit()
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        try:
+            yield
+        except (WriterError, OSError, sqlite3.Error) as error:
+            raise self._refusal(error) from error
+
+    def _refusal(self, error: Exception) -> BagError:
+        if isinstance(error, WriterError):
+            return BagError(str(error))
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        return BagError(f"{self.path}: cannot be written ({reason})")
+
+
+@dataclass(frozen=True)
+class RawMessage:
+    """A message of any type for `write_joint_states`.
+
+    Attributes:
+        topic: topic name.
+        msgtype: e.g. std_msgs/msg/String.
+        log_ns: log time in ns.
+        cdr: the serialised message.
+        transient_local: whether its publisher keeps it for those who come late.
+    """
+
+    topic: str
+    msgtype: str
+    log_ns: int
+    cdr: bytes
+    transient_local: bool = False
+
+
+def string_message(topic: str, text: str) -> RawMessage:
+    """Return a latched std_msgs/String, such as robot_description."""
+    content = typestore().types[STRING](data=text)
+    return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
+
+
+def write_joint_states(
+    path: Path | str,
+    series: Sequence[JointSeries],
+    *,
+    storage: str = "mcap",
+    messages: Sequence[RawMessage] = (),
+) -> None:
+    """Write a bag as if nodes had published these series and the recorder had recorded them.
+
+    The messages stand in the order of log time, which is their stamp; at equal times in the order of
+    `series`, then of `messages`.
+
+    Args:
+        path: folder to make; must not exist.
+        series: one per topic.
+        storage: "mcap" or "sqlite3".
+        messages: what else belongs into the bag.
+
+    Raises:
+        BagError: if the bag cannot be written, or two series share a topic.
+        ExchangeError: if a joint name or a stamp cannot stand in a message.
+    """
+    topics = [absolute(one.topic) for one in series]
+    if len(set(topics)) != len(topics):
+        raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
+    with BagWriter(path, storage) as bag:
+        connections = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]) for topic in topics]
+        others = _add_others(bag, messages)
+        stamps = [one.stamp_ns for one in series]
+        log_ns = np.concatenate([*stamps, np.array([m.log_ns for m in messages], dtype=np.int64)])
+        counts = [len(stamp) for stamp in stamps] + [1] * len(messages)
+        source = np.repeat(np.arange(len(counts)), counts)
+        row = np.concatenate([np.arange(count) for count in counts]) if counts else np.zeros(0, dtype=np.int64)
+        encoders = [_Encoder(one) for one in series]
+        for i in np.argsort(log_ns, kind="stable").tolist():
+            which = int(source[i])
+            if which < len(series):
+                bag.write(connections[which], int(log_ns[i]), encoders[which].encode(int(row[i])))
+            else:
+                message = messages[which - len(series)]
+                bag.write(others[message.topic], message.log_ns, message.cdr)
+
+
+def _add_others(bag: BagWriter, messages: Sequence[RawMessage]) -> dict[str, Connection]:
+    connections: dict[str, Connection] = {}
+    for message in messages:
+        if message.topic not in connections:
+            qos = offered_qos(transient_local=message.transient_local)
+            connections[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos])
+    return connections
+
+
+class _Encoder:
+    """Gives the messages of a series."""
+
+    def __init__(self, series: JointSeries) -> None:
+        self._codec = JointStateCodec(series.names)
+        self._series = series
+        self._fields = [
+            None if values is None else np.ascontiguousarray(values)
+            for values in (series.position, series.velocity, series.effort)
+        ]
+
+    def encode(self, row: int) -> bytes:
+        position, velocity, effort = (None if field is None else field[row] for field in self._fields)
+        return self._codec.encode(int(self._series.stamp_ns[row]), position, velocity, effort)

@@ -1,0 +1,202 @@
+"""Read YAML configuration with provenance; every refusal names file, key, value and accepted range."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rx90_common.base.errors import ConfigError
+
+PROVENANCE = ("published", "derived", "assumed", "identified")
+
+
+class Section:
+    """A mapping of a YAML file that knows its own place, so that errors can name it.
+
+    A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE).
+    Keys that nobody asked for are refused by `finish()`: a misspelt key must not fall back to a default.
+    """
+
+    def __init__(self, data: dict[str, Any], file: Path, path: str = "") -> None:
+        self._data = data
+        self.file = file
+        self.path = path
+        self._used = {"source", "provenance", "note"}
+        provenance = data.get("provenance")
+        if provenance is not None and provenance not in PROVENANCE:
+            self.refuse("provenance", provenance, f"one of {', '.join(PROVENANCE)}")
+
+    @property
+    def provenance(self) -> str | None:
+        """Return where the values come from: published, derived, assumed or identified."""
+        value = self._data.get("provenance")
+        return None if value is None else str(value)
+
+    @property
+    def source(self) -> str | None:
+        """Return the sentence that names the source."""
+        value = self._data.get("source")
+        return None if value is None else str(value)
+
+    def where(self, key: str) -> str:
+        """Return `file: path.key`, the way every message names a value."""
+        return f"{self.file}: {self.path}{'.' if self.path else ''}{key}"
+
+    def refuse(self, key: str, value: object, accepted: str) -> None:
+        """Raise a ConfigError that names file, key, value and what is accepted."""
+        raise ConfigError(f"{self.where(key)} is {value!r}; accepted: {accepted}")
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._data
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(key for key in self._data if key not in {"source", "provenance", "note"})
+
+    def holds_mapping(self, key: str) -> bool:
+        """Return whether the value under `key` is itself a mapping."""
+        return isinstance(self._data.get(key), dict)
+
+    def _get(self, key: str, accepted: str) -> Any:
+        self._used.add(key)
+        if key not in self._data:
+            raise ConfigError(f"{self.where(key)} is missing; accepted: {accepted}")
+        return self._data[key]
+
+    def section(self, key: str) -> Section:
+        """Return the mapping under `key`."""
+        value = self._get(key, "a mapping")
+        if not isinstance(value, dict):
+            self.refuse(key, value, "a mapping")
+        return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
+
+    def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
+        """Return a finite number in [low, high], or in (low, high] with `above`."""
+        accepted = _range_text(low, high, above)
+        return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
+
+    def numbers(
+        self, key: str, count: int, low: float = -math.inf, high: float = math.inf, *, above: bool = False
+    ) -> tuple[float, ...]:
+        """Return `count` finite numbers, each in [low, high] (or (low, high] with `above`)."""
+        accepted = f"{count} numbers, each {_range_text(low, high, above)}"
+        values = self._get(key, accepted)
+        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
+            self.refuse(key, values, accepted)
+        return tuple(self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values))
+
+    def integer(self, key: str, low: int, high: int) -> int:
+        """Return an integer in [low, high]."""
+        value = self._get(key, f"an integer in [{low}, {high}]")
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            self.refuse(key, value, f"an integer in [{low}, {high}]")
+        return int(value)
+
+    def boolean(self, key: str) -> bool:
+        """Return true or false."""
+        value = self._get(key, "true or false")
+        if not isinstance(value, bool):
+            self.refuse(key, value, "true or false")
+        return bool(value)
+
+    def text(self, key: str, choices: Sequence[str] | None = None) -> str:
+        """Return a string, one of `choices` where they are given."""
+        accepted = "a text" if choices is None else "one of " + ", ".join(choices)
+        value = self._get(key, accepted)
+        if not isinstance(value, str) or (choices is not None and value not in choices):
+            self.refuse(key, value, accepted)
+        return str(value)
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """Return a list of strings."""
+        value = self._get(key, "a list of texts")
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+            self.refuse(key, value, "a list of texts")
+        return tuple(value)
+
+    def finish(self) -> None:
+        """Refuse keys that nobody asked for."""
+        unknown = sorted(set(self._data) - self._used)
+        if unknown:
+            known = ", ".join(sorted(self._used - {"source", "provenance", "note"}))
+            raise ConfigError(f"{self.where(unknown[0])} is not a known key; accepted: {known}")
+
+    def _check_number(self, key: str, value: Any, low: float, high: float, above: bool, accepted: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.refuse(key, value, accepted)
+        try:
+            number = float(value)
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            self.refuse(key, value, accepted)
+        if number > high or number < low or (above and number == low):
+            self.refuse(key, value, accepted)
+        return number
+
+
+def _range_text(low: float, high: float, above: bool) -> str:
+    if math.isinf(low) and math.isinf(high):
+        return "a finite number"
+    if math.isinf(high):
+        return f"a number {'>' if above else '>='} {low:g}"
+    return f"a number in {'(' if above else '['}{low:g}, {high:g}]"
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader for mappings of names, with the numbers of YAML 1.2.
+
+    A key written twice is refused: the first value would be lost silently. YAML 1.1, which PyYAML follows,
+    reads 1e5 as a text, 1:30 as 90, 010 as 8 and 2001-01-01 as a date.
+    """
+
+
+_NOT_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NOT_NUMBERS]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(0|[1-9][0-9]*)$"), list("-+0123456789"))
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
+    list("-+.0123456789"),
+)
+
+
+def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    mapping: dict[Any, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str):
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} is not a name", key_node.start_mark)
+        if key in mapping:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
+        mapping[key] = loader.construct_object(value_node, deep=True)
+    return mapping
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
+
+
+def load_yaml(path: Path) -> Section:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises:
+        ConfigError: if the file is missing, unreadable, not YAML or not a mapping.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            data = yaml.load(stream, Loader=_Loader)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
+        # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
+        raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: a mapping of keys to values")
+    return Section(data, path)

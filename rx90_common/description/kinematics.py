@@ -1,0 +1,116 @@
+"""Forward kinematics, Jacobian and path error of the tool centre point, for one pose or many at once.
+
+Every function takes joint angles of shape (..., 6) and broadcasts over the leading axes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.description.robot import RigidChain
+
+Array = NDArray[np.float64]
+
+
+class Pose(NamedTuple):
+    """Tool centre point in the base frame: position (..., 3) in m, rotation (..., 3, 3)."""
+
+    position: Array
+    rotation: Array
+
+
+class _Frames(NamedTuple):
+    center: Array  # (..., 6, 3) joint centres in the base frame, m
+    axis: Array  # (..., 6, 3) joint axes in the base frame
+    tcp: Pose
+
+
+def axis_rotation(axis: Array, angle: Array) -> Array:
+    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.asarray(angle)[..., None, None]
+    rotation: Array = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+    return rotation
+
+
+def _frames(chain: RigidChain, q: Array) -> _Frames:
+    q = np.asarray(q, dtype=np.float64)
+    rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
+    position = np.zeros((*q.shape[:-1], 3))
+    centers, axes = [], []
+    for i, (origin, axis) in enumerate(zip(chain.origin, chain.axis, strict=True)):
+        position = position + rotation @ origin
+        axes.append(rotation @ axis)
+        centers.append(position)
+        rotation = rotation @ axis_rotation(axis, q[..., i])
+    tcp = Pose(position + rotation @ chain.tcp_position, rotation @ chain.tcp_rotation)
+    return _Frames(np.stack(centers, axis=-2), np.stack(axes, axis=-2), tcp)
+
+
+def forward(chain: RigidChain, q: Array) -> Pose:
+    """Return the pose of the tool centre point at `q` (..., 6) rad."""
+    return _frames(chain, q).tcp
+
+
+def jacobian(chain: RigidChain, q: Array) -> Array:
+    """Return the geometric Jacobian (..., 6, 6) of the tool centre point in base axes.
+
+    Rows 0-2 give its velocity in m/s, rows 3-5 the angular velocity in rad/s, per rad/s of each joint.
+    """
+    frames = _frames(chain, q)
+    arm = frames.tcp.position[..., None, :] - frames.center
+    columns = np.concatenate([np.cross(frames.axis, arm), frames.axis], axis=-1)
+    return np.ascontiguousarray(np.swapaxes(columns, -1, -2))
+
+
+def bias_acceleration(chain: RigidChain, q: Array, velocity: Array) -> Array:
+    """Return dJ/dt·q̇ (..., 6): the acceleration (m/s², rad/s²) of the tool centre point where q̈ = 0."""
+    frames = _frames(chain, q)
+    spin = frames.axis * np.asarray(velocity)[..., None]
+    omega = np.cumsum(spin, axis=-2)  # of each link
+    # An axis turns with the link before it; that link's own spin about the axis does not matter.
+    alpha = np.cumsum(np.cross(omega - spin, spin), axis=-2)
+    ends = np.concatenate([frames.center[..., 1:, :], frames.tcp.position[..., None, :]], axis=-2)
+    lever = ends - frames.center
+    linear = np.cross(alpha, lever) + np.cross(omega, np.cross(omega, lever))
+    return np.concatenate([linear.sum(axis=-2), alpha[..., -1, :]], axis=-1)
+
+
+class PathError(NamedTuple):
+    """Deviation of points from the straight line between two points.
+
+    Attributes:
+        along: (n,) distance from the start, measured along the line, m.
+        perpendicular: (n,) distance from the infinite line, m; this is the path error.
+        beyond: (n,) how far a point lies before the start or past the end, m; 0 between them.
+    """
+
+    along: Array
+    perpendicular: Array
+    beyond: Array
+
+
+def decompose(vectors: Array, direction: Array) -> tuple[Array, Array]:
+    """Split vectors (n, 3) into the part along `direction` (n,) and the part across it (n, 3)."""
+    unit = np.asarray(direction) / np.linalg.norm(direction)
+    along = np.asarray(vectors) @ unit
+    return along, vectors - along[..., None] * unit
+
+
+def path_error(positions: Array, start: Array, end: Array) -> PathError:
+    """Compare the tip's positions (n, 3) in m with the straight line from `start` (3,) to `end` (3,).
+
+    Raises:
+        ValueError: if start and end are the same point.
+    """
+    direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
+    length = float(np.linalg.norm(direction))
+    if length == 0.0:
+        raise ValueError("a line needs two different points")
+    along, across = decompose(np.asarray(positions) - np.asarray(start), direction)
+    beyond = np.maximum(np.maximum(-along, along - length), 0.0)
+    return PathError(along, np.linalg.norm(across, axis=-1), beyond)

@@ -1,0 +1,214 @@
+"""Read a URDF and say in one line what is wrong with it, before any library sees it.
+
+Only a fixed-base arm of six revolute joints in series passes; fixed side branches are allowed.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from rx90_common.base.errors import ConfigError
+
+JOINT_COUNT = 6
+_INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+# A thin body may miss the triangle inequality by the rounding of its printed digits.
+_TRIANGLE_TOLERANCE = 1e-6
+
+
+def inertia_fault(values: tuple[float, ...]) -> str | None:
+    """Say why no rigid body has the inertia (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) in kg m², or return None."""
+    ixx, iyy, izz, ixy, ixz, iyz = values
+    principal = np.linalg.eigvalsh(np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]))
+    if principal[0] <= 0.0:
+        return "a positive definite inertia"
+    if principal[0] + principal[1] < principal[2] * (1.0 - _TRIANGLE_TOLERANCE):
+        return "principal moments of which any two add up to at least the third"
+    return None
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of one revolute joint: rad, rad/s, Nm."""
+
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+
+class UrdfFile:
+    """A checked URDF.
+
+    Attributes:
+        file: where it came from.
+        root: the XML element `robot`.
+        limits: limits of the revolute joints by name, in chain order from the base.
+
+    Raises:
+        ConfigError: naming file, element, value and what is accepted.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.root = self._parse()
+        self._links = self._named("link")
+        self._joints = self._named("joint")
+        for name, link in self._links.items():
+            self._check_inertial(name, link)
+        self._parent_joint = self._tree()
+        self.base_link = next(name for name in self._links if name not in self._parent_joint)
+        self.limits = {name: self._limits(name) for name in self._chain()}
+
+    def has_link(self, name: str) -> bool:
+        """Tell whether a link of that name exists."""
+        return name in self._links
+
+    def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
+        """Raise a ConfigError that names file, element, value and what is accepted."""
+        raise ConfigError(f"{self.file}: {element} is {value!r}; accepted: {accepted}")
+
+    def _parse(self) -> ET.Element:
+        try:
+            root = ET.fromstring(self.file.read_bytes())
+        except OSError as error:
+            raise ConfigError(f"{self.file}: cannot be read ({error.strerror})") from error
+        except (ET.ParseError, ValueError, LookupError) as error:
+            raise ConfigError(f"{self.file}: not well-formed XML ({error})") from error
+        if root.tag != "robot":
+            self.refuse("the root element", root.tag, "robot")
+        if any("xacro" in element.tag for element in root.iter() if isinstance(element.tag, str)):
+            self.refuse("an element", "xacro", "a plain URDF (expand it with xacro first)")
+        return root
+
+    def _named(self, tag: str) -> dict[str, ET.Element]:
+        found: dict[str, ET.Element] = {}
+        for element in self.root.findall(tag):
+            name = element.get("name", "")
+            if not name or name in found:
+                self.refuse(f"a {tag} name", name, f"a name for each {tag}, used once")
+            found[name] = element
+        if not found:
+            self.refuse(f"the number of {tag}s", 0, f"at least one {tag}")
+        return found
+
+    def _numbers(self, element: ET.Element | None, where: str, key: str, default: str | None) -> list[float]:
+        text = default if element is None else element.get(key, default)
+        accepted = "a finite number" if default is None else f"{len(default.split())} finite numbers"
+        if text is None:
+            raise ConfigError(f"{self.file}: {where} {key} is missing; accepted: a finite number")
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            self.refuse(f"{where} {key}", text, accepted)
+        count = 1 if default is None else len(default.split())
+        if len(values) != count or not all(math.isfinite(value) for value in values):
+            self.refuse(f"{where} {key}", text, accepted)
+        return values
+
+    def _check_origin(self, parent: ET.Element, where: str) -> None:
+        origin = parent.find("origin")
+        self._numbers(origin, f"{where} origin", "xyz", "0 0 0")
+        self._numbers(origin, f"{where} origin", "rpy", "0 0 0")
+
+    def _check_inertial(self, name: str, link: ET.Element) -> None:
+        inertial = link.find("inertial")
+        if inertial is None:
+            return
+        where = f"link '{name}' inertial"
+        self._check_origin(inertial, where)
+        mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
+        if mass <= 0.0:
+            self.refuse(f"{where} mass", mass, "a number > 0 kg")
+        element = inertial.find("inertia")
+        values = tuple(self._numbers(element, f"{where} inertia", key, None)[0] for key in _INERTIA_KEYS)
+        fault = inertia_fault(values)
+        if fault is not None:
+            text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
+            self.refuse(f"{where} inertia", text, fault)
+
+    def _tree(self) -> dict[str, str]:
+        """Return the joint above each link but the root; check that the links form one tree."""
+        above: dict[str, str] = {}
+        for name, joint in self._joints.items():
+            kind = joint.get("type")
+            if kind not in {"revolute", "fixed"}:
+                self.refuse(f"joint '{name}' type", kind, "revolute (six of them in series) or fixed")
+            if joint.find("mimic") is not None:
+                self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
+            self._check_origin(joint, f"joint '{name}'")
+            for end in ("parent", "child"):
+                if self._end(name, end) not in self._links:
+                    self.refuse(f"joint '{name}' {end} link", self._end(name, end), "a link of this file")
+            child = self._end(name, "child")
+            if child in above:
+                self.refuse(f"joint '{name}' child link", child, f"a link not yet below '{above[child]}'")
+            above[child] = name
+        roots = [name for name in self._links if name not in above]
+        if len(roots) != 1:
+            self.refuse("the set of root links", roots, "exactly one, fixed to the ground")
+        for name in self._links:
+            self._path(name, above)
+        return above
+
+    def _end(self, joint: str, end: str) -> str:
+        element = self._joints[joint].find(end)
+        return "" if element is None else element.get("link", "")
+
+    def _path(self, link: str, above: dict[str, str]) -> list[str]:
+        """Return the joints from the root to `link`."""
+        path: list[str] = []
+        while link in above:
+            path.append(above[link])
+            if len(path) > len(above):
+                self.refuse(f"the tree above link '{link}'", "a loop", "links in a tree")
+            link = self._end(above[link], "parent")
+        return path[::-1]
+
+    def _chain(self) -> list[str]:
+        """Return the revolute joints from base to tip; check that there are six, in series, with mass."""
+        moving = [name for name, joint in self._joints.items() if joint.get("type") == "revolute"]
+        if len(moving) != JOINT_COUNT:
+            self.refuse("the number of revolute joints", len(moving), f"{JOINT_COUNT}, in series")
+        paths = {
+            name: [j for j in self._path(self._end(name, "child"), self._parent_joint) if j in moving]
+            for name in moving
+        }
+        last = max(paths, key=lambda name: len(paths[name]))
+        if len(paths[last]) != JOINT_COUNT:
+            side = next(name for name in moving if name not in paths[last])
+            self.refuse(f"joint '{side}'", "on a side branch", f"{JOINT_COUNT} revolute joints in series")
+        self._check_masses(paths[last])
+        return paths[last]
+
+    def _check_masses(self, chain: list[str]) -> None:
+        heavy = set()
+        for name, link in self._links.items():
+            if link.find("inertial") is not None:
+                heavy.update([j for j in self._path(name, self._parent_joint) if j in chain][-1:])
+        for joint in chain:
+            if joint not in heavy:
+                self.refuse(f"link '{self._end(joint, 'child')}' inertial", None, "mass and inertia")
+
+    def _limits(self, name: str) -> Limits:
+        joint = self._joints[name]
+        where = f"joint '{name}'"
+        if not any(self._numbers(joint.find("axis"), f"{where} axis", "xyz", "1 0 0")):
+            self.refuse(f"{where} axis", "0 0 0", "a direction")
+        element = joint.find("limit")
+        if element is None:
+            self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
+        lower, upper, velocity, effort = (
+            self._numbers(element, f"{where} limit", key, None)[0] for key in ("lower", "upper", "velocity", "effort")
+        )
+        if not lower < upper:
+            self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")
+        for key, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "Nm")):
+            if value <= 0.0:
+                self.refuse(f"{where} limit {key}", value, f"a number > 0 {unit}")
+        return Limits(lower, upper, velocity, effort)

@@ -1,0 +1,16 @@
+"""How nodes exchange ticks over DDS: raw CDR, the lock-step, pacing, and what entry points share."""
+
+__all__ = [
+    "channel",
+    "entry",
+    "environment",
+    "joint_state_cdr",
+    "lockstep",
+    "node_tools",
+    "pacing",
+    "qos",
+    "ros_start",
+    "throttle",
+    "time_mode",
+    "topics",
+]

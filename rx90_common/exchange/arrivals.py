@@ -1,0 +1,48 @@
+"""Count a subscription's messages as they arrive, without the interpreter and without the middleware's locks.
+
+rclpy has no function for rcl's callback for new messages. Asking the middleware again and again instead whether there
+is one takes, each time, the lock that its receiving thread needs to bring it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
+from rclpy.subscription import Subscription
+
+from rx90_common.kernels.compiled import c_function
+
+_OK = 0
+# Some bytes for each subscription, never given back: nobody tells when the middleware has called for the last time.
+_kept: list[ctypes.c_int64] = []
+
+
+@c_function(types.int64(types.voidptr, types.int64))
+def _count(counter_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
+    """Be the callback: rcl's has no result, and who calls does not look at this one.
+
+    Told of messages that came before it was set, it counts them as one; taking in vain sets that right.
+    """
+    counter = carray(counter_at, (1,), np.int64)
+    counter[0] += 1
+    return 0
+
+
+def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
+    """Add 1 to `counter` with each message that arrives from now on, on the middleware's thread.
+
+    Returns:
+        Whether it is counted: not every middleware tells of new messages.
+    """
+    try:
+        set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback
+    except (OSError, AttributeError):
+        return False
+    set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    set_callback.restype = ctypes.c_int32
+    _kept.append(counter)
+    callback = ctypes.cast(_count, ctypes.c_void_p)  # type: ignore[arg-type]  # a function of ctypes
+    with subscription.handle:
+        return bool(set_callback(subscription.handle.pointer, callback, ctypes.addressof(counter)) == _OK)

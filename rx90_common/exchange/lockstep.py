@@ -1,0 +1,254 @@
+"""Lock-step: one state out, one command back, tick by tick; nothing missed, nothing reordered.
+
+The simulation publishes the states of tick k and waits for the command with the same stamp. Nothing else is ever
+outstanding, so whoever was away can be brought back by sending that one message again: the simulation does so when the
+set of matched endpoints changes, and once a second as long as somebody is there. A controller that sees the same states
+again sends the same bytes again. Both are idempotent.
+
+Of two simulations or two controllers on the same topics the second is refused when it starts (see claim.py). Where that
+does not reach, they are found out by what they send, and time stands still until one of them is left.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.exchange.channel import Channel
+
+_SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
+_PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
+_STAMP = struct.Struct("<iI")
+_BIG_STAMP = struct.Struct(">iI")
+_NANOSECONDS = 1_000_000_000
+_CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
+_JUMPS = 6  # discontinuities of the stamps that are remembered
+_BACKWARD_JUMPS = 3  # of those that make two simulations; a reset makes one
+_JUMP_WINDOW = 5.0  # s
+
+
+def stamp_of(raw: bytes) -> int:
+    """Return header.stamp of a serialised message that begins with a header, ns; -1 if it is cut short."""
+    if len(raw) < 12:
+        return -1
+    seconds, nanoseconds = (_STAMP if raw[1] & 1 else _BIG_STAMP).unpack_from(raw, 4)
+    return int(seconds * _NANOSECONDS + nanoseconds)
+
+
+class _Wait:
+    """Announces a wait once, whatever it waits for in between, and its end once, by `over` and the time."""
+
+    def __init__(self, announce: Callable[[str], None], over: str) -> None:
+        self._announce = announce
+        self._over = over
+        self._announced = False
+
+    def begin(self, text: str) -> None:
+        if not self._announced:
+            self._announced = True
+            self._announce(text)
+
+    def end(self, stamp_ns: int) -> None:
+        if self._announced:
+            self._announced = False
+            self._announce(f"{self._over} {stamp_ns / 1e9:.6g} s")
+
+
+class LockstepSimulation:
+    """The simulation's side; owned by the thread that ticks.
+
+    Attributes:
+        ignored: commands whose stamp was not the pending one.
+    """
+
+    def __init__(self, channel: Channel, announce: Callable[[str], None]) -> None:
+        self._channel = channel
+        self._announce = announce
+        self._wait = _Wait(announce, "the controller answers: time runs on from")
+        self._accepted = b""
+        self._conflicts = 0
+        self._rivals = False
+        self.ignored = 0
+
+    def exchange(
+        self,
+        stamp_ns: int,
+        state: bytes,
+        interrupted: Callable[[], bool],
+        meanwhile: Callable[[], None] | None = None,
+    ) -> bytes | None:
+        """Publish the states stamped `stamp_ns` and return the command with that stamp, None if interrupted.
+
+        `meanwhile` is called once the states are on their way: what it does costs no time while the controller works.
+        `interrupted` is asked 20 times a second and after each `Channel.wake`, and only while there is no command.
+        """
+        self._channel.publish(state)
+        if meanwhile is not None:
+            meanwhile()
+        raw = self._channel.receive(_SLICE)
+        if raw is None or stamp_of(raw) != stamp_ns or self._rivals:
+            raw = self._exchange_slowly(stamp_ns, state, raw, interrupted)
+        if raw is not None:
+            self._accepted = raw
+        return raw
+
+    def _exchange_slowly(
+        self, stamp_ns: int, state: bytes, raw: bytes | None, interrupted: Callable[[], bool]
+    ) -> bytes | None:
+        channel = self._channel
+        matches = channel.matches()
+        began = sent = looked = time.monotonic()
+        while True:
+            if raw is not None:
+                if stamp_of(raw) == stamp_ns and not self._rivals:
+                    self._wait.end(stamp_ns)
+                    return raw
+                self._ignore(raw)
+            now = time.monotonic()
+            # Looked at by the clock: a stream of foreign commands must not keep it from being looked at.
+            if raw is None or now - looked >= _SLICE:
+                if interrupted():
+                    return None
+                looked = now
+                current = channel.matches()
+                there = current.publishers > 0 and current.subscriptions > 0
+                if now - began > _PATIENCE or not there:
+                    self._announce_wait(stamp_ns, there)
+                if there and (current != matches or now - sent > _PATIENCE):
+                    self._rivals = self._rivals and current.publishers > 1
+                    channel.publish(state)
+                    sent = now
+                matches = current
+            raw = channel.receive(_SLICE)
+
+    def _announce_wait(self, stamp_ns: int, there: bool) -> None:
+        topic = self._channel.subscribe_topic
+        if there:
+            self._wait.begin(f"the controller on {topic} is silent: time stands still at {stamp_ns / 1e9:.6g} s")
+        elif stamp_ns == 0:
+            self._wait.begin(f"waiting for a controller on {topic}: the brakes hold the arm")
+        else:
+            self._wait.begin(f"no controller on {topic}: time stands still at {stamp_ns / 1e9:.6g} s")
+
+    def _ignore(self, raw: bytes) -> None:
+        """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
+        self.ignored += 1
+        if raw == self._accepted or stamp_of(raw) != stamp_of(self._accepted) or self._rivals:
+            return
+        self._conflicts += 1
+        if self._conflicts >= _CONFLICTS and self._channel.matches().publishers > 1:
+            self._conflicts = 0
+            self._rivals = True
+            self._wait.begin(
+                f"two controllers answer differently on {self._channel.subscribe_topic}: time stands still until one "
+                "is left"
+            )
+
+
+class _Jump(NamedTuple):
+    """A discontinuity of the states' stamps: its time on the steady clock in s, and its size in ns."""
+
+    at: float
+    size: int
+
+
+class LockstepController:
+    """The controller's side; owned by the thread that ticks.
+
+    Args:
+        channel: publishes commands, receives states.
+        announce: prints a line for the user.
+        answer: the control law: bytes of the states and their stamp in ns, to bytes of the command.
+        begin: called before `answer` when the states do not follow the last ones: at start, after a reset of the
+            simulation, or after one of the two was away; with the stamp and the bytes of the states.
+        period_ns: the tick.
+
+    Both raise MessageError, once they have said so, for states that cannot be used; these are left out.
+    """
+
+    def __init__(
+        self,
+        channel: Channel,
+        announce: Callable[[str], None],
+        answer: Callable[[int, bytes], bytes],
+        begin: Callable[[int, bytes], None],
+        period_ns: int,
+    ) -> None:
+        self._channel = channel
+        self._wait = _Wait(announce, "the simulation is there:")
+        self._answer = answer
+        self._begin = begin
+        self._period_ns = period_ns
+        self._stamp: int | None = None
+        self._state = b""
+        self._command = b""
+        self._heard = time.monotonic()
+        self._jumps: deque[_Jump] = deque(maxlen=_JUMPS)
+        self._jumped = 0  # by how much the last states jumped, ns
+        self._rivals = False
+
+    def serve(self, timeout: float) -> None:
+        """Answer the next states; return after `timeout` seconds without any, or a wake-up.
+
+        Raises:
+            ExchangeError: if the simulation's tick is not `period_ns`.
+        """
+        raw = self._channel.receive(timeout)
+        if raw is None:
+            self._quiet()
+            return
+        if self._rivals and not self._alone_again():
+            return
+        stamp = stamp_of(raw)
+        if stamp != self._stamp or raw != self._state:
+            try:
+                if self._stamp is None or stamp != self._stamp + self._period_ns:
+                    self._begin(stamp, raw)
+                    self._note_jump(stamp)
+                    if self._rivals:
+                        return
+                else:
+                    self._jumped = 0
+                self._command = self._answer(stamp, raw)
+            except MessageError:
+                return
+            self._stamp, self._state = stamp, raw
+        self._channel.publish(self._command)
+        self._heard = time.monotonic()
+        self._wait.end(stamp)
+
+    def _note_jump(self, stamp: int) -> None:
+        if self._stamp is None:
+            return
+        now = time.monotonic()
+        size = stamp - self._stamp
+        if size == self._jumped > 0:
+            raise ExchangeError(
+                f"{self._channel.subscribe_topic} advances by {size} ns from tick to tick; accepted: {self._period_ns} "
+                "ns, the same base_rate in both nodes"
+            )
+        self._jumped = size
+        self._jumps.append(_Jump(now, size))
+        backward = [jump for jump in self._jumps if jump.size < 0 and now - jump.at < _JUMP_WINDOW]
+        if len(backward) >= _BACKWARD_JUMPS and self._channel.matches().publishers > 1:
+            self._rivals = True
+            self._wait.begin(
+                f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left"
+            )
+
+    def _alone_again(self) -> bool:
+        if self._channel.matches().publishers > 1:
+            return False
+        self._rivals = False
+        self._stamp = None
+        self._jumps.clear()
+        return True
+
+    def _quiet(self) -> None:
+        matches = self._channel.matches()
+        if matches.publishers == 0 and time.monotonic() - self._heard > _PATIENCE:
+            self._wait.begin(f"waiting for a simulation on {self._channel.subscribe_topic}")

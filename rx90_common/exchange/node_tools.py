@@ -1,0 +1,237 @@
+"""What both nodes share: parameters with descriptors, diagnostics, the frame around their two threads."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.duration import Infinite
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+from rclpy.utilities import try_shutdown
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.exchange.qos import CLOCK_QOS
+from rx90_common.exchange.ros_start import start_ros
+
+_SPIN_SLICE = 0.2
+_SETTLED_LOOKS = 10  # of 50 ms
+_SWITCH_INTERVAL = 5e-4
+_OF_ROS = ("use_sim_time", "start_type_description_service")  # and qos_overrides.*: rclpy declares them itself
+_Value = TypeVar("_Value", bool, int, float, str, list[float])
+
+
+def declare(
+    node: Node,
+    name: str,
+    default: _Value,
+    description: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    read_only: bool = True,
+) -> _Value:
+    """Declare a parameter with its descriptor and return its value.
+
+    Raises:
+        ConfigError: naming parameter, value and accepted range.
+    """
+    descriptor = ParameterDescriptor(description=description, read_only=read_only)
+    if low is not None and high is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        else:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    override = node._parameter_overrides.get(name)  # rclpy names neither value nor range in a way to show
+    given = getattr(override, "value", None)
+    accepted = "list of numbers" if isinstance(default, list) else type(default).__name__
+    if low is not None:
+        accepted += f" in [{low:g}, {high:g}]"
+    if override is not None:
+        if given is None:
+            raise ConfigError(f"parameter {name} is empty; accepted: {accepted}")
+        node._parameter_overrides[name] = _with_real_numbers(override, default)
+    try:
+        value: Any = node.declare_parameter(name, default, descriptor).value
+    except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+        raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
+    return value  # type: ignore[no-any-return]
+
+
+def _with_real_numbers(override: Parameter, default: object) -> Parameter:
+    """Return the parameter with whole numbers made real ones where those are asked for: 1 is as good as 1.0."""
+    if isinstance(default, float) and override.type_ is Parameter.Type.INTEGER:
+        return Parameter(override.name, Parameter.Type.DOUBLE, float(override.value))
+    if isinstance(default, list) and override.type_ is Parameter.Type.INTEGER_ARRAY:
+        return Parameter(override.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in override.value])
+    return override
+
+
+def refuse_unknown_parameters(node: Node) -> None:
+    """Look for values given to parameters that the node has not declared; to be called when it has declared all.
+
+    Raises:
+        ConfigError: naming the first one, and those that there are.
+    """
+    known = sorted(name for name in node._parameters if not _is_of_ros(name))
+    for name in node._parameter_overrides:
+        if not node.has_parameter(name) and not _is_of_ros(name):
+            raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
+
+
+def _is_of_ros(name: str) -> bool:
+    return name in _OF_ROS or name.startswith("qos_overrides.")
+
+
+class Diagnostics:
+    """One status on /diagnostics, once a second.
+
+    Args:
+        node: the publisher's node.
+        collect: returns the level (OK, WARN or ERROR of DiagnosticStatus), the message and the values.
+    """
+
+    def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
+        self._node = node
+        self._collect = collect
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
+        self._timer = node.create_timer(1.0, self._publish)
+
+    def _publish(self) -> None:
+        level, message, values = self._collect()
+        status = DiagnosticStatus(
+            level=level,
+            name=self._node.get_name(),
+            message=message,
+            hardware_id="rx90_emulator",
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(array)
+
+
+class TickingNode(Protocol):
+    """A node with a thread of its own for the ticks."""
+
+    node: Node
+
+    def tick_loop(self) -> None:
+        """Run ticks until `stop` is called; errors end the program."""
+
+    def stop(self) -> None:
+        """End `tick_loop` soon; callable from every thread."""
+
+
+def spin(
+    make: Callable[[], TickingNode],
+    args: Sequence[str],
+    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+) -> None:
+    """Run a ticking node: ticks on a thread of their own, everything slow on an executor in this one.
+
+    A node whose services wait for something brings an executor with threads of its own.
+
+    Raises:
+        Rx90Error: what the node's constructor or its ticks raise.
+    """
+    start_ros(args)
+    try:
+        _spin(make, make_executor)
+    finally:
+        try_shutdown()
+
+
+def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]) -> None:
+    ticking = make()
+    refuse_unknown_parameters(ticking.node)
+    failures: list[BaseException] = []
+    thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
+    executor = make_executor()
+    executor.add_node(ticking.node)
+    # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
+    # everything that was imported in the middle of a tick.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    gc.collect()
+    gc.freeze()
+    stopped = _stop_request()
+    thread.start()
+    try:
+        while thread.is_alive() and not stopped.is_set():
+            executor.spin_once(timeout_sec=_SPIN_SLICE)
+    finally:
+        ticking.stop()
+        thread.join(5.0)
+        executor.shutdown()
+        ticking.node.destroy_node()
+    if failures:
+        raise failures[0]
+
+
+def _stop_request() -> threading.Event:
+    """Return what Ctrl-C and SIGTERM set from now on; as often as they come, the end stays in order."""
+    stopped = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda _signal, _frame: stopped.set())
+    return stopped
+
+
+def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
+    try:
+        run()
+    except BaseException as error:
+        failures.append(error)
+
+
+def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: int) -> bool:
+    """Wait until every subscription that the graph knows of is matched with our publishers.
+
+    A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
+    it must also have stayed as it is for half a second. Who asks for another quality of service than is offered is
+    never matched, and not waited for.
+
+    Args:
+        node: the publishers' node.
+        publishers: of all topics.
+        attempts: how often to look, 50 ms apart.
+    """
+    pause = threading.Event()
+    before: list[int] = []
+    quiet = 0
+    for _ in range(attempts):
+        known = [_fitting_subscriptions(node, publisher) for publisher in publishers]
+        have = [publisher.get_subscription_count() for publisher in publishers]
+        complete = all(h >= k for h, k in zip(have, known, strict=True))
+        quiet = quiet + 1 if complete and have == before else 0
+        if quiet >= _SETTLED_LOOKS:
+            return True
+        before = have
+        pause.wait(0.05)
+    return False
+
+
+def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+    asked = [_asked(info.qos_profile) for info in node.get_subscriptions_info_by_topic(publisher.topic_name)]
+    offered = publisher.qos_profile
+    return sum(qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR for profile in asked)
+
+
+def _asked(profile: QoSProfile) -> QoSProfile:
+    """Return what is asked for: the graph tells times without end where none are, which the check takes for a wish."""
+    times = {name: getattr(profile, name) for name in ("deadline", "liveliness_lease_duration")}
+    return QoSProfile(
+        depth=1,
+        reliability=profile.reliability,
+        durability=profile.durability,
+        **{name: time for name, time in times.items() if time < Infinite},
+    )

@@ -1,0 +1,52 @@
+"""Start rclpy and read ROS arguments; what ROS refuses is one line for the user."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.context import Context
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.logging import set_logger_level
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from rx90_common.base.errors import ConfigError
+
+
+def start_ros(args: Sequence[str], context: Context | None = None) -> None:
+    """Initialise rclpy without its own handling of signals, which would pull the context away under a wait.
+
+    Raises:
+        ConfigError: if it refuses the arguments or the environment.
+    """
+    # rcl would print a refusal itself, beside the line that the error becomes.
+    set_logger_level("rcl", LoggingSeverity.FATAL)
+    try:
+        rclpy.init(args=list(args), context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise _refused(args, error) from error
+    set_logger_level("rcl", LoggingSeverity.UNSET)
+
+
+def without_ros_args(args: Sequence[str]) -> list[str]:
+    """Return the arguments that are not for ROS.
+
+    Raises:
+        ConfigError: if ROS cannot read its part.
+    """
+    try:
+        return list(remove_ros_args(["program", *args])[1:])
+    except RuntimeError as error:
+        raise _refused(args, error) from error
+
+
+def reason(error: Exception) -> str:
+    """Return what ROS says, in one line and without the place in its source."""
+    return " ".join(str(error).split(", at /")[0].split())
+
+
+def _refused(args: Sequence[str], error: Exception) -> ConfigError:
+    if not args:
+        return ConfigError(f"ROS does not start: {reason(error)}")
+    return ConfigError(f"ROS arguments {' '.join(args)}: refused ({reason(error)})")

@@ -1,0 +1,127 @@
+"""Parameters of one LuGre friction element, equations 17 to 19."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.base.errors import ConfigError
+
+ELEMENT_DTYPE = np.dtype(
+    [
+        ("tau_c", np.float64, 2),  # Coulomb torque, [v < 0, v >= 0]
+        ("tau_s", np.float64, 2),  # static torque, [v < 0, v >= 0]
+        ("inverse_omega_s", np.float64),
+        ("delta", np.float64),
+        ("c0", np.float64),
+        ("c1", np.float64),
+        ("c2", np.float64),
+        ("inverse_omega_d", np.float64),  # 0 for a constant c1
+    ],
+    align=True,
+)
+"""One element as compiled code reads it."""
+
+
+@dataclass(frozen=True)
+class LuGreElement:
+    """One LuGre element, joint side, SI units.
+
+        dz/dt = v - |v| / g(v) * z                                            (17)
+        tau_f = c0 z + c1(v) dz/dt + c2 v                                     (18)
+        c0 g(v) = tau_c + (tau_s - tau_c) exp(-(|v| / omega_s)^delta)         (19)
+
+    The paper's c1 is a constant. That model is passive only while c1 < 4 c0 g(v) / |v|, so c1 may fade as
+    c1 exp(-(v / omega_d)^2) (Olsson 1996, section 3.5); `omega_d` infinite is the paper's constant c1.
+
+    Attributes:
+        tau_c_positive, tau_c_negative: Coulomb friction torque for v > 0 and v < 0, Nm.
+        tau_s_positive, tau_s_negative: static friction torque for v > 0 and v < 0, Nm.
+        omega_s: Stribeck velocity, rad/s.
+        delta: Stribeck exponent.
+        c0: bristle stiffness, Nm/rad.
+        c1: micro-viscous damping at rest, Nm s/rad.
+        c2: viscous friction, Nm s/rad.
+        omega_d: velocity at which c1 has fallen to 1/e, rad/s.
+
+    Raises:
+        ConfigError: for a value that is not finite or not in its range.
+    """
+
+    tau_c_positive: float
+    tau_c_negative: float
+    tau_s_positive: float
+    tau_s_negative: float
+    omega_s: float
+    delta: float
+    c0: float
+    c1: float
+    c2: float
+    omega_d: float = math.inf
+
+    def __post_init__(self) -> None:
+        positive = {"tau_c_positive", "tau_c_negative", "omega_s", "delta", "c0", "omega_d"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if math.isnan(value) or (math.isinf(value) and field.name != "omega_d"):
+                raise ConfigError(f"{field.name} is {value}; accepted: a finite number")
+            if field.name in positive and value <= 0:
+                raise ConfigError(f"{field.name} is {value}; accepted: a number > 0")
+            if value < 0:
+                raise ConfigError(f"{field.name} is {value}; accepted: a number >= 0")
+        for sign in ("positive", "negative"):
+            coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
+            if static < coulomb:
+                raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
+
+    def sliding_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+        """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
+        v = np.asarray(velocity, dtype=np.float64)
+        forward = v >= 0
+        coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
+        static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
+        return np.asarray(coulomb + (static - coulomb) * np.exp(-((np.abs(v) / self.omega_s) ** self.delta)))
+
+    def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
+        """Return c1(v), Nm s/rad."""
+        return np.asarray(self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2)))
+
+    def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+        """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
+        v = np.asarray(velocity, dtype=np.float64)
+        return np.asarray(np.sign(v) * self.sliding_torque(v) + self.c2 * v)
+
+    def passivity_limit(self, max_velocity: float) -> float:
+        """Return the speed, rad/s, from which c1(v) |v| > 4 c0 g(v); infinite if none up to `max_velocity`.
+
+        The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000).
+        """
+        speed = np.geomspace(1e-4, max_velocity, 4000)
+        broken = self.damping(speed) * speed >= self._least_dissipation(speed)
+        return float(speed[broken][0]) if broken.any() else math.inf
+
+    def passive_damping(self, max_velocity: float) -> float:
+        """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
+        speed = np.geomspace(1e-4, max_velocity, 4000)
+        fading = np.exp(-((speed / self.omega_d) ** 2))
+        with np.errstate(divide="ignore"):
+            return float(np.min(self._least_dissipation(speed) / (speed * fading)))
+
+    def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return 4 c0 g of the sign of the velocity that has less of it, Nm."""
+        return 4.0 * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
+
+    def record(self) -> np.ndarray[Any, Any]:
+        """Return the element as a scalar of ELEMENT_DTYPE, for compiled code."""
+        data = np.zeros((), ELEMENT_DTYPE)
+        data["tau_c"] = (self.tau_c_negative, self.tau_c_positive)
+        data["tau_s"] = (self.tau_s_negative, self.tau_s_positive)
+        for name in ("delta", "c0", "c1", "c2"):
+            data[name] = getattr(self, name)
+        for name in ("omega_s", "omega_d"):
+            data[f"inverse_{name}"] = 1.0 / getattr(self, name)
+        return data

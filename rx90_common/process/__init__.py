@@ -1,0 +1,3 @@
+"""What a process needs: interrupts, standard output, exit codes, child processes."""
+
+__all__ = ["children", "interrupts", "output"]

@@ -1,0 +1,139 @@
+"""The controller as the nodes and the closed loop use it: measured motor states in, motor torques out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.rates import Rates
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.wrist import to_joint, to_joint_torque
+from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
+from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+
+Array = NDArray[np.float64]
+
+_LOOKAHEAD = 64  # set-points that are sampled at once
+
+
+class CS7B:
+    """Six servo controllers behind one trajectory generator.
+
+    Attributes:
+        joint_names: names of the six joints.
+        tick: number of the next base tick.
+        trajectory: the set-point generator.
+        law: compiled constants, shape (1,), CONTROLLER_DTYPE.
+        state: compiled state, shape (1,), LAW_STATE_DTYPE.
+        command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
+    """
+
+    def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
+        self.joint_names = robot.joint_names
+        self.rates = rates
+        self.law = parameters.record(drives, rates)
+        self.state: np.ndarray[Any, Any] = np.zeros(1, LAW_STATE_DTYPE)
+        self._gear = drives.gear
+        limits = JointLimits(
+            robot.joint_names, robot.lower, robot.upper, robot.max_velocity, parameters.start_tolerance
+        )
+        self.trajectory = TrajectoryGenerator(limits, rates.position_period, np.zeros(6))
+        self.tick = 0
+        self._lookahead = np.zeros((0, 3, 6))
+        self._first = 0  # position tick of the first set-point in it
+        self._revision = self.trajectory.revision
+        # Fixed memory: what is sent in every tick is read from there.
+        self._reference = np.zeros((3, 6))
+        self._error = np.zeros((3, 6))
+        self.command: Array = self.state["command"][0]
+
+    def reset(self, position: Array, tick: int = 0) -> None:
+        """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
+        law_reset(self.state)
+        hold = np.empty(6)
+        to_joint(self._gear, np.ascontiguousarray(position), hold)
+        self.trajectory.reset(hold)
+        self.tick = tick
+
+    def skip(self, count: int) -> None:
+        """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
+        self.tick += count * self.rates.ratio
+        self.trajectory.delay(count, self.position_tick)
+
+    def warm_up(self) -> None:
+        """Compile, or load, every kernel that a run calls, and discharge the controller."""
+        rest = np.zeros(6)
+        self.reset(rest)
+        for _ in range(self.rates.ratio + 1):
+            self.step(rest, rest)
+        self.reference()
+        self.tracking_error()
+        self.reset(rest)
+
+    @property
+    def position_tick(self) -> int:
+        """Return the number of the next tick of the position loop."""
+        return -(-self.tick // self.rates.ratio)
+
+    @property
+    def on_position_tick(self) -> bool:
+        """Return whether the next base tick runs the position loop."""
+        return self.tick % self.rates.ratio == 0
+
+    def step(self, position: Array, velocity: Array) -> Array:
+        """Run the loops that are due in this tick.
+
+        Args:
+            position: motor positions by the encoders, rad, shape (6,).
+            velocity: measured motor velocities, rad/s, shape (6,).
+
+        Returns:
+            `command`: motor torques, torque constant times current.
+        """
+        tick, slow = divmod(self.tick, self.rates.ratio)
+        if slow == 0:
+            position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
+        velocity_loop(self.law, self.state, velocity)
+        self.tick += 1
+        return self.command
+
+    def _setpoint(self, tick: int) -> Array:
+        """Return the set-point of a position tick, from a block: sampling one alone takes longer than the law."""
+        row = tick - self._first
+        if self._revision != self.trajectory.revision or not 0 <= row < len(self._lookahead):
+            self._lookahead = self.trajectory.setpoints(tick, _LOOKAHEAD)
+            self._first, row = tick, 0
+            self._revision = self.trajectory.revision
+        setpoint: Array = self._lookahead[row]
+        self._reference[:2] = setpoint[:2]
+        return setpoint
+
+    @property
+    def saturated(self) -> NDArray[np.int64]:
+        """Return for how many ticks each amplifier was at its limit, shape (6,)."""
+        return np.array(self.state["saturated"][0], dtype=np.int64)
+
+    def reference(self) -> tuple[Array, Array, Array]:
+        """Return set-point rad, its velocity rad/s and feed-forward torque Nm, joint side, shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        position, velocity, torque = self._reference
+        to_joint_torque(self._gear, self.state["feed_forward"][0], torque)
+        return position, velocity, torque
+
+    def tracking_error(self) -> tuple[Array, Array, Array]:
+        """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        state = self.state
+        position, velocity, torque = self._error
+        to_joint(self._gear, state["error"][0], position)
+        to_joint(self._gear, state["velocity_error"][0], velocity)
+        to_joint_torque(self._gear, state["command"][0], torque)
+        return position, velocity, torque

@@ -1,0 +1,155 @@
+"""Gains, limits and switches of the six servo controllers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.config import load_yaml
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.description.drives import DriveParameters
+
+Array = NDArray[np.float64]
+
+CONTROLLER_DTYPE = np.dtype(
+    [
+        ("gear", np.float64, 6),
+        ("proportional", np.float64, 6),  # motor side, Nm/rad
+        ("integral", np.float64, 6),  # motor side, Nm/rad per position tick
+        ("integrator_limit", np.float64, 6),  # motor side, Nm
+        ("derivative", np.float64, 6),  # motor side, Nm s/rad
+        ("inertia", np.float64, 6),  # motor side, kg m^2; 0 where acceleration feed-forward is off
+        ("coulomb", np.float64, 6),  # motor side, Nm; 0 where the compensation is off
+        ("coulomb_velocity", np.float64, 6),  # motor side, rad/s
+        ("viscous", np.float64, 6),  # motor side, Nm s/rad; 0 where the compensation is off
+        ("torque_constant", np.float64, 6),
+        ("peak_current", np.float64, 6),
+        ("current_step", np.float64, 6),  # what the amplifier can change in a tick, A
+        ("current_gain", np.float64),  # of the current loop per tick
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True)
+class FeedForward:
+    """What the feed-forward block adds, each part by its own switch.
+
+    Attributes:
+        acceleration: nominal inertia times acceleration set-point.
+        coulomb: Coulomb friction compensation by the sign of the velocity set-point.
+        viscous: viscous friction compensation.
+    """
+
+    acceleration: bool = True
+    coulomb: bool = True
+    viscous: bool = True
+
+    @classmethod
+    def off(cls) -> FeedForward:
+        """Return the block with every part switched off."""
+        return cls(acceleration=False, coulomb=False, viscous=False)
+
+
+@dataclass(frozen=True)
+class CS7BParameters:
+    """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
+
+    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward.
+
+    Attributes:
+        inertia: nominal inertia Mn, kg m^2.
+        kp: proportional gain of the position loop, 1/s.
+        kv: gain of the velocity loop, 1/s.
+        ki: integral gain, 1/s^3.
+        integrator_limit: the most the integrator gives, Nm.
+        coulomb: Coulomb friction to compensate, Nm.
+        coulomb_velocity: velocity set-point at which the compensation is complete, rad/s.
+        viscous: viscous friction to compensate, Nm s/rad.
+        feed_forward: switches of the feed-forward block.
+        current_bandwidth: bandwidth of the current loop, Hz.
+        current_slew: the amplifier's fastest change of current, A/s.
+        start_tolerance: how far a trajectory may start from the held set-point, rad.
+    """
+
+    inertia: Array
+    kp: Array
+    kv: Array
+    ki: Array
+    integrator_limit: Array
+    coulomb: Array
+    coulomb_velocity: float
+    viscous: Array
+    feed_forward: FeedForward
+    current_bandwidth: float
+    current_slew: Array
+    start_tolerance: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if field.name == "feed_forward":
+                continue
+            value = np.asarray(getattr(self, field.name), dtype=np.float64)
+            if not np.all(np.isfinite(value)) or np.any(value < 0):
+                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
+        for name in ("inertia", "coulomb_velocity", "current_bandwidth", "current_slew"):
+            if np.any(np.asarray(getattr(self, name)) <= 0):
+                raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
+
+    def record(self, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
+        """Return the law's constants on the motor side, shape (1,), dtype CONTROLLER_DTYPE."""
+        record = np.zeros(1, CONTROLLER_DTYPE)
+        law = record[0]
+        gear = drives.gear
+        switch = self.feed_forward
+        law["gear"] = gear
+        law["derivative"] = self.inertia * self.kv / gear**2
+        law["proportional"] = self.inertia * self.kv * self.kp / gear**2
+        law["integral"] = self.inertia * self.ki / gear**2 * rates.position_period
+        law["integrator_limit"] = self.integrator_limit / gear
+        law["inertia"] = self.inertia / gear**2 * switch.acceleration
+        law["coulomb"] = self.coulomb / gear * switch.coulomb
+        law["coulomb_velocity"] = self.coulomb_velocity * gear
+        law["viscous"] = self.viscous / gear**2 * switch.viscous
+        law["torque_constant"] = drives.torque_constant
+        law["peak_current"] = drives.peak_current
+        law["current_step"] = self.current_slew * rates.period
+        law["current_gain"] = -np.expm1(-2.0 * np.pi * self.current_bandwidth * rates.period)
+        return record
+
+
+def load_controller(path: Path) -> CS7BParameters:
+    """Read a controller file.
+
+    Raises:
+        ConfigError: naming file, key, value and accepted range.
+    """
+    root = load_yaml(path)
+    names = ("servo", "feed_forward", "current_loop", "trajectory")
+    servo, forward, current, trajectory = (root.section(name) for name in names)
+    parameters = CS7BParameters(
+        inertia=np.array(servo.numbers("inertia", 6, 0.0, above=True)),
+        kp=np.array(servo.numbers("kp", 6, 0.0)),
+        kv=np.array(servo.numbers("kv", 6, 0.0)),
+        ki=np.array(servo.numbers("ki", 6, 0.0)),
+        integrator_limit=np.array(servo.numbers("integrator_limit", 6, 0.0)),
+        coulomb=np.array(forward.numbers("coulomb_torque", 6, 0.0)),
+        coulomb_velocity=forward.number("coulomb_velocity", 0.0, above=True),
+        viscous=np.array(forward.numbers("viscous_friction", 6, 0.0)),
+        feed_forward=FeedForward(
+            acceleration=forward.boolean("acceleration"),
+            coulomb=forward.boolean("coulomb"),
+            viscous=forward.boolean("viscous"),
+        ),
+        current_bandwidth=current.number("bandwidth", 0.0, above=True),
+        current_slew=np.array(current.numbers("slew_rate", 6, 0.0, above=True)),
+        start_tolerance=trajectory.number("start_tolerance", 0.0),
+    )
+    for section in (servo, forward, current, trajectory, root):
+        section.finish()
+    return parameters

@@ -1,0 +1,194 @@
+"""Straight Cartesian lines as joint trajectories for a controller that interpolates with quintics.
+
+The acceleration along the line jumps at the corners of the trapezoidal profile. A quintic segment that ended
+in a corner could only have one of the two accelerations there and would miss the other over its whole
+length. Each corner therefore lies between two knots one set-point period apart, half a period before and half
+a period after it: both have exact values, and the blend between them lasts one period and stays within
+0.0023·Δa·T² of the line (2.3 nm for 1 m/s² and 1 ms). Elsewhere the knots are set closer until the tip error
+between them is small enough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import LineError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.kinematics import forward
+from rx90_common.description.robot import RobotModel
+from rx90_controller.lines.path import JointPath, line_poses, plan_path
+from rx90_controller.lines.task import LineTask
+from rx90_controller.trajectory.spline import interpolate
+
+Array = NDArray[np.float64]
+
+TIP_TOLERANCE = 1e-7
+_WIDEST_SPACING = 0.064
+_REFINEMENTS = 6
+_PROBES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class LinePlan:
+    """A line as a joint trajectory.
+
+    Attributes:
+        path: the joint path it follows.
+        times: (n,) s from the start of the rest before the line.
+        position: (n, 6) rad.
+        velocity: (n, 6) rad/s.
+        acceleration: (n, 6) rad/s².
+        tip_error: largest distance of the interpolated tip from where the profile has it, m.
+    """
+
+    path: JointPath
+    times: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    tip_error: float
+
+    @property
+    def task(self) -> LineTask:
+        """Return what was asked for, with rests of at least half a set-point period."""
+        return self.path.task
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Return the joints in the order of the columns."""
+        return self.path.robot.joint_names
+
+    @property
+    def start_pose(self) -> Array:
+        """Return the joint angles (6,) at which the trajectory begins, rad."""
+        start: Array = self.position[0]
+        return start
+
+    @property
+    def duration(self) -> float:
+        """Return the time of the last knot, rests included, s."""
+        return float(self.times[-1])
+
+    @property
+    def motion(self) -> tuple[float, float]:
+        """Return when the line's own motion begins and ends, s."""
+        begin = self.task.rest_before
+        return begin, begin + self.task.profile().duration
+
+    def tip(self, times: Array) -> Array:
+        """Return the tool centre point (n, 3) that the profile asks for at `times`, s."""
+        motion = self.task.profile().sample(times - self.task.rest_before)
+        return line_poses(self.task, motion.distance).position
+
+    def setpoints(self, times: Array) -> Array:
+        """Return position, velocity and acceleration at `times`, as the controller's quintics give them.
+
+        Shape (n, 3, 6).
+        """
+        return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
+
+
+class StampedPoint(NamedTuple):
+    """One point of a message: time from its start, whole seconds and nanoseconds, and six joints in SI."""
+
+    sec: int
+    nanosec: int
+    position: list[float]
+    velocity: list[float]
+    acceleration: list[float]
+
+
+def stamped_points(plan: LinePlan, delay: float = 0.0) -> list[StampedPoint]:
+    """Return the knots for a message, `delay` s later than in the plan."""
+    rows = zip(plan.times + delay, plan.position, plan.velocity, plan.acceleration, strict=True)
+    return [
+        StampedPoint(*divmod(round(float(t) * NANOSECONDS), NANOSECONDS), q.tolist(), qd.tolist(), qdd.tolist())
+        for t, q, qd, qdd in rows
+    ]
+
+
+def plan_line(robot: RobotModel, task: LineTask, period: float = 1e-3) -> LinePlan:
+    """Plan a straight line.
+
+    Args:
+        robot: the arm with its tool.
+        task: the line.
+        period: of the controller's set-points, s. The plan rests at least half of it before and after the
+            line, so that the first and the last corner lie between two knots too.
+
+    Raises:
+        LineError: saying where on the line the arm cannot go and why.
+    """
+    rest = {name: max(getattr(task, name), period / 2.0) for name in ("rest_before", "rest_after")}
+    path = plan_path(robot, replace(task, **rest))
+    tip_error = np.inf
+    for step in range(_REFINEMENTS + 1):
+        plan = _through(path, _knots(path.task, _WIDEST_SPACING / 2**step, period / 2**step))
+        tip_error = min(tip_error, plan.tip_error)
+        if plan.tip_error <= TIP_TOLERANCE:
+            return plan
+    raise LineError(
+        f"the tip error between the knots is {tip_error * 1e6:.3g} um; accepted: <= "
+        f"{TIP_TOLERANCE * 1e6:g} um (a smaller acceleration, or a larger singularity_margin)"
+    )
+
+
+def _knots(task: LineTask, spacing: float, window: float) -> Array:
+    """Return the times of the knots, s: around each corner, and in between at most `spacing` apart."""
+    profile = task.profile()
+    corners = task.rest_before + np.array(profile.corners)
+    end = corners[-1] + task.rest_after
+    gaps = np.diff(np.concatenate([[0.0], corners, [end]]))
+    # A window never reaches past the middle to the next corner, nor past the trajectory's ends.
+    share = np.concatenate([[1.0], np.full(len(gaps) - 2, 0.5), [1.0]]) * gaps
+    half = np.minimum(window / 2.0, np.minimum(share[:-1], share[1:]))
+    times = [np.array([0.0, end])]
+    edges = np.sort(np.concatenate([corners - half, corners + half]))
+    times.append(edges)
+    for a, b in zip(edges[1:-1:2], edges[2:-1:2], strict=True):
+        times.append(np.linspace(a, b, int(np.ceil((b - a) / spacing)) + 1))
+    # Messages carry whole nanoseconds; the values must belong to the times that are sent.
+    return np.unique(np.round(np.concatenate(times), 9))
+
+
+def _through(path: JointPath, times: Array) -> LinePlan:
+    task = path.task
+    motion = task.profile().sample(times - task.rest_before)
+    q, slope, bend = path.at(motion.distance)
+    speed, acceleration = motion.speed[:, None], motion.acceleration[:, None]
+    qd = slope * speed + 0.0  # without the signs of zeros
+    qdd = slope * acceleration + bend * speed * speed + 0.0
+    plan = LinePlan(path, times, q, qd, qdd, 0.0)
+    probes = np.linspace(times[:-1], times[1:], _PROBES + 2)[1:-1].T.ravel()
+    tip = forward(path.robot.chain, plan.setpoints(probes)[:, 0]).position
+    error = float(np.linalg.norm(tip - plan.tip(probes), axis=1).max())
+    return LinePlan(path, times, q, qd, qdd, error)
+
+
+def approach_time(robot: RobotModel, start: Array, end: Array, speed: float, acceleration: float) -> float:
+    """Return the duration of a quintic move from rest to rest in joint space, s.
+
+    Such a move peaks at 15/8·Δq/T and 10/√3·Δq/T²; all joints start and stop together.
+
+    Args:
+        robot: the arm.
+        start: (6,) rad.
+        end: (6,) rad.
+        speed: share of each joint's speed limit that may be used, in (0, 1].
+        acceleration: of each joint, rad/s².
+
+    Raises:
+        LineError: if speed or acceleration are not usable.
+    """
+    if not 0.0 < speed <= 1.0:
+        raise LineError(f"the approach speed is {speed:g}; accepted: a share in (0, 1] of the joint speeds")
+    if not (np.isfinite(acceleration) and acceleration > 0.0):
+        raise LineError(f"the approach acceleration is {acceleration:g} rad/s^2; accepted: a number > 0")
+    way = np.abs(end - start)
+    by_speed = 15.0 / 8.0 * way / (speed * robot.max_velocity)
+    by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration)
+    return float(np.maximum(by_speed, by_acceleration).max())

@@ -1,0 +1,129 @@
+"""What a straight line is asked to be, from a file or from a command line."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.errors import LineError
+from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_controller.lines.profile import TrapezoidalProfile
+
+MARGIN_RANGE = (1e-3, 1.0)
+LONGEST_LINE = 10.0
+LONGEST_REST = LONGEST_MOTION = 3600.0
+DEFAULT_BRANCH = Branch()
+
+
+@dataclass(frozen=True)
+class LineTask:
+    """A straight line of the tool centre point in the base frame.
+
+    Attributes:
+        start: m.
+        end: m.
+        speed: m/s.
+        acceleration: of both ramps, m/s².
+        start_rpy: roll, pitch and yaw of the tool about fixed axes, rad.
+        end_rpy: the same at the end; the tool turns evenly with the distance, the shorter way.
+        rest_before: s.
+        rest_after: s.
+        branch: which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist.
+        singularity_margin: smallest accepted distance from a singularity, dimensionless (see
+            `rx90_common.description.inverse.singularity_margins`).
+
+    Raises:
+        LineError: naming the value and what is accepted.
+    """
+
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    speed: float
+    acceleration: float
+    start_rpy: tuple[float, ...]
+    end_rpy: tuple[float, ...]
+    rest_before: float = 0.5
+    rest_after: float = 0.5
+    branch: Branch = DEFAULT_BRANCH
+    singularity_margin: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("start", "end", "start_rpy", "end_rpy"):
+            value = getattr(self, name)
+            if len(value) != 3 or not all(math.isfinite(x) for x in value):
+                raise LineError(f"the line's {name} is {value}; accepted: three finite numbers")
+        if self.length == 0.0:
+            raise LineError(f"the line starts and ends at {self.start} m; accepted: two different points")
+        self._check_motion()
+        for name in ("rest_before", "rest_after"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= LONGEST_REST:
+                raise LineError(f"{name} is {value:g} s; accepted: a number in [0, {LONGEST_REST:g}]")
+        low, high = MARGIN_RANGE
+        if not low <= self.singularity_margin <= high:
+            raise LineError(f"singularity_margin is {self.singularity_margin:g}; accepted: in [{low:g}, {high:g}]")
+
+    def _check_motion(self) -> None:
+        """Refuse what no arm does, before the planning fills the memory with points of it."""
+        if self.length > LONGEST_LINE:
+            raise LineError(f"the line's length is {self.length:g} m; accepted: up to {LONGEST_LINE:g} m")
+        profile = self.profile()
+        duration = profile.duration if profile.peak_speed > 0.0 else math.inf
+        if duration > LONGEST_MOTION:
+            raise LineError(
+                f"the line takes {duration:g} s at speed {self.speed:g} m/s and acceleration "
+                f"{self.acceleration:g} m/s^2; accepted: up to {LONGEST_MOTION:g} s"
+            )
+
+    @property
+    def length(self) -> float:
+        """Return the length of the line, m."""
+        return float(np.linalg.norm(np.subtract(self.end, self.start)))
+
+    def profile(self) -> TrapezoidalProfile:
+        """Return the speed profile along the line."""
+        return TrapezoidalProfile(self.length, self.speed, self.acceleration)
+
+
+def load_task(file: Path) -> LineTask:
+    """Read a task file.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+        LineError: if the values do not make a line.
+    """
+    root = load_yaml(file)
+    line = root.section("line")
+    posture = root.section("posture") if "posture" in root else None
+    rpy = _radians(line, "tool_rpy_degrees")
+    options = {key: line.number(key) for key in ("rest_before", "rest_after", "singularity_margin") if key in line}
+    try:
+        task = LineTask(
+            start=line.numbers("start", 3),
+            end=line.numbers("end", 3),
+            speed=line.number("speed"),
+            acceleration=line.number("acceleration"),
+            start_rpy=rpy,
+            end_rpy=_radians(line, "end_tool_rpy_degrees") if "end_tool_rpy_degrees" in line else rpy,
+            branch=DEFAULT_BRANCH if posture is None else _branch(posture),
+            **options,
+        )
+    except LineError as error:
+        raise LineError(f"{file}: {error}") from error
+    line.finish()
+    root.finish()
+    return task
+
+
+def _branch(posture: Section) -> Branch:
+    branch = Branch(posture.text("shoulder", SHOULDERS), posture.text("elbow", SIGNS), posture.text("wrist", SIGNS))
+    posture.finish()
+    return branch
+
+
+def _radians(section: Section, key: str) -> tuple[float, ...]:
+    return tuple(math.radians(angle) for angle in section.numbers(key, 3, -360.0, 360.0))

@@ -1,0 +1,17 @@
+"""`rx90_controller`: the controller node's executable."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rx90_common.exchange.entry import run_node
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the controller node; return its exit code."""
+    return run_node("rx90_controller", "rx90_controller.node.control", args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

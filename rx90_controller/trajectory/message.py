@@ -1,0 +1,43 @@
+"""From trajectory_msgs/JointTrajectory to checked points and a start tick; needs no rclpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_controller.trajectory import TrajectoryPoints
+
+
+def points_from_message(robot_joints: Sequence[str], message: Any) -> TrajectoryPoints:
+    """Return the points of a JointTrajectory in the robot's joint order.
+
+    Raises:
+        TrajectoryError: naming joint, index of the point and reason.
+    """
+    for i, point in enumerate(message.points):
+        if len(point.effort) > 0:
+            raise TrajectoryError(f"point {i}: carries effort; accepted: positions, velocities, accelerations")
+    return TrajectoryPoints.create(
+        robot_joints,
+        list(message.joint_names),
+        [_seconds(point.time_from_start) for point in message.points],
+        [point.positions for point in message.points],
+        [point.velocities for point in message.points],
+        [point.accelerations for point in message.points],
+    )
+
+
+def start_tick(message: Any, position_hz: int) -> int | None:
+    """Return the position tick of `header.stamp`, the first one not before it; None if the stamp is 0, "now"."""
+    stamp = message.header.stamp
+    nanoseconds = stamp.sec * NANOSECONDS + stamp.nanosec
+    if nanoseconds == 0:
+        return None
+    return int(-(-nanoseconds * position_hz // NANOSECONDS))
+
+
+def _seconds(duration: Any) -> float:
+    # One division: the nearest number to the whole nanoseconds, as the planner has it.
+    return float((duration.sec * NANOSECONDS + duration.nanosec) / NANOSECONDS)

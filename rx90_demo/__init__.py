@@ -1,1 +1,0 @@
-"""The demonstration: the whole suite run on the reference task, compared and reported."""

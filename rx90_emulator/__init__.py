@@ -1,0 +1,1 @@
+"""What people use: the closed loop, sweeps, identification, the demonstration and the commands."""

@@ -1,0 +1,76 @@
+"""Compare the joint states of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
+
+Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
+count once, and different ones are paired in their order. Stamps inside the common range that only one bag has
+make a difference, and so do joints and arrays that only one bag has.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
+from rx90_common.bags.topics import FIELDS
+from rx90_common.base.errors import BagError
+
+HELP = "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("bag_a", metavar="A", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
+    parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
+    parser.add_argument(
+        "--tolerance", action="append", default=[], metavar=GRAMMAR,
+        help="in rad, rad/s or Nm; the most special one that fits decides; default 0: equal bits",
+    )  # fmt: skip
+    parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
+    parser.add_argument(
+        "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
+        help=f"compare only these of {', '.join(FIELDS)}",
+    )  # fmt: skip
+    parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
+    parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
+    parser.add_argument(
+        "--same-range", action="store_true", help="stamps outside the common range make a difference too"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
+
+
+def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
+    """Compare and print; return the verdict's exit code.
+
+    Raises:
+        BagError: if the bags cannot be compared at all.
+        ConfigError: if the file of tolerances is not acceptable.
+    """
+    # Here, because --help must not wait for them.
+    from rx90_common.bags.comparison import Scope, compare_bags
+    from rx90_common.bags.comparison_report import as_json, as_text
+
+    rules = load_rules(Path(args.tolerances)) if args.tolerances else []
+    rules += [parse_rule(text) for text in args.tolerance]
+    scope = Scope(
+        topics=tuple(dict.fromkeys(args.topics)) if args.topics else None,
+        fields=tuple(args.fields),
+        start_ns=_nanoseconds("--from", args.start),
+        end_ns=_nanoseconds("--to", args.end),
+        same_range=args.same_range,
+    )
+    comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
+    print(as_json(comparison) if args.json else as_text(comparison))
+    return int(comparison.verdict)
+
+
+def _nanoseconds(option: str, text: str | None) -> int | None:
+    """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
+    if text is None:
+        return None
+    try:
+        return int(Decimal(text) * 1_000_000_000)
+    except (InvalidOperation, ValueError, OverflowError) as error:
+        raise BagError(f"{option} is {text!r}; accepted: a time in s, e.g. 1.25") from error

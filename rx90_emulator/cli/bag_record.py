@@ -1,0 +1,76 @@
+"""Record topics of a running system to a new bag, and prove that nothing was lost."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Sequence
+from threading import Event
+from typing import TYPE_CHECKING
+
+from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.base.errors import BagError
+from rx90_common.exchange.environment import prepare
+
+if TYPE_CHECKING:
+    from rx90_common.bags.recorder.recording import TopicCount
+
+HELP = "record topics to a new bag; a lost message is a non-zero exit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument(
+        "topics", nargs="*", default=list(SUITE_TOPICS), metavar="TOPIC",
+        help=f"topics to record (default: {' '.join(SUITE_TOPICS)})",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="bag to make; must not exist")
+    parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
+
+
+def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
+    """Record until SIGINT or SIGTERM; return 0 when nothing was lost and 1 otherwise.
+
+    Raises:
+        BagError: if the bag cannot be written or a topic cannot be recorded.
+    """
+    stop = Event()
+    # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+
+    from rx90_common.bags.recorder.status import StatusLine
+    from rx90_common.bags.writing import BagWriter
+
+    prepare()
+    try:
+        from rx90_common.bags.recorder.recording import Recorder
+    except ImportError as error:
+        raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
+    with StatusLine() as status:
+        recorder = Recorder(args.topics, ros_args, status.say, status.show)
+        counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
+    return _report(counts, recorder.stalls, args.output)
+
+
+def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
+    print(f"recorded {sum(count.received for count in counts)} messages of {len(counts)} topics to {output}")
+    complete = not stalls
+    for stall in stalls:
+        print(
+            f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr
+        )
+    for count in counts:
+        if count.lost:
+            complete = False
+            writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
+            print(f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})", file=sys.stderr)
+        if count.refused:
+            complete = False
+            print(
+                f"not recorded: {count.refused} publishers of {count.topic}, whose quality of service "
+                "does not fit the first one's",
+                file=sys.stderr,
+            )
+    return 0 if complete else 1

@@ -1,0 +1,81 @@
+"""`rx90_demo`: run the reference task with four processes over DDS, compare, and report."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from itertools import count
+from pathlib import Path
+
+from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.share import resolve_config
+from rx90_common.exchange.environment import prepare
+from rx90_common.process.interrupts import terminations_as_interrupts
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0 same and within the limit, 1 otherwise, 130 after Ctrl-C."""
+    options = _parser().parse_args(args)
+    try:
+        # A terminal that closes must not leave the processes behind either.
+        with terminations_as_interrupts():
+            return _run(options)
+    except KeyboardInterrupt:
+        print("\nrx90_demo: stopped; every process has ended", file=sys.stderr)
+        return 130
+    except Rx90Error as error:
+        print(f"rx90_demo: {error}", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="rx90_demo", description=__doc__)
+    parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
+    parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    parser.add_argument(
+        "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
+    )
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output {options.output}: exists; accepted: a folder that can be made")
+    prepare()
+    # Here, because a wrong option must not wait for them.
+    from rx90_emulator.demo.demonstration import Demonstration
+
+    demonstration = Demonstration(resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
+    return 0 if demonstration.run(_folder(options.output)) else 1
+
+
+def _folder(given: Path | None) -> Path:
+    """Make the folder that was asked for, or one with the time as its name that nobody else has."""
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    usual = (Path("out/demo") / (f"{name}-{k}" if k > 1 else name) for k in count(1))
+    while True:
+        folder = given or next(usual)
+        try:
+            folder.mkdir(parents=True)
+            (folder / "log").mkdir()
+        except FileExistsError as error:
+            if given is None and folder.is_dir():
+                continue  # another run began in the same second
+            raise _not_made(folder, error) from error
+        except OSError as error:
+            raise _not_made(folder, error) from error
+        return folder
+
+
+def _not_made(folder: Path, error: OSError) -> ConfigError:
+    return ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,3 @@
+"""The demonstration: the whole suite run on the reference task, compared and reported."""
+
+__all__ = ["demonstration"]

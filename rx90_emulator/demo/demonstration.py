@@ -1,0 +1,135 @@
+"""The demonstration: four processes run the reference task; bags are compared, a report is written."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+from rx90_common.bags.comparison import BagComparison, Scope, Verdict, compare_bags
+from rx90_common.bags.comparison_report import as_text
+from rx90_common.bags.summary import summarise
+from rx90_common.bags.tolerance import Tolerances
+from rx90_common.process.children import ManagedProcess, ProcessError, ProcessGroup
+from rx90_controller.lines.plan import LinePlan, plan_line
+from rx90_controller.lines.task import load_task
+from rx90_emulator.demo.analysis import analyse
+from rx90_emulator.demo.progress import follow_clock
+from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
+from rx90_emulator.loop.setup import Setup
+
+START_TIME = 0.25
+"""When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
+stands still until every process is there."""
+_START_TIMEOUT = 120.0
+_END_TIMEOUT = 60.0
+
+
+class Demonstration:
+    """One run of the reference task in a folder of its own."""
+
+    def __init__(self, task_file: Path, real_time_factor: float) -> None:
+        """Read and plan the task; `real_time_factor` 0 is as fast as it goes.
+
+        Raises:
+            Rx90Error: if the task cannot be read or travelled.
+        """
+        self._task_file = task_file
+        self._factor = real_time_factor
+        self._setup = Setup.load()
+        self._task = load_task(task_file)
+        self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
+        self._folder = Path()
+
+    def run(self, folder: Path) -> bool:
+        """Run, compare, report; return whether the run is identical to the closed loop and within the limit.
+
+        Args:
+            folder: an empty one, with a folder `log` in it.
+
+        Raises:
+            Rx90Error: if a step fails; no process is left behind.
+        """
+        self._folder = folder
+        recorded, baseline = self._folder / "recorded", self._folder / "closed_loop"
+        print("closed loop without ROS ...", flush=True)
+        self._run_closed_loop(baseline)
+        factor = self._run_processes(self._plan, recorded)
+        print("comparing the recorded run with the closed loop without ROS ...", flush=True)
+        comparison = compare_bags(recorded, baseline, Tolerances(), Scope())
+        print(as_text(comparison))
+        return self._report(recorded, baseline, comparison, factor)
+
+    def _run_closed_loop(self, bag: Path) -> None:
+        # A process of its own: while it compiles, numba would swallow Ctrl-C.
+        with ProcessGroup(self._folder / "log") as group:
+            run = group.start(
+                "closed_loop",
+                "rx90_emulator.cli.run",
+                *("--task", str(self._task_file), "--start-time", repr(START_TIME), "--output", str(bag)),
+            )
+            _expect_success(run, _START_TIMEOUT)
+
+    def _run_processes(self, plan: LinePlan, bag: Path) -> float:
+        """Run the four processes to the end of the task; return the real-time factor."""
+        duration = START_TIME + plan.duration
+        pose = ", ".join(repr(float(angle)) for angle in plan.start_pose)
+        print("starting simulation, controller, trajectory and recorder ...", flush=True)
+        with ProcessGroup(self._folder / "log") as group:
+            recorder = group.start("recorder", "rx90_emulator.cli.bag", "record", "--output", str(bag))
+            simulation = group.start(
+                "simulation",
+                "rx90_sim.node.sim_node",
+                *_parameters(
+                    initial_position=f"[{pose}]",
+                    duration=repr(duration),
+                    real_time_factor=repr(self._factor),
+                    paused="true",
+                ),
+            )
+            group.start("controller", "rx90_controller.node.controller_node")
+            line = group.start(
+                "trajectory",
+                "rx90_emulator.cli.line",
+                *("--from-file", str(self._task_file), "--start-time", repr(START_TIME)),
+            )
+            recorder.wait_for("ready: all", _START_TIMEOUT)
+            _expect_success(line, _START_TIMEOUT)
+            began = time.monotonic()
+            follow_clock(simulation, duration)
+            factor = duration / (time.monotonic() - began)
+            _expect_success(simulation, _END_TIMEOUT)
+            recorder.signal(signal.SIGINT)
+            _expect_success(recorder, _END_TIMEOUT)
+        return factor
+
+    def _report(self, recorded: Path, baseline: Path, comparison: BagComparison, factor: float) -> bool:
+        page = self._folder / "report.html"
+        run = analyse(recorded, self._setup, self._task, START_TIME)
+        messages = {topic.topic: topic.count for topic in summarise(recorded).topics}
+        facts = RunFacts(factor, self._factor, messages, recorded, baseline)
+        write_report(page, self._setup, self._task, run, comparison, facts)
+        within = run.path.worst <= PATH_LIMIT
+        print(
+            f"path error: worst {run.path.worst * 1e3:.4f} mm with feed-forward, "
+            f"{run.path_without.worst * 1e3:.4f} mm without; asked for: {PATH_LIMIT * 1e3:g} mm"
+        )
+        print(f"report: {page.resolve()}")
+        if not within:
+            print("rx90_demo: the path error is above what was asked for", file=sys.stderr)
+        return within and comparison.verdict is Verdict.SAME
+
+
+def _parameters(**values: str) -> list[str]:
+    arguments = ["--ros-args"]
+    for name, value in values.items():
+        arguments += ["-p", f"{name}:={value}"]
+    return arguments
+
+
+def _expect_success(process: ManagedProcess, timeout: float) -> None:
+    code = process.wait(timeout)
+    if code != 0:
+        last = process.lines[-1] if process.lines else "it printed nothing"
+        raise ProcessError(f"the {process.name} ended with exit code {code}: {last} (see {process.log})")

@@ -1,0 +1,89 @@
+"""The report of a run: one self-contained HTML page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from rx90_common.bags.comparison import BagComparison, Verdict
+from rx90_common.base.errors import BagError
+from rx90_controller.lines.task import LineTask
+from rx90_emulator.demo.analysis import RunAnalysis, field
+from rx90_emulator.demo.plots import effort_plot, friction_plot, path_error_plot, tracking_plot
+from rx90_emulator.loop.setup import Setup
+
+PATH_LIMIT = 1e-4
+"""Path accuracy that laser welding asks for, m (the paper's introduction)."""
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """How the recorded run went.
+
+    Attributes:
+        real_time_factor: simulated time over wall time.
+        paced: the real-time factor that was asked for; 0 for none.
+        messages: recorded messages by topic.
+        bag: the recorded bag.
+        baseline: the bag it was compared with.
+    """
+
+    real_time_factor: float
+    paced: float
+    messages: dict[str, int]
+    bag: Path
+    baseline: Path
+
+
+def write_report(
+    path: Path, setup: Setup, task: LineTask, run: RunAnalysis, comparison: BagComparison, facts: RunFacts
+) -> None:
+    """Write the page.
+
+    Raises:
+        BagError: if the file cannot be written.
+    """
+    environment = Environment(
+        loader=PackageLoader("rx90_emulator.demo"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    page = environment.get_template("report.html.j2").render(
+        task=task,
+        run=run,
+        facts=facts,
+        limit=PATH_LIMIT,
+        same=comparison.verdict is Verdict.SAME,
+        topics=comparison.topics,
+        largest=[max((v.maximum for v in topic.values), default=0.0) for topic in comparison.topics],
+        joints=_joint_rows(run),
+        friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
+        servo=setup.controller,
+        plots={
+            "path": path_error_plot(run, PATH_LIMIT),
+            "tracking": tracking_plot(run),
+            "friction": friction_plot(run),
+            "effort": effort_plot(run),
+        },
+    )
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise BagError(f"{path}: the report cannot be written ({error.strerror})") from error
+
+
+def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:
+    """Return per joint: fastest rad/s, worst and RMS position error mrad, largest drive torque Nm."""
+    error = field(run.error, "position")
+    moving = (run.error.time >= run.path.times[0]) & (run.error.time <= run.path.times[-1])
+    return [
+        (
+            name,
+            float(np.abs(field(run.joints, "velocity")[:, k]).max()),
+            float(np.abs(error[moving, k]).max()) * 1e3,
+            float(np.sqrt(np.mean(error[moving, k] ** 2))) * 1e3,
+            float(np.abs(field(run.joints, "effort")[:, k]).max()),
+        )
+        for k, name in enumerate(run.joints.names)
+    ]

@@ -1,0 +1,83 @@
+"""The folder of a series of experiments: one bag each, and an index that says what each is for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from rx90_common.base.config import load_yaml
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.experiments.plan import Experiment, Kind
+
+INDEX = "experiments.yaml"
+
+TOPICS = {
+    Kind.SLIDING: ("joint_states", "robot_description"),
+    Kind.PRESLIDING: ("motor_states", "robot_description"),
+    Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
+}
+"""What is recorded: the sweeps do not need the base rate, and bags stay small.
+
+The validation does: each period of the set-points begins with a jump of torque that grows with the acceleration, and
+samples in step with it show that alone."""
+
+
+@dataclass(frozen=True)
+class Bags:
+    """Bags by what they are for."""
+
+    sliding: tuple[Path, ...]
+    presliding: tuple[Path, ...]
+    validation: tuple[Path, ...]
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a series.
+
+    Raises:
+        IdentificationError: if it exists or cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise IdentificationError(
+            f"--output {folder}: {error.strerror}; accepted: a folder that can be made"
+        ) from error
+
+
+def write_index(folder: Path, done: Sequence[Experiment]) -> None:
+    """Say what the bags that are there are for; written after each experiment, so that a series may be cut short."""
+    content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
+    (folder / INDEX).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return [path.name for path in folder.iterdir()]
+    except OSError:
+        return []
+
+
+def read_index(folder: Path) -> Bags:
+    """Return the bags of a series.
+
+    Raises:
+        IdentificationError: if the folder holds no index, or a bag is missing.
+        ConfigError: if the index is no such file.
+    """
+    if INDEX not in _names(folder):
+        raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
+                                  "--presliding and --validation")  # fmt: skip
+    root = load_yaml(folder / INDEX)
+    found = {}
+    for kind in Kind:
+        bags = tuple(folder / name for name in root.texts(str(kind)))
+        for bag in bags:
+            if not bag.exists():
+                raise IdentificationError(f"{folder / INDEX} names {bag.name}, which is not there")
+        found[str(kind)] = bags
+    root.finish()
+    return Bags(**found)

@@ -1,0 +1,79 @@
+"""How near a planned motion comes to the arm's limits, and the refusal of one that passes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.wrist import coupled_inertia
+from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.experiments.plan import Experiment
+
+Array = NDArray[np.float64]
+
+_PERIOD = 0.001
+_TORQUE_STRIDE = 10
+
+
+@dataclass(frozen=True)
+class Load:
+    """Shares of the limits that an experiment uses, each of shape (6,).
+
+    Attributes:
+        speed: of the speed limits.
+        torque: of the torque that the URDF allows: rigid body, rotors, spring and the friction that the controller
+            compensates.
+    """
+
+    speed: Array
+    torque: Array
+
+
+def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Load:
+    """Return the shares of the limits that an experiment uses.
+
+    Raises:
+        IdentificationError: if it leaves a joint's range, speed or torque, naming joint, amount and limit.
+    """
+    setpoints = _setpoints(experiment, robot)
+    speed = np.abs(setpoints[:, 1]).max(axis=0) / robot.max_velocity
+    torque = _expected_torque(setpoints[::_TORQUE_STRIDE], robot, drives, controller)
+    share = np.abs(torque).max(axis=0) / robot.max_effort
+    joint = int(np.argmax(share))
+    if share[joint] > 1.0:
+        raise IdentificationError(
+            f"{experiment.name}: {robot.joint_names[joint]} would need "
+            f"{share[joint] * robot.max_effort[joint]:.3g} Nm; accepted: up to {robot.max_effort[joint]:.3g} Nm; "
+            "choose other poses or less speed or acceleration"
+        )
+    return Load(speed, share)
+
+
+def _setpoints(experiment: Experiment, robot: RobotModel) -> Array:
+    """Return what the controller's own generator makes of the trajectory, shape (m, 3, 6)."""
+    points: TrajectoryPoints = experiment.points
+    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity)
+    generator = TrajectoryGenerator(limits, _PERIOD, points.position[0])
+    try:
+        generator.accept(points, 0, 0)
+    except TrajectoryError as error:
+        raise IdentificationError(f"{experiment.name}: {error}") from error
+    return generator.setpoints(0, round(experiment.duration / _PERIOD) + 1)
+
+
+def _expected_torque(setpoints: Array, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Array:
+    data = robot.model.createData()
+    rigid = np.array([pin.rnea(robot.model, data, *row) for row in setpoints])
+    position, velocity, acceleration = setpoints.transpose(1, 0, 2)
+    torque = rigid + acceleration @ coupled_inertia(drives.rotor_inertia)
+    torque[:, 1] += drives.spring_torque * np.sin(position[:, 1])
+    friction = controller.coulomb * np.sign(velocity) + controller.viscous * velocity
+    return np.asarray(torque + friction)

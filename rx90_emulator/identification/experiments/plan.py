@@ -1,0 +1,253 @@
+"""The plan of an identification: which motions, how long, and how near to the arm's limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.speeds import sweep_speeds
+from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
+
+Array = NDArray[np.float64]
+
+HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+POSES = (
+    (0.0, -0.6, 0.2, 0.0, 0.5, 0.0),
+    (0.4, 0.1, 1.4, -1.0, -0.7, 1.5),
+    (0.0, 0.6, -0.2, 1.0, 0.9, -1.5),
+    (-0.4, 0.3, -1.2, 0.5, -0.3, 0.7),
+)
+"""Where sweeps take place, rad.
+
+Gravity torques of either sign and over most of their range, because a constant torque is what the two directions'
+Coulomb torques differ by, and over a small range gravity is one.
+"""
+_MOST_SPEEDS = 1000  # two hours for each group
+_SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+_LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
+VALIDATION_POSES = (
+    (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
+    (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),
+    (0.2, 0.25, 0.4, 0.2, 0.5, 0.3),
+)
+
+
+class Kind(str, Enum):
+    """What an experiment is for."""
+
+    SLIDING = "sliding"
+    PRESLIDING = "presliding"
+    VALIDATION = "validation"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """What can be chosen.
+
+    Attributes:
+        speeds: how many speeds in each direction, spaced logarithmically.
+        lowest_speed: slowest sweep, rad/s.
+        highest_share: fastest sweep as a share of the joint's speed limit.
+        travel: most that a sweep goes at its speed, rad. The curve's shape shows where the speed is near omega_s; held
+            for 4 s instead of 0.7 s, noise of the torque moves omega_s and delta less than half as much.
+        acceleration: of sweeps and moves, rad/s².
+        home: where every experiment begins and ends, rad.
+        poses: where the sweeps take place, rad.
+        groups: which joints, by name of the direction; all of them if empty.
+        presliding_cycles: amplitudes of the slow presliding cycles, rad.
+        tones: frequencies of the micro-oscillation, Hz.
+        tone_amplitudes: of the micro-oscillations that follow the cycles, rad, summed over the tones. Several, because
+            the controller's own Coulomb compensation may break a joint away where another one only bends its bristles.
+        burst: how long the micro-oscillation lasts, s.
+    """
+
+    speeds: int = 28
+    lowest_speed: float = 0.004
+    highest_share: float = 0.4
+    travel: float = 0.6
+    acceleration: float = 5.0
+    home: tuple[float, ...] = HOME
+    poses: tuple[tuple[float, ...], ...] = POSES
+    groups: tuple[str, ...] = ()
+    presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3, 5e-4)
+    tones: tuple[float, ...] = (3.0, 9.0, 19.0, 33.0)
+    tone_amplitudes: tuple[float, ...] = (2.4e-4, 1.2e-4, 5e-5, 1.6e-5, 6e-6)
+    burst: float = 8.0
+
+    def __post_init__(self) -> None:
+        for spec in fields(self):
+            value = getattr(self, spec.name)
+            if isinstance(value, float) and not (math.isfinite(value) and value > 0.0):
+                raise IdentificationError(f"{spec.name} is {value}; accepted: a number > 0")
+        if self.travel < _LEAST_TRAVEL:
+            raise IdentificationError(f"travel is {self.travel} rad; accepted: {_LEAST_TRAVEL} or more")
+        if not LEAST_SPEEDS <= self.speeds <= _MOST_SPEEDS:
+            raise IdentificationError(f"{self.speeds} speeds; accepted: {LEAST_SPEEDS} to {_MOST_SPEEDS}")
+        if self.highest_share > 1.0:
+            raise IdentificationError(f"highest_share is {self.highest_share}; accepted: a number in (0, 1]")
+        if len(self.presliding_cycles) != len(self.tone_amplitudes) or not self.tones:
+            raise IdentificationError(
+                f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
+                f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, and a tone"
+            )
+        if not self.poses:
+            raise IdentificationError("no pose; accepted: one or more")
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One trajectory, recorded in a bag of its own.
+
+    Attributes:
+        name: also the name of the bag.
+        kind: what it is for.
+        points: the trajectory; begins and ends at rest at the home pose.
+        sweeps: how many runs at constant velocity, or presliding cycles and bursts, it holds.
+    """
+
+    name: str
+    kind: Kind
+    points: TrajectoryPoints
+    sweeps: int
+
+    @property
+    def duration(self) -> float:
+        """Return how long the trajectory takes, s."""
+        return float(self.points.times[-1])
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction in the joints' space: one joint, or joints 5 and 6 with or against each other."""
+
+    name: str
+    vector: Array = field(compare=False)
+
+
+def directions(names: Sequence[str]) -> tuple[Direction, ...]:
+    """Return the directions whose motions tell the seven elements apart.
+
+    Element 7 has q5' + q6' as input. Joint 5 alone moves elements 5 and 7, joint 6 alone 6 and 7, both against each
+    other 5 and 6 but not 7, both together all three, 7 at twice the speed.
+    """
+    unit = np.eye(len(names))
+    found = [Direction(name, unit[i]) for i, name in enumerate(names)]
+    pair = "_".join(names[k].removeprefix("joint_") for k in (4, 5))
+    found.append(Direction(f"joints_{pair}_together", unit[4] + unit[5]))
+    found.append(Direction(f"joints_{pair}_against", unit[4] - unit[5]))
+    return tuple(found)
+
+
+def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions | None = None) -> tuple[Experiment, ...]:
+    """Plan all experiments for an arm.
+
+    Raises:
+        IdentificationError: for an option or a pose that does not fit the arm.
+    """
+    chosen = options or PlanOptions()
+    _check_poses(robot, chosen)
+    known = directions(robot.joint_names)
+    names = [direction.name for direction in known]
+    for name in chosen.groups:
+        if name not in names:
+            raise IdentificationError(f"unknown group {name!r}; accepted: {', '.join(names)}")
+    picked = [direction for direction in known if not chosen.groups or direction.name in chosen.groups]
+    plan = [_sliding(robot, drives, chosen, direction) for direction in picked]
+    plan += [_presliding(robot, chosen, direction) for direction in picked if "together" not in direction.name]
+    plan.append(_validation(robot, chosen))
+    return tuple(plan)
+
+
+def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, direction: Direction) -> Experiment:
+    motion = Motion(options.home)
+    highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
+    speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, 2 * options.speeds, drives)
+    # Many speeds, each in one direction at one pose, rather than few everywhere: what ripple in step with the sampling
+    # puts on the torque differs from speed to speed, not from pose to pose, and turns its sign with the direction.
+    there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
+    for number, pose in enumerate(options.poses):
+        for speed in there_and_back[number :: len(options.poses)].ravel():
+            _approach(robot, options, motion, _start(robot, options, direction, pose, float(speed)))
+            motion.rest(0.1)
+            motion.sweep(direction.vector, float(speed), _held(options, speed), options.acceleration)
+    _approach(robot, options, motion, options.home)
+    return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), len(speeds))
+
+
+def _held(options: PlanOptions, speed: float) -> float:
+    """Return for how long a speed is held, s."""
+    return float(np.clip(options.travel / abs(speed), _SHORTEST, _LONGEST))
+
+
+def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float) -> Array:
+    """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
+    probe = Motion(np.zeros(len(pose)))
+    probe.sweep(direction.vector, speed, _held(options, speed), options.acceleration)
+    travel = probe.pose
+    # Near a limit the travel moves away from it.
+    slack = 0.02
+    low, high = robot.lower + slack, robot.upper - slack
+    begin = np.asarray(pose) - travel / 2.0
+    return np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
+
+
+def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
+    motion = Motion(options.home)
+    pose = np.asarray(options.poses[0])
+    _approach(robot, options, motion, pose - 0.03 * direction.vector)
+    motion.rest(0.2)
+    count = 0
+    # Sliding first: the bristles then have forgotten what was before.
+    motion.sweep(direction.vector, 0.05, 0.6, options.acceleration)
+    for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
+        # Each one fades out, which leaves the bristles near zero. At rest under load they would creep: they feel
+        # vibrations that are below the resolution of the encoders.
+        motion.oscillate(direction.vector, [amplitude], [1.0], 2.0)
+        amplitudes = [tone_amplitude / len(options.tones)] * len(options.tones)
+        motion.oscillate(direction.vector, amplitudes, options.tones, options.burst)
+        count += 2
+    motion.rest(0.2)
+    _approach(robot, options, motion, options.home)
+    return Experiment(f"presliding_{direction.name}", Kind.PRESLIDING, motion.points(robot.joint_names), count)
+
+
+def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
+    """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
+    motion = Motion(options.home)
+    for pose, share in zip(VALIDATION_POSES, (0.3, 0.12, 0.04), strict=True):
+        motion.move(pose, robot.max_velocity * share, options.acceleration)
+        motion.rest(0.15)
+    wave = np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02])
+    motion.oscillate(wave, [1.0], [0.5], 6.0)
+    motion.rest(0.2)
+    _approach(robot, options, motion, options.home)
+    return Experiment("validation", Kind.VALIDATION, motion.points(robot.joint_names), len(VALIDATION_POSES) + 1)
+
+
+def _approach(robot: RobotModel, options: PlanOptions, motion: Motion, pose: Sequence[float] | Array) -> None:
+    motion.move(pose, 0.3 * robot.max_velocity, options.acceleration)
+
+
+def _check_poses(robot: RobotModel, options: PlanOptions) -> None:
+    named = [("home", options.home), *((f"pose {i + 1}", pose) for i, pose in enumerate(options.poses))]
+    for what, pose in named:
+        if len(pose) != len(robot.joint_names):
+            raise IdentificationError(f"{what} has {len(pose)} angles; accepted: {len(robot.joint_names)}")
+        for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
+            if not low <= value <= high:
+                raise IdentificationError(
+                    f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
+                )

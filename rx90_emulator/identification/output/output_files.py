@@ -1,0 +1,62 @@
+"""Files that are written all or none, and only where that can succeed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from rx90_common.process.interrupts import interrupts_later
+from rx90_emulator.identification.errors import IdentificationError
+
+
+def check_targets(files: Sequence[Path], *, force: bool) -> None:
+    """Refuse files that could not be written in the end, before anything long begins.
+
+    Raises:
+        IdentificationError: for a file that exists without `force`, is none that can be replaced, or whose folder
+            is missing or cannot be written to.
+    """
+    for file in files:
+        folder = file.absolute().parent
+        try:
+            file.lstat()
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            raise IdentificationError(f"{file}: cannot be written ({error.strerror})") from error
+        if file.exists() and not file.is_file():
+            kind = "a folder" if file.is_dir() else "no regular file"
+            raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
+        if file.exists() and not force:
+            raise IdentificationError(f"{file} exists; accepted: another name, or --force to replace it")
+        if not folder.is_dir():
+            raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise IdentificationError(f"{file}: the folder {folder} cannot be written to; accepted: one that can")
+
+
+def write_all(texts: Mapping[Path, str]) -> None:
+    """Write all files or none: beside their places first, then under their names.
+
+    Raises:
+        IdentificationError: if one cannot be written; every file that existed is as it was.
+    """
+    beside = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in texts}
+    current = Path()
+    try:
+        for file, text in texts.items():
+            current = file
+            beside[file].write_text(text, encoding="utf-8")
+        # All names or none; an interrupt that comes so late has nothing left to stop.
+        with suppress(KeyboardInterrupt), interrupts_later():
+            for file, written in beside.items():
+                current = file
+                written.replace(file)
+    except OSError as error:
+        raise IdentificationError(f"{current}: cannot be written ({error.strerror})") from error
+    finally:
+        for written in beside.values():
+            with suppress(OSError):
+                written.unlink(missing_ok=True)

@@ -1,0 +1,204 @@
+"""Hold an identified friction set against a bag that was not used: drive torque and tip path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.signal import butter, sosfiltfilt
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.description.kinematics import forward
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction.bristle import bristle_step
+from rx90_common.kernels.compiled import kernel
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.identify import Identification
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.loop.closed_loop import empty_series, run_ticks
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+_BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
+_MOVES = 1e-3  # rad/s
+_SLIDES = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
+_EDGE = 0.1  # s at the ends that the filter spoils
+_WEIGHED = 0.05  # deviation over torque up to which the error of the weights is told
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """The cross-check.
+
+    Attributes:
+        names: joints, n of them.
+        time: s, shape (m,).
+        recorded: drive torque, Nm, shape (m, n).
+        predicted: Nm, shape (m, n).
+        compared: 1.0 where a joint moves, else 0.0, shape (m, n): what a joint at rest carries depends on
+            vibrations that no bag shows.
+        tip_time: s, shape (k,); empty where the bag holds no set-points.
+        tip_distance: of the simulated from the recorded tip, m, shape (k,).
+        tolerances: what counts as agreement.
+        source: the bag.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    recorded: Array
+    predicted: Array
+    compared: Array
+    tip_time: Array
+    tip_distance: Array
+    tolerances: Tolerances
+    source: str
+
+    def _mean(self, values: Array) -> Array:
+        return np.asarray((self.compared * values).sum(axis=0) / np.maximum(1.0, self.compared.sum(axis=0)))
+
+    @property
+    def rms(self) -> Array:
+        """Return the RMS torque difference, Nm, shape (n,)."""
+        return np.asarray(np.sqrt(self._mean((self.predicted - self.recorded) ** 2)))
+
+    @property
+    def worst(self) -> Array:
+        """Return the largest torque difference, Nm, shape (n,)."""
+        return np.asarray((self.compared * np.abs(self.predicted - self.recorded)).max(axis=0))
+
+    @property
+    def rms_share(self) -> Array:
+        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
+        return np.asarray(self.rms / np.sqrt(self._mean(self.recorded**2)))
+
+    @property
+    def worst_share(self) -> Array:
+        """Return the largest difference over the largest recorded torque, shape (n,)."""
+        return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
+
+    @property
+    def tip_worst(self) -> float:
+        """Return the largest distance of the tips, m; NaN without set-points."""
+        return float(self.tip_distance.max()) if len(self.tip_distance) else float("nan")
+
+    @property
+    def tip_rms(self) -> float:
+        """Return the RMS distance of the tips, m; NaN without set-points."""
+        return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else float("nan")
+
+    @property
+    def passed(self) -> bool:
+        """Return whether everything that could be compared agrees."""
+        limits = self.tolerances
+        torque = bool((self.rms_share <= limits.torque).all() and (self.worst_share <= limits.worst_torque).all())
+        return torque and not self.tip_worst > limits.tip
+
+
+@kernel
+def _bristles(elements: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
+    """Write the friction torque of each element over each step of prescribed velocities, shape (m, e)."""
+    for e in range(elements.size):
+        z = 0.0
+        for k in range(steps.size):
+            z, torque[k, e] = bristle_step(elements[e], z, velocity[k, e], steps[k])
+
+
+def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
+    """Return the friction torque at the joints along a motion, Nm, shape (m, n)."""
+    inputs = position @ arm_elements.T
+    steps = np.diff(time, prepend=time[0])
+    mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
+    torque = np.zeros_like(inputs)
+    _bristles(np.array([e.record() for e in lugre]), np.ascontiguousarray(mean), steps, torque)
+    return np.asarray(torque @ arm_elements)
+
+
+def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, Array, Array, Array]:
+    """Return time, recorded and predicted torque, low-passed, and 1 where a joint moves, from the first motion on.
+
+    Raises:
+        IdentificationError: if the arm does not move in the record.
+    """
+    step = float(np.median(np.diff(record.time)))
+    moving = np.flatnonzero(np.abs(record.velocity).max(axis=1) > _MOVES)
+    if len(moving) == 0 or record.time[-1] - record.time[moving[0]] < 4.0 * _EDGE:
+        raise IdentificationError(f"{record.source}: the arm does not move; accepted: a run of all joints")
+    sections = butter(4, min(_BANDWIDTH, 0.4 / step), fs=1.0 / step, output="sos")
+
+    def smooth(values: Array) -> Array:
+        return np.asarray(sosfiltfilt(sections, values, axis=0))
+
+    acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
+    arm = result.arm
+    friction = smooth(friction_along(arm.element_matrix, result.lugre, record.time, record.position))
+    inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
+    kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
+    position = record.position[kept]
+    rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
+    recorded = smooth(record.torque)[kept]
+    rigid = rigid + _error_of_weights(result, position, recorded)
+    span = 2 * round(0.5 * _EDGE / step) + 1
+    moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
+    return record.time[kept], recorded, rigid + friction[kept], moves.astype(np.float64)
+
+
+def _error_of_weights(result: Identification, position: Array, recorded: Array) -> Array:
+    """Return the error of the arm's weights that the sweeps showed, Nm, shape (m, n), where they tell it.
+
+    Sweeps of some joints, or at one pose, leave the weights of the others, or of other poses, open: the fit's error of
+    them is then hundreds of Nm, with a deviation as large, and the description's weights are the better ones. Of
+    inertias sweeps at constant velocity say next to nothing.
+    """
+    nothing = np.zeros_like(position)
+    regressor = result.arm.regressor(position, nothing, nothing)
+    values, directions = np.linalg.eigh(result.sliding.inertial_covariance)
+    parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
+    deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
+    told = deviation <= _WEIGHED * np.sqrt(np.mean(recorded**2, axis=0))
+    return np.asarray(np.where(told, regressor @ result.sliding.inertial, 0.0))
+
+
+def tip_difference(
+    setup: Setup, lugre: tuple[LuGreElement, ...], record: JointRecord, reference: JointSeries
+) -> tuple[Array, Array]:
+    """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
+
+    Raises:
+        IdentificationError: if the set-points have gaps.
+        DivergenceError: naming joint and tick.
+    """
+    rates = setup.rates
+    period_ns = rates.period_ns * rates.ratio
+    gaps = np.flatnonzero(np.diff(reference.stamp_ns) != period_ns)
+    if len(gaps):
+        raise IdentificationError(
+            f"{record.source}: the set-points of {reference.topic} have a gap at {reference.time[gaps[0]]:.3f} s; "
+            f"accepted: one every {period_ns / 1e6:g} ms"
+        )
+    assert reference.position is not None
+    assert reference.velocity is not None
+    first = int(np.searchsorted(record.time, reference.time[0] - 1e-9))
+    identified = replace(setup, friction=FrictionSet(setup.friction.names, lugre))
+    plant, controller = identified.plant(), identified.cs7b()
+    plant.reset(np.clip(record.position[first], setup.robot.lower, setup.robot.upper))
+    controller.reset(plant.motor_states()[0])
+    acceleration = np.gradient(reference.velocity, rates.position_period, axis=0)
+    setpoints = np.ascontiguousarray(np.stack([reference.position, reference.velocity, acceleration], axis=1))
+    ticks = len(setpoints) * rates.ratio
+    fast, slow = empty_series(ticks, rates.ratio, record_fast=False)
+    done, joint = run_ticks(
+        plant.constants, plant.state, controller.law, controller.state, setpoints, rates.ratio, 0, ticks, fast, slow
+    )
+    plant.tick = done
+    if joint >= 0:
+        plant.raise_divergence(joint)
+    recorded = np.column_stack(
+        [np.interp(reference.time, record.time, record.position[:, j]) for j in range(len(record.names))]
+    )
+    inside = (reference.time >= record.time[0]) & (reference.time <= record.time[-1])
+    tips = [forward(setup.robot.chain, q).position for q in (slow.joint_states[:, 0], recorded)]
+    return reference.time[inside], np.linalg.norm(tips[0] - tips[1], axis=1)[inside]

@@ -1,0 +1,3 @@
+"""Presliding friction from micro-oscillations."""
+
+__all__ = ["fit"]

@@ -1,0 +1,75 @@
+"""The joint-side record of one bag, which every step of the identification works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_emulator.identification.errors import IdentificationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointRecord:
+    """Joint-side record of one bag: what the arm did and what the drives gave.
+
+    Attributes:
+        names: n joints.
+        time: s, strictly increasing, shape (m,).
+        position: rad, shape (m, n).
+        velocity: rad/s, shape (m, n).
+        torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
+        source: the bag.
+        sha256: digest of the bag.
+        missing: messages that a steady stream would have had besides.
+        outliers: messages left out because of a NaN, a spike or a repeated stamp.
+
+    Raises:
+        IdentificationError: if a shape does not fit, a number is not finite, or time does not increase.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    velocity: Array
+    torque: Array
+    source: Path
+    sha256: str
+    missing: int = 0
+    outliers: int = 0
+
+    def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.names))
+        for field in ("position", "velocity", "torque"):
+            values = getattr(self, field)
+            if values.shape != shape:
+                raise IdentificationError(f"{self.source}: {field} has shape {values.shape}; accepted: {shape}")
+            if not np.isfinite(values).all():
+                raise IdentificationError(f"{self.source}: {field} holds NaN or infinity; accepted: finite numbers")
+        if len(self.time) == 0:
+            raise IdentificationError(f"{self.source}: a record of 0 samples; accepted: one or more")
+        back = np.flatnonzero(~(np.diff(self.time) > 0.0))
+        if len(back):
+            k = int(back[0])
+            raise IdentificationError(
+                f"{self.source}: time goes from {self.time[k]:.9f} s to {self.time[k + 1]:.9f} s; accepted: increasing"
+            )
+
+    def between(self, start: float, stop: float) -> JointRecord:
+        """Return the samples with start <= time < stop, s.
+
+        Raises:
+            IdentificationError: if there are none.
+        """
+        rows = slice(*np.searchsorted(self.time, (start, stop)))
+        if len(self.time[rows]) == 0:
+            raise IdentificationError(
+                f"{self.source}: no samples from {start:g} s to {stop:g} s; "
+                f"accepted: a part of {self.time[0]:g} to {self.time[-1]:g} s"
+            )
+        fields = {name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")}
+        return replace(self, **fields)

@@ -1,0 +1,120 @@
+"""The robot that bags come from, as the options of the command line describe it: this project's, or any other."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.reading import BagReader
+from rx90_common.bags.topics import absolute
+from rx90_common.base.config import load_yaml
+from rx90_common.base.share import resolve_config
+from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.friction_set import load_element
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.records.reading import BagLayout
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.loop.setup import Setup, SetupFiles
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """What is known of the robot.
+
+    Attributes:
+        arm: rigid-body model and friction elements.
+        setup: for the closed loop; None for another robot than this project's.
+        own_layout: of the messages of another robot.
+        fallback: elements whose values stand in for what the data do not tell.
+        fallback_name: their file.
+        record_time: whether the times of recording are taken for the stamps.
+    """
+
+    arm: RigidArm
+    setup: Setup | None
+    own_layout: BagLayout | None
+    fallback: tuple[LuGreElement, ...] | None
+    fallback_name: str | None
+    record_time: bool = False
+
+    @property
+    def plant_period(self) -> float | None:
+        """Return the tick of this project's plant, s; None for another robot."""
+        return None if self.setup is None else self.setup.rates.period
+
+    def layout(self, bag: Path, *, fast: bool) -> BagLayout:
+        """Return what to read of a bag: the motors' states where the rate matters and they are there."""
+        return replace(self._layout(bag, fast=fast), record_time=self.record_time)
+
+    def _layout(self, bag: Path, *, fast: bool) -> BagLayout:
+        if self.own_layout is not None:
+            return self.own_layout
+        assert self.setup is not None
+        motors, joints = BagLayout.rx90_motors(self.setup), BagLayout.rx90_joints(self.setup)
+        with BagReader(bag) as reader:
+            there = {topic.name for topic in reader.topics}
+        choice = [motors, joints] if fast else [joints, motors]
+        for layout in choice:
+            if absolute(layout.topic) in there:
+                return layout
+        raise IdentificationError(
+            f"{bag}: neither {MOTOR_STATES} nor joint_states; there are {', '.join(sorted(there)) or 'no topics'}"
+        )
+
+
+def robot_of(options: argparse.Namespace) -> Robot:
+    """Return the robot that the options describe.
+
+    Raises:
+        IdentificationError: if they do not fit each other.
+        ConfigError: for a file that cannot be used.
+    """
+    return _own(options) if options.urdf is None else _other(options)
+
+
+def _own(options: argparse.Namespace) -> Robot:
+    for name in ("topic", "joints", "names", "gear", "coupling", "torque_constant", "rotor_inertia", "spring"):
+        if getattr(options, name) is not None:
+            raise IdentificationError(
+                f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
+            )
+    setup = Setup.load(SetupFiles.named(options.tool, drives=options.drives))
+    arm = RigidArm.from_setup(setup)
+    name = options.fallback or "robot/friction.yaml"
+    return Robot(arm, setup, None, *_fallback(name, arm), record_time=options.record_time)
+
+
+def _other(options: argparse.Namespace) -> Robot:
+    for name in ("tool", "drives"):
+        if getattr(options, name) is not None:
+            raise IdentificationError(f"--{name} with --urdf; accepted: for this project's robot alone")
+    joints = options.joints
+    n = len(RigidArm.from_urdf(options.urdf, joints).names)
+    for name, size in (
+        ("names", n), ("gear", n), ("torque_constant", n), ("rotor_inertia", n), ("spring", n), ("coupling", n * n),
+    ):  # fmt: skip
+        values = getattr(options, name)
+        if values is not None and len(values) != size:
+            raise IdentificationError(
+                f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
+            )
+    coupling = None if options.coupling is None else np.array(options.coupling).reshape(n, n)
+    arm = RigidArm.from_urdf(options.urdf, joints, coupling, options.rotor_inertia, options.spring)
+    constant = None if options.torque_constant is None else np.array(options.torque_constant)
+    messages, topic = tuple(options.names or arm.names), options.topic or "joint_states"
+    if options.gear is None:
+        layout = BagLayout(topic, messages, arm.names, None, constant)
+    else:
+        layout = BagLayout.motor_side(topic, messages, arm.names, np.array(options.gear), coupling, constant)
+    return Robot(arm, None, layout, *_fallback(options.fallback or "none", arm), record_time=options.record_time)
+
+
+def _fallback(name: str, arm: RigidArm) -> tuple[tuple[LuGreElement, ...] | None, str | None]:
+    if name == "none":
+        return None, None
+    section = load_yaml(resolve_config(name)).section("elements")
+    return tuple(load_element(section.section(element)) for element in arm.element_names), name

@@ -1,0 +1,151 @@
+"""The rigid arm that a record's torques are held against: what the drives give without any friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.description.wrist import coupled_inertia
+from rx90_common.friction.friction_set import element_names
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.records.foreign_urdf import joint_model
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RigidArm:
+    """Rigid-body torques of a serial arm, by Pinocchio, and where friction acts on it.
+
+    Attributes:
+        names: n joints, from base to tip.
+        element_names: friction elements; the joints first.
+        element_matrix: E, joint velocities to input velocities of the elements, shape (n_el, n); its transpose
+            turns the elements' torques into joint torques.
+        model: Pinocchio's model of these joints alone.
+        rotor: the rotors' share of the mass matrix, shape (n, n), kg m^2.
+        spring: amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm, shape (n,).
+    """
+
+    names: tuple[str, ...]
+    element_names: tuple[str, ...]
+    element_matrix: Array
+    model: Any
+    rotor: Array
+    spring: Array
+
+    @classmethod
+    def from_setup(cls, setup: Setup) -> RigidArm:
+        """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
+        names = setup.robot.joint_names
+        spring = np.zeros(6)
+        spring[1] = setup.drives.spring_torque
+        matrix = np.vstack([np.eye(6), [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
+        rotor = coupled_inertia(setup.drives.rotor_inertia)
+        return cls(names, element_names(names), matrix, setup.robot.model, rotor, spring)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        urdf: Path,
+        joints: Sequence[str] | None = None,
+        coupling: ArrayLike | None = None,
+        rotor_inertia: ArrayLike | None = None,
+        spring: ArrayLike | None = None,
+    ) -> RigidArm:
+        """Read the arm of any robot.
+
+        Args:
+            urdf: the robot's description.
+            joints: n turning joints from base to tip; the others are held at zero. By default all movable joints.
+            coupling: motor turns per joint turn without the gears, shape (n, n): motor velocity = gear *
+                (coupling @ joint velocity). A motor that turns with several joints has a friction element of
+                its own. By default each motor turns with its joint.
+            rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,); by default none.
+            spring: as the attribute; by default none.
+
+        Raises:
+            IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
+        """
+        model = joint_model(urdf, joints)
+        names = tuple(str(name) for name in model.names)[1:]
+        n = len(names)
+        turns = _shaped("coupling", np.eye(n) if coupling is None else coupling, (n, n))
+        inertia = _shaped("rotor_inertia", np.zeros(n) if rotor_inertia is None else rotor_inertia, (n,))
+        amplitude = _shaped("spring", np.zeros(n) if spring is None else spring, (n,))
+        if abs(np.linalg.det(turns)) < 1e-9:
+            raise IdentificationError(f"coupling: {turns.tolist()}; accepted: an invertible matrix")
+        together = [row for row in turns if np.count_nonzero(row) > 1]
+        labels = [_label(names, row) for row in together]
+        matrix = np.vstack([np.eye(n), *together])
+        return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude)
+
+    def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
+        model, data = self.model, self.model.createData()
+        configurations = self._configurations(position)
+        rigid = np.array(
+            [pin.rnea(model, data, *row) for row in zip(configurations, velocity, acceleration, strict=True)]
+        ).reshape(position.shape)
+        return np.asarray(rigid + acceleration @ self.rotor.T + self.spring * np.sin(position))
+
+    def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).
+
+        The parameters of a link are mass, first moment and inertia about the joint's origin, in Pinocchio's
+        order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz).
+        """
+        model, data = self.model, self.model.createData()
+        configurations = self._configurations(position)
+        rows = [
+            np.array(pin.computeJointTorqueRegressor(model, data, *row))
+            for row in zip(configurations, velocity, acceleration, strict=True)
+        ]
+        return np.array(rows).reshape(len(position), len(self.names), 10 * len(self.names))
+
+    def ranges(self) -> Array:
+        """Return the joints' ranges by the URDF, rad, shape (n,); 0 where it has none."""
+        width = self.model.upperPositionLimit - self.model.lowerPositionLimit
+        joints = list(self.model.joints)[1:]
+        return np.array([width[joint.idx_q] if joint.nq == 1 else 0.0 for joint in joints])
+
+    def inertial_scale(self) -> Array:
+        """Return how large errors of the inertial parameters can be at most, shape (10 n,), SI units.
+
+        The whole mass of the arm, at the distance of its reach: a bound for what is still an error.
+        """
+        mass = sum(body.mass for body in self.model.inertias)
+        reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
+        powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        return np.tile(mass * reach**powers, len(self.names))
+
+    def _configurations(self, position: Array) -> Array:
+        """Return Pinocchio's configurations: joints without limits have a sine and a cosine in it."""
+        if self.model.nq == self.model.nv:
+            return position
+        neutral = pin.neutral(self.model)
+        return np.array([pin.integrate(self.model, neutral, row) for row in position])
+
+
+def _label(names: Sequence[str], row: Array) -> str:
+    """Return how an element's velocity is made of the joints', such as joint_5+joint_6: no two have the same."""
+    parts: list[str] = []
+    for name, share in zip(names, row.tolist(), strict=True):
+        if share:
+            sign = "-" if share < 0.0 else "+" if parts else ""
+            parts.append(f"{sign}{'' if abs(share) == 1.0 else f'{abs(share):g}*'}{name}")
+    return "".join(parts)
+
+
+def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise IdentificationError(f"{name} has shape {array.shape}; accepted: finite numbers, shape {shape}")
+    return array

@@ -1,0 +1,3 @@
+"""Sliding friction from sweeps at constant velocity."""
+
+__all__ = ["fit"]

@@ -1,0 +1,206 @@
+"""Identify the sliding regime of all friction elements from sweeps at constant velocity (paper, section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.estimate import ElementEstimate, Source
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.sliding import stribeck
+from rx90_emulator.identification.sliding.identifiability import element_estimate, natural_covariance, without_stribeck
+from rx90_emulator.identification.sliding.plateaus import Blocks, find_blocks
+from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
+from rx90_emulator.identification.sliding.solver import Solution, predicted, solve
+
+Array = NDArray[np.float64]
+
+LEAST_SPEEDS = 5
+"""Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
+_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
+_LINE_POINTS = 100
+_SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
+
+
+@dataclass(frozen=True, eq=False)
+class CurvePoints:
+    """Measured against fitted friction torque of one element, one point for each plateau.
+
+    Attributes:
+        velocity: rad/s, shape (p,).
+        torque: what is left for this element, Nm, shape (p,).
+        deviation: its standard deviation by the noise, Nm, shape (p,).
+        fitted: torque by the identified parameters, Nm, shape (p,).
+        source: number of the record, shape (p,).
+        line: the identified curve over the speeds that there are, in either direction: velocity, torque and the
+            torque's standard deviation by that of the parameters, shape (3, k).
+    """
+
+    velocity: Array
+    torque: Array
+    deviation: Array
+    fitted: Array
+    source: NDArray[np.int64]
+    line: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingFit:
+    """The sliding regime of all elements.
+
+    Attributes:
+        estimates: for each element of the arm, in its order; the parameters are those in SLIDING.
+        curves: for each element; empty where the element could not be identified.
+        inertial: error of the arm's inertial parameters as far as it shows, to be added to them, shape (10 n,):
+            rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
+        inertial_covariance: of it, what the sweeps say nothing of included, shape (10 n, 10 n).
+        plateaus: how many stretches of constant velocity were used.
+    """
+
+    estimates: tuple[ElementEstimate, ...]
+    curves: tuple[CurvePoints, ...]
+    inertial: Array
+    inertial_covariance: Array
+    plateaus: int
+
+
+def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
+    """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
+
+    An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
+    the friction. What the data cannot tell is reported as such in the estimates.
+
+    Args:
+        records: sweeps at constant velocity, both directions, several speeds.
+        arm: rigid-body model of the same joints.
+        required: elements that must have sweeps at enough speeds; others may lack them.
+
+    Raises:
+        IdentificationError: for other joints than the arm's, no sweep, and too few speeds or only one direction
+            of a required element or of all elements, and torques that drive where friction brakes.
+    """
+    for record in records:
+        if record.names != arm.names:
+            raise IdentificationError(
+                f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
+            )
+    for name in required:
+        if name not in arm.element_names:
+            raise IdentificationError(f"element {name!r}; accepted: {', '.join(arm.element_names)}")
+    blocks = find_blocks(records, arm.element_matrix)
+    blocks, lacking = _enough(blocks, arm)
+    for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:
+        if name in lacking:
+            where = ", ".join(str(record.source) for record in records)
+            raise IdentificationError(f"{where}: {name} {lacking[name]}")
+    rows = sliding_rows(blocks, arm)
+    free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
+    solution = solve(rows, free)
+    _check_signs(records, arm, solution, free)
+    flat = without_stribeck(solution, free)
+    if flat.any():
+        free[np.ix_(flat, _SHAPED)] = False
+        solution = solve(rows, free)
+    sources = tuple(Source.of(record) for record in records)
+    estimates = tuple(
+        element_estimate(rows, solution, free, arm.element_names, e, sources, lacking.get(name))
+        for e, name in enumerate(arm.element_names)
+    )
+    curves = tuple(_curve(rows, solution, free, e) for e in range(len(arm.element_names)))
+    inertial = rows.directions @ solution.nuisance, _inertial_covariance(rows, solution, arm)
+    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)))
+
+
+def _inertial_covariance(rows: SlidingRows, solution: Solution, arm: RigidArm) -> Array:
+    """Return the covariance of the errors of the inertial parameters; along what is not seen, that of the prior."""
+    scale = arm.inertial_scale()
+    seen = rows.directions / scale[:, None]
+    unseen = np.eye(len(scale)) - seen @ seen.T
+    return np.asarray(
+        rows.directions @ solution.nuisance_covariance @ rows.directions.T + scale[:, None] * unseen * scale
+    )
+
+
+def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
+    """Return the blocks with elements that move too little marked as not sliding, and why by their names."""
+    velocity = blocks.velocity @ arm.element_matrix.T
+    sliding = blocks.sliding.copy()
+    lacking = {}
+    for e, name in enumerate(arm.element_names):
+        signed = velocity[sliding[:, e], e]
+        counts = {sign: _speeds(np.abs(signed[np.sign(signed) == sign])) for sign in (1, -1)}
+        if max(counts.values()) == 0:
+            lacking[name] = "does not slide at constant velocity; accepted: sweeps in both directions"
+        elif min(counts.values()) == 0:
+            only = "positive" if counts[1] else "negative"
+            lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"
+        elif min(counts.values()) < LEAST_SPEEDS:
+            lacking[name] = (
+                f"slides at {counts[1]} speeds in positive and {counts[-1]} in negative direction; "
+                f"accepted: {LEAST_SPEEDS} or more in each"
+            )
+        if name in lacking:
+            sliding[:, e] = False
+    return replace(blocks, sliding=sliding), lacking
+
+
+def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: Solution, free: NDArray[np.bool_]) -> None:
+    """Refuse friction that drives: all torques of an element lie at their bound, 0."""
+    none = (solution.at_bound[:, stribeck.LINEAR] & free[:, stribeck.LINEAR]).all(axis=1)
+    for e in np.flatnonzero(none).tolist():
+        where = ", ".join(str(record.source) for record in records)
+        raise IdentificationError(
+            f"{where}: {arm.element_names[e]}: the torque does not oppose the motion; accepted: efforts of the sign "
+            "with which the drive moves the joint (check the signs of gears and torque constants)"
+        )
+
+
+def _speeds(speed: Array) -> int:
+    """Return how many speeds there are that differ."""
+    count, least = 0, 0.0
+    for value in np.sort(speed):
+        if value > least:
+            count, least = count + 1, _SAME_SPEED * float(value)
+    return count
+
+
+def _curve(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int) -> CurvePoints:
+    """Take everything but one element off the equations, plateau by plateau."""
+    gain = rows.gain[:, element]
+    mine = np.flatnonzero(gain)
+    own = stribeck.torque(rows.velocity[mine, element], solution.parameters[element])
+    left = (rows.value - predicted(rows, solution.parameters, solution.nuisance))[mine] + gain[mine] * own
+    plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
+    power = np.bincount(number, gain[mine] ** 2, len(plateau))
+    velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
+    source = np.zeros(len(plateau), dtype=np.int64)
+    source[number] = rows.source[mine]
+    return CurvePoints(
+        velocity=velocity,
+        torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
+        deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
+        fitted=stribeck.torque(velocity, solution.parameters[element]),
+        source=source,
+        line=_line(rows, solution, free, element, velocity),
+    )
+
+
+def _line(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int, measured: Array) -> Array:
+    """Return velocity, torque and deviation of the identified curve, shape (3, k)."""
+    if len(measured) == 0:
+        return np.zeros((3, 0))
+    parts = [sign * measured[sign * measured > 0.0] for sign in (-1.0, 1.0)]
+    grids = [np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for speed in parts if len(speed)]
+    velocity = np.sort(np.concatenate([sign * grid for sign, grid in zip((-1.0, 1.0), grids, strict=True)]))
+    parameters = solution.parameters[element]
+    covariance = natural_covariance(rows, solution, free, element)
+    slope = np.linalg.solve(
+        stribeck.natural_jacobian(parameters).T, stribeck.jacobian(velocity, parameters).T
+    ).T  # by the parameters in SLIDING
+    deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, covariance, slope))
+    return np.stack([velocity, stribeck.torque(velocity, parameters), deviation])

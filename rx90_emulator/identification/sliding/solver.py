@@ -1,0 +1,211 @@
+"""The non-linear least-squares fit of all elements' curves: multi-start, bounds, weights, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, lsq_linear
+
+from rx90_emulator.identification.sliding import stribeck
+from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
+from rx90_emulator.identification.sliding.rows import SlidingRows
+from rx90_emulator.identification.sliding.weights import Weights, shared_by_speed
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 4  # of fit and weights
+_DELTA_RANGE = (0.2, 5.0)
+_STARTS = ((0.3, 1.0), (0.1, 1.0), (0.03, 1.0), (0.1, 2.0), (0.3, 2.0))
+"""omega_s, in parts of the range of speeds on a logarithmic scale from the slowest, and delta."""
+_AT_BOUND = 1e-3  # Nm, or of a logarithm
+_TIE = 10.0  # weight of an equation that holds exactly, in those of the data
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """What the solver found.
+
+    Attributes:
+        parameters: of the elements, shape (n_el, 7), as rx90_emulator.identification.sliding.stribeck writes them.
+        nuisance: shape (k,).
+        nuisance_covariance: shape (k, k).
+        covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
+        at_bound: parameters that lie on a bound, shape (n_el, 7).
+        noise: standard deviation of each row relative to what its scale says, shape (r,).
+        common: share of the variance of a plateau's mean that the whole plateau has in common, shape (r,).
+        shared: factor on the variance for what plateaus at one speed have in common, shape (r,).
+    """
+
+    parameters: Array
+    nuisance: Array
+    nuisance_covariance: Array
+    covariance: Array
+    at_bound: Mask
+    noise: Array
+    common: Array
+    shared: Array
+
+
+def solve(rows: SlidingRows, free: Mask) -> Solution:
+    """Fit all elements together.
+
+    Args:
+        rows: the equations.
+        free: parameters of the elements to fit, shape (n_el, 7); the Stribeck rise is 0 where it is not free.
+    """
+    torques = PlateauTorques.of(rows)
+    design = torques.design(rows)
+    fit = _Fit(torques, free, len(rows.directions) // 10)
+    weights = Weights.equal(rows)
+    form = NormalForm.of(rows, design, weights)
+    parameters = fit.from_many_starts(form)
+    for _ in range(_ROUNDS):
+        friction = fit.torques(parameters)
+        residual = rows.value - design @ friction - rows.nuisance @ form.nuisance(friction)
+        slope = weights.means(design @ fit.slope(parameters))
+        leverage = _leverage(slope, weights.means(rows.nuisance))
+        weights = Weights.of(rows, residual, leverage)
+        form = NormalForm.of(rows, design, weights)
+        parameters = fit.run(form, parameters)
+    covariance = fit.covariance(form, parameters)
+    at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
+    friction = fit.torques(parameters)
+    nuisance = form.nuisance(friction)
+    shared = shared_by_speed(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
+    common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
+    chosen = np.flatnonzero(free)
+    nuisance_covariance = form.nuisance_covariance(fit.slope(parameters), covariance[np.ix_(chosen, chosen)])
+    return Solution(
+        parameters, nuisance, nuisance_covariance, covariance, at_bound, 1.0 / weights.factor, common, shared
+    )
+
+
+def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:
+    """Return the values that the parameters predict, shape (r,)."""
+    total = rows.nuisance @ nuisance
+    for e, values in enumerate(parameters):
+        total = total + rows.gain[:, e] * stribeck.torque(rows.velocity[:, e], values)
+    return np.asarray(total)
+
+
+def _leverage(slope: Array, nuisance: Array) -> Array:
+    """Return the diagonal of the hat matrix of all parameters, nuisance with its prior, shape (c,)."""
+    count = nuisance.shape[1]
+    prior = np.hstack([np.zeros((count, slope.shape[1])), np.eye(count)])
+    matrix = np.vstack([np.hstack([slope, nuisance]), prior])
+    size = np.linalg.norm(matrix, axis=0)
+    left, values, _ = np.linalg.svd(matrix / np.where(size > 0.0, size, 1.0), full_matrices=False)
+    return np.asarray(np.sum(left[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))
+
+
+class _Fit:
+    """The curves of all elements against the friction torques of the plateaus."""
+
+    def __init__(self, torques: PlateauTorques, free: Mask, joints: int) -> None:
+        self._velocity = torques.velocity
+        self._columns = [np.flatnonzero(torques.element == e) for e in range(len(free))]
+        self._free = free
+        self._joints = joints
+        self.lower, self.upper = self._bounds()
+
+    def torques(self, parameters: Array) -> Array:
+        """Return the friction torques, Nm, shape (c,)."""
+        result = np.zeros(len(self._velocity))
+        for columns, values in zip(self._columns, parameters, strict=True):
+            result[columns] = stribeck.torque(self._velocity[columns], values)
+        return result
+
+    def slope(self, parameters: Array) -> Array:
+        """Return the derivatives of the friction torques by the free parameters, shape (c, p)."""
+        parts = []
+        for columns, values, free in zip(self._columns, parameters, self._free, strict=True):
+            part = np.zeros((len(self._velocity), int(free.sum())))
+            part[columns] = stribeck.jacobian(self._velocity[columns], values)[:, free]
+            parts.append(part)
+        return np.hstack(parts)
+
+    def from_many_starts(self, form: NormalForm) -> Array:
+        """Return the best of the solutions from several starts."""
+        found = [self._run(form, self._start(form, *start)) for start in _STARTS]
+        return min(found, key=lambda pair: pair[1])[0]
+
+    def run(self, form: NormalForm, parameters: Array) -> Array:
+        """Return the solution from one start."""
+        return self._run(form, parameters)[0]
+
+    def covariance(self, form: NormalForm, parameters: Array) -> Array:
+        """Return the covariance, shape (7 n_el, 7 n_el); huge where the equations say nothing, 0 where fixed."""
+        jacobian = np.vstack([self._jacobian(form, parameters), self._ties(form)])
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0.0] = 1.0
+        _, values, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
+        root = directions.T / np.maximum(values, 1e-10 * values[0])
+        covariance = np.zeros((self._free.size, self._free.size))
+        chosen = np.flatnonzero(self._free)
+        covariance[np.ix_(chosen, chosen)] = (root @ root.T) / np.outer(scale, scale)
+        return covariance
+
+    def _run(self, form: NormalForm, start: Array) -> tuple[Array, float]:
+        ties = self._ties(form)
+        fixed = start.copy()
+        fixed[:, stribeck.LINEAR][~self._free[:, stribeck.LINEAR]] = 0.0
+
+        def filled(x: Array) -> Array:
+            values = fixed.copy()
+            values[self._free] = x
+            return values
+
+        def residual(x: Array) -> Array:
+            return np.concatenate([form.root @ self.torques(filled(x)) - form.target, ties @ x])
+
+        def jacobian(x: Array) -> Array:
+            return np.vstack([self._jacobian(form, filled(x)), ties])
+
+        low, high = self.lower[self._free], self.upper[self._free]
+        inside = np.clip(start[self._free], low + 1e-9, high - 1e-9)
+        result = least_squares(residual, inside, jacobian, (low, high), x_scale="jac", max_nfev=200)
+        return filled(result.x), float(result.cost)
+
+    def _start(self, form: NormalForm, place: float, delta: float) -> Array:
+        """Return the linear parameters that go best with one guess of omega_s and delta for all elements."""
+        start = np.zeros(self._free.shape)
+        start[:, 5] = self.lower[:, 5] + place**0.5 * (self.upper[:, 5] - self.lower[:, 5])
+        start[:, 6] = np.log(delta)
+        linear = self._free[:, stribeck.LINEAR]
+        mask = self._free & (np.arange(stribeck.SIZE) < stribeck.SHAPE.start)
+        matrix = self._jacobian(form, start)[:, mask[self._free]]
+        values = np.zeros(linear.shape)
+        values[linear] = lsq_linear(matrix, form.target, (0.0, np.inf)).x
+        start[:, stribeck.LINEAR] = values
+        return start
+
+    def _jacobian(self, form: NormalForm, parameters: Array) -> Array:
+        """Return the derivatives of root @ f by the free parameters."""
+        return np.asarray(form.root @ self.slope(parameters))
+
+    def _bounds(self) -> tuple[Array, Array]:
+        lower = np.full(self._free.shape, -np.inf)
+        upper = np.full(self._free.shape, np.inf)
+        lower[:, stribeck.LINEAR] = 0.0
+        for e, columns in enumerate(self._columns):
+            speed = np.abs(self._velocity[columns]) if len(columns) else np.array([0.01, 1.0])
+            lower[e, stribeck.SHAPE] = np.log(speed.min() / 3.0), np.log(_DELTA_RANGE[0])
+            upper[e, stribeck.SHAPE] = np.log(2.0 * speed.max()), np.log(_DELTA_RANGE[1])
+        return lower, upper
+
+    def _ties(self, form: NormalForm) -> Array:
+        """Return equations that tie tau_c+ to tau_c- of the elements beyond the joints.
+
+        The difference of the two is a constant torque. What constants k of the elements do to the joints is E^T k,
+        whatever sticks or slides, so n_el - n of them cannot be told by any motion.
+        """
+        column = np.cumsum(self._free.ravel()).reshape(self._free.shape) - 1
+        coupled = [e for e in range(self._joints, len(self._free)) if self._free[e, 0]]
+        ties = np.zeros((len(coupled), int(self._free.sum())))
+        for row, e in zip(ties, coupled, strict=True):
+            scale = _TIE * float(np.linalg.norm(form.root[:, self._columns[e]]))
+            row[column[e, 0]], row[column[e, 1]] = scale, -scale
+        return ties

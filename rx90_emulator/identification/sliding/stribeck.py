@@ -1,0 +1,69 @@
+"""The torque of an element that slides steadily, as the fit writes it, with its derivatives.
+
+With dz/dt = 0, equations 17 to 19 leave sign(v) [tau_c + d exp(-(|v| / omega_s)^delta)] + c2 v with the Stribeck
+rise d = tau_s - tau_c. Written in d and in the logarithms of omega_s and delta, the bounds tau_s >= tau_c > 0 and
+omega_s, delta > 0 are plain, and five of the seven parameters are linear.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_emulator.identification.estimate import SLIDING
+
+Array = NDArray[np.float64]
+
+SIZE = 7
+"""Parameters of an element in the fit: tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta."""
+LINEAR = slice(0, 5)
+RISE = slice(2, 4)
+VISCOUS = 4
+SHAPE = slice(5, 7)
+
+
+def basis(velocity: Array, shape: Array) -> Array:
+    """Return the derivatives by the five linear parameters, shape (m, 5), for `shape` = (ln omega_s, ln delta)."""
+    forward, backward = velocity > 0.0, velocity < 0.0
+    decay = _decay(velocity, shape)[0]
+    return np.column_stack([1.0 * forward, -1.0 * backward, decay * forward, -decay * backward, velocity])
+
+
+def torque(velocity: Array, parameters: Array) -> Array:
+    """Return the friction torque, Nm, shape (m,)."""
+    return np.asarray(basis(velocity, parameters[SHAPE]) @ parameters[LINEAR])
+
+
+def jacobian(velocity: Array, parameters: Array) -> Array:
+    """Return the derivatives of the torque by all parameters, shape (m, 7)."""
+    decay, ratio = _decay(velocity, parameters[SHAPE])
+    rise = np.where(velocity > 0.0, parameters[2], np.where(velocity < 0.0, -parameters[3], 0.0))
+    delta = np.exp(parameters[6])
+    slope = rise * decay * ratio * delta
+    with np.errstate(divide="ignore"):
+        logarithm = np.log(np.abs(velocity)) - parameters[5]
+    by_delta = -slope * np.where(velocity == 0.0, 0.0, logarithm)
+    return np.column_stack([basis(velocity, parameters[SHAPE]), slope, by_delta])
+
+
+def _decay(velocity: Array, shape: Array) -> tuple[Array, Array]:
+    """Return exp(-x) and x = (|v| / omega_s)^delta."""
+    ratio = np.minimum((np.abs(velocity) / np.exp(shape[0])) ** np.exp(shape[1]), 700.0)
+    return np.exp(-ratio), ratio
+
+
+def natural(parameters: Array) -> dict[str, float]:
+    """Return the parameters by the names in SLIDING."""
+    coulomb_up, coulomb_down, rise_up, rise_down, viscous = (float(value) for value in parameters[LINEAR])
+    omega_s, delta = (float(value) for value in np.exp(parameters[SHAPE]))
+    values = (coulomb_up, coulomb_down, coulomb_up + rise_up, coulomb_down + rise_down, omega_s, delta, viscous)
+    return dict(zip(SLIDING, values, strict=True))
+
+
+def natural_jacobian(parameters: Array) -> Array:
+    """Return the derivatives of the parameters in SLIDING by those of the fit, shape (7, 7)."""
+    matrix = np.zeros((SIZE, SIZE))
+    matrix[0, 0] = matrix[1, 1] = matrix[2, 0] = matrix[2, 2] = matrix[3, 1] = matrix[3, 3] = 1.0
+    matrix[4, 5], matrix[5, 6] = np.exp(parameters[SHAPE])
+    matrix[6, VISCOUS] = 1.0
+    return matrix

@@ -1,0 +1,184 @@
+"""Plant and controller in one compiled loop: tick k samples, commands, steps, as the nodes do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.description.wrist import to_joint, to_joint_torque
+from rx90_common.kernels.compiled import kernel
+from rx90_controller.law.cs7b import CS7B
+from rx90_controller.law.loops import position_loop, velocity_loop
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.setup import Setup
+from rx90_sim.plant import Plant
+from rx90_sim.plant_step import friction_states, plant_step
+
+Array = NDArray[np.float64]
+Record = NDArray[Any]
+
+
+class FastSeries(NamedTuple):
+    """What is sampled on every base tick, motor side; position, velocity, torque, each shape (n, 3, 6)."""
+
+    motor_states: Array
+    motor_commands: Array
+
+
+class SlowSeries(NamedTuple):
+    """What is sampled on every position tick; each row holds position, velocity, effort.
+
+    Attributes:
+        joint_states: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
+        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
+        reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
+        tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
+    """
+
+    joint_states: Array
+    friction_states: Array
+    reference: Array
+    tracking_error: Array
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run of the closed loop.
+
+    Attributes:
+        setup: what ran.
+        fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
+        slow: series on position ticks 0, 1, ...
+        saturated: ticks in which each amplifier was at its limit, shape (6,).
+    """
+
+    setup: Setup
+    fast: FastSeries | None
+    slow: SlowSeries
+    saturated: NDArray[np.int64]
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the slow series, s, shape (m,)."""
+        rows = np.arange(len(self.slow.joint_states), dtype=np.float64)
+        return np.asarray(rows * self.setup.rates.position_period)
+
+
+@kernel
+def run_ticks(
+    plants: Record,
+    plant_states: Record,
+    laws: Record,
+    law_states: Record,
+    setpoints: Array,
+    ratio: int,
+    first: int,
+    ticks: int,
+    fast: FastSeries,
+    slow: SlowSeries,
+) -> tuple[int, int]:
+    """Run base ticks `first` to `first + ticks - 1`.
+
+    Args:
+        plants: constants of the plant.
+        plant_states: state of the plant, advanced in place.
+        laws: constants of the control law.
+        law_states: state of the control law, advanced in place.
+        setpoints: one for each position tick from tick 0 on, shape (m, 3, 6).
+        ratio: base ticks in a position tick.
+        first: number of the first tick.
+        ticks: how many ticks.
+        fast: series to write, or arrays of length 0 to write nothing.
+        slow: series to write.
+
+    Returns:
+        How many ticks were run, and -1 or the joint that diverged in the last of them.
+    """
+    state, law = plant_states[0], law_states[0]
+    gear = laws[0].gear
+    for k in range(first, first + ticks):
+        row = k // ratio
+        slow_tick = k % ratio == 0
+        if slow_tick:
+            slow.joint_states[row, 0] = state.q
+            slow.joint_states[row, 1] = state.v
+            slow.joint_states[row, 2] = state.drive_torque
+            slow.friction_states[row, 0] = state.z
+            friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
+            position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
+        velocity_loop(laws, law_states, state.motor_velocity)
+        if slow_tick:
+            slow.reference[row, 0] = setpoints[row, 0]
+            slow.reference[row, 1] = setpoints[row, 1]
+            to_joint_torque(gear, law.feed_forward, slow.reference[row, 2])
+            to_joint(gear, law.error, slow.tracking_error[row, 0])
+            to_joint(gear, law.velocity_error, slow.tracking_error[row, 1])
+            to_joint_torque(gear, law.command, slow.tracking_error[row, 2])
+        if fast.motor_commands.shape[0] > 0:
+            fast.motor_states[k, 0] = state.motor_position
+            fast.motor_states[k, 1] = state.motor_velocity
+            fast.motor_states[k, 2] = state.motor_torque
+            fast.motor_commands[k] = law.command
+        joint = plant_step(plants, plant_states, law.command, True)
+        if joint >= 0:
+            return k + 1 - first, joint
+    return ticks, -1
+
+
+def simulate(
+    setup: Setup,
+    points: TrajectoryPoints,
+    initial_position: ArrayLike,
+    duration: float,
+    start_time: float = 0.0,
+    substeps: int = 1,
+    record_fast: bool = False,
+) -> RunResult:
+    """Run the closed loop without ROS.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        points: the trajectory.
+        initial_position: joint positions at rest, rad, shape (6,).
+        duration: simulated time, s.
+        start_time: when the trajectory starts, s.
+        substeps: plant steps in a tick.
+        record_fast: also keep the series on base ticks.
+
+    Raises:
+        ConfigError: if the duration is shorter than a tick, or a time is not finite.
+        TrajectoryError: if the trajectory is refused.
+        DivergenceError: naming joint and tick.
+    """
+    rates = setup.rates
+    start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
+    plant, controller = setup.plant(substeps), setup.cs7b()
+    plant.reset(initial_position)
+    controller.reset(plant.motor_states()[0])
+    controller.trajectory.accept(points, 0, start)
+    fast, slow = empty_series(ticks, rates.ratio, record_fast)
+    _run(plant, controller, ticks, fast, slow)
+    return RunResult(setup, fast if record_fast else None, slow, controller.saturated)
+
+
+def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
+    """Return arrays for a run of `ticks` base ticks."""
+    rows = -(-ticks // ratio)
+    fast_rows = ticks if record_fast else 0
+    fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
+    slow = SlowSeries(np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6)))
+    return fast, slow
+
+
+def _run(plant: Plant, controller: CS7B, ticks: int, fast: FastSeries, slow: SlowSeries) -> None:
+    ratio = controller.rates.ratio
+    setpoints = controller.trajectory.setpoints(0, len(slow.joint_states))
+    done, joint = run_ticks(
+        plant.constants, plant.state, controller.law, controller.state, setpoints, ratio, 0, ticks, fast, slow
+    )
+    plant.tick = controller.tick = done
+    if joint >= 0:
+        plant.raise_divergence(joint)

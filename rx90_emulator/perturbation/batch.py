@@ -1,0 +1,96 @@
+"""Runs side by side in the lanes of a vector: their parameters and their state as compiled code sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.friction.bristle import elements_dtype
+from rx90_controller.law.parameters import CONTROLLER_DTYPE
+
+Array = NDArray[np.float64]
+Record = NDArray[Any]
+
+FEW, MANY = 4, 16
+"""Runs that go through the formulas together: one vector of the processor, or several that hide each other's waits."""
+
+_SERVO_NAMES = tuple(name for name in CONTROLLER_DTYPE.names or () if name != "gear")
+_STATE_ROWS = {
+    "q": 6,  # deviation of the joints, rad
+    "v": 6,
+    "acceleration": 6,  # mean over the last step
+    "excess": 6,  # drive torque beyond tau0, Nm
+    "z": ELEMENT_COUNT,
+    "motor_position": 6,  # the drives' and the controllers' states as in the full simulation
+    "motor_velocity": 6,
+    "observer": 6,
+    "integrator": 6,
+    "position_torque": 6,
+    "feed_forward": 6,
+    "current": 6,
+    "limited": 6,
+    "saturated": 6,
+    "lost": 1,  # 1 where a joint left its speed limit far behind, or is not a number
+    # Workspace of a step.
+    "q_mid": 6,
+    "v_mid": 6,
+    "rhs": 6,
+    "velocity": ELEMENT_COUNT,  # of the elements, nominal motion included
+}
+
+
+def lanes_for(runs: int) -> int:
+    """Return how many runs go together in a batch of `runs`: few lanes leave fewer idle."""
+    return FEW if runs <= 2 * FEW else MANY
+
+
+def servo_dtype(lanes: int) -> np.dtype[np.void]:
+    """Return the type of one motor's controller, a lane for each run; the fields are those of CONTROLLER_DTYPE."""
+    return np.dtype([(name, np.float64, lanes) for name in _SERVO_NAMES], align=True)
+
+
+def group_dtype(lanes: int) -> np.dtype[np.void]:
+    """Return the type of the state of a group of runs, a lane for each run."""
+    fields = [(name, np.float64, (rows, lanes)) for name, rows in _STATE_ROWS.items()]
+    # The inverse of M0, C0 and K0 in the present tick serve all runs.
+    return np.dtype([*fields, ("coefficients", np.float64, (3, 6, 6))], align=True)
+
+
+class Groups(NamedTuple):
+    """All runs, group by group; idle lanes of the last group repeat the last run.
+
+    Attributes:
+        elements: friction elements, shape (groups, 7).
+        servos: controllers, shape (groups, 6).
+        states: all zero, shape (groups,).
+    """
+
+    elements: Record
+    servos: Record
+    states: Record
+
+
+def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -> Groups:
+    """Return the runs' parameters, lane by lane, and room for their states.
+
+    Args:
+        frictions: one for each run.
+        laws: one for each run, shape (1,), CONTROLLER_DTYPE.
+        lanes: runs in a group.
+    """
+    groups = -(-len(frictions) // lanes)
+    elements = np.zeros((groups, ELEMENT_COUNT), elements_dtype(lanes))
+    servos = np.zeros((groups, 6), servo_dtype(lanes))
+    for run in range(groups * lanes):
+        group, lane = divmod(run, lanes)
+        source = min(run, len(frictions) - 1)
+        records = frictions[source].records()
+        for name in records.dtype.names or ():
+            elements[name][group, ..., lane] = records[name]
+        for name in _SERVO_NAMES:
+            servos[name][group, :, lane] = laws[source][name][0]
+    return Groups(elements, servos, np.zeros(groups, group_dtype(lanes)))

@@ -1,0 +1,301 @@
+"""The perturbation step, compiled: a group of runs about one nominal motion, a lane for each run.
+
+Deviations take the same steps as the plant (rx90_sim.plant_step): arm and friction are evaluated at the midpoint,
+which the last step's mean acceleration and the jump of the torque predict, and the bristles are advanced
+exactly for the midpoint velocity. Friction, drives and controllers are the full simulation's own formulas. Only the
+arm is linear. There are no end stops: a nominal motion keeps away from them, and deviations are small.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.friction.bristle import bristle_step, load_elements
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
+from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
+from rx90_emulator.perturbation.batch import FEW, MANY
+from rx90_sim.drives import encoder_reading, observe
+
+Array = NDArray[np.float64]
+Record = NDArray[Any]
+
+
+class Tables(NamedTuple):
+    """What the runs share, over n base ticks and m position ticks.
+
+    Attributes:
+        position: q0 on base ticks, rad, shape (n + 1, 6).
+        velocity: v0 in the middle of the steps, rad/s, shape (n, 6).
+        torque: tau0 there, Nm, shape (n, 6).
+        slip: of the nominal positions, rad, shape (n, 6).
+        coefficients: inverse of M0, C0 and K0 at every `spacing`-th tick, shape (points, 3, 6, 6).
+        reference: motor-side set-points on position ticks, shape (m, 3, 6).
+        jacobian: of the tip's position at q0 on position ticks, m/rad, shape (m, 3, 6).
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    slip: Array
+    coefficients: Array
+    reference: Array
+    jacobian: Array
+
+
+class Series(NamedTuple):
+    """What runs leave on position ticks.
+
+    Attributes:
+        joint_deviation: rad, shape (runs, m, 6).
+        bristles: deflection, rad, shape (runs, m, 7).
+        tip_deviation: m, shape (runs, m, 3).
+    """
+
+    joint_deviation: Array
+    bristles: Array
+    tip_deviation: Array
+
+
+@kernel
+def run_few(
+    plants: Record,
+    tables: Tables,
+    spacing: int,
+    ratio: int,
+    elements: Record,
+    servos: Record,
+    states: Record,
+    series: Series,
+) -> None:
+    """Run all groups of FEW lanes through the whole motion.
+
+    Args:
+        plants: constants of the plant, shape (1,), PLANT_DTYPE; its friction is not used.
+        tables: what the runs share.
+        spacing: base ticks from one point of the coefficients to the next.
+        ratio: base ticks in a position tick.
+        elements: friction elements, shape (groups, 7), `elements_dtype`.
+        servos: controllers, shape (groups, 6), `servo_dtype`.
+        states: initial states, shape (groups,), `group_dtype`, advanced in place.
+        series: written for the runs that exist.
+    """
+    _run(plants[0], tables, spacing, ratio, elements, servos, states, series, FEW)
+
+
+@kernel
+def run_many(
+    plants: Record,
+    tables: Tables,
+    spacing: int,
+    ratio: int,
+    elements: Record,
+    servos: Record,
+    states: Record,
+    series: Series,
+) -> None:
+    """Run all groups of MANY lanes as `run_few` does; vectors have their width in their type."""
+    _run(plants[0], tables, spacing, ratio, elements, servos, states, series, MANY)
+
+
+@inlined
+def _run(
+    plant: Any,
+    tables: Tables,
+    spacing: int,
+    ratio: int,
+    elements: Record,
+    servos: Record,
+    states: Record,
+    series: Series,
+    lanes: int,
+) -> None:
+    for group in range(len(states)):
+        state = states[group]
+        _switch_on(plant, tables.position[0], state, lanes)
+        for k in range(len(tables.velocity)):
+            row = k // ratio
+            if k % ratio == 0:
+                _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
+                _position_loops(servos[group], tables.reference[row], state, lanes)
+                _notice_loss(plant.speed_limit, state, lanes)
+            _interpolate(tables.coefficients, k, spacing, state)
+            _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
+            _predict(state, lanes)
+            _substep(tables, k, elements[group], state, plant.period, lanes)
+            _sample(plant, tables.position[k + 1], state, lanes)
+
+
+@inlined
+def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
+    """Let encoders and observers start where the arm is."""
+    _read_encoders(plant, nominal, state, lanes)
+    for i in range(6):
+        store(state.observer[i], load(state.motor_position[i], lanes))
+
+
+@inlined
+def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, lanes: int) -> None:
+    runs = min(lanes, len(series.tip_deviation) - first)
+    for i in range(3):
+        tip = jacobian[i, 0] * load(state.q[0], lanes)
+        for j in range(1, 6):
+            tip = fma(jacobian[i, j], load(state.q[j], lanes), tip)
+        store(state.rhs[i], tip)
+    for run in range(runs):
+        for i in range(6):
+            series.joint_deviation[first + run, row, i] = state.q[i, run]
+        for i in range(7):
+            series.bristles[first + run, row, i] = state.z[i, run]
+        for i in range(3):
+            series.tip_deviation[first + run, row, i] = state.rhs[i, run]
+
+
+@inlined
+def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
+    for i in range(6):
+        loop = position_servo(
+            load_gains(servos[i], lanes),
+            reference[0, i],
+            reference[1, i],
+            reference[2, i],
+            load(state.motor_position[i], lanes),
+            load(state.integrator[i], lanes),
+            load(state.limited[i], lanes),
+        )
+        store(state.integrator[i], loop.integrator)
+        store(state.position_torque[i], loop.position_torque)
+        store(state.feed_forward[i], loop.feed_forward)
+
+
+@inlined
+def _velocity_loops(servos: Record, gear: Array, velocity: Array, nominal: Array, state: Any, lanes: int) -> None:
+    """Run D and C; leave what the drives give beyond tau0 and, in `rhs`, its jump."""
+    coupled = 0.0 * load(state.rhs[0], lanes)
+    for n in range(6):
+        i = 5 - n  # motor 6 first: it acts on joint 5, too
+        loop = velocity_servo(
+            load_gains(servos[i], lanes),
+            load(servos[i].current_gain, lanes),
+            load(state.position_torque[i], lanes),
+            load(state.feed_forward[i], lanes),
+            velocity[i],
+            load(state.motor_velocity[i], lanes),
+            load(state.current[i], lanes),
+        )
+        store(state.current[i], loop.current)
+        store(state.limited[i], loop.limited)
+        store(state.saturated[i], load(state.saturated[i], lanes) + loop.limited * loop.limited)
+        torque = gear[i] * loop.command
+        if i == 5:
+            coupled = torque
+        if i == 4:
+            torque = torque + coupled
+        excess = torque - nominal[i]
+        store(state.rhs[i], excess - load(state.excess[i], lanes))
+        store(state.excess[i], excess)
+
+
+@inlined
+def _interpolate(points: Array, tick: int, spacing: int, state: Any) -> None:
+    """Write the coefficients in the middle of a tick."""
+    point = tick // spacing
+    share = (tick - point * spacing + 0.5) / spacing
+    for n in range(3):
+        for i in range(6):
+            before, after = load(points[point, n, i], 6), load(points[point + 1, n, i], 6)
+            store(state.coefficients[n, i], fma(share, after - before, before))
+
+
+@inlined
+def _product(matrix: Array, i: int, vectors: Array, total: Lanes, sign: float, lanes: int) -> Lanes:
+    """Return total + sign * (row i of a matrix, shape (6, 6), times vectors, shape (6, lanes))."""
+    for j in range(6):
+        total = fma(sign * matrix[i, j], load(vectors[j], lanes), total)
+    return total
+
+
+@inlined
+def _predict(state: Any, lanes: int) -> None:
+    """Add what the jump of the torques, in `rhs`, does to the acceleration."""
+    inverse = state.coefficients[0]
+    for i in range(6):
+        store(state.acceleration[i], _product(inverse, i, state.rhs, load(state.acceleration[i], lanes), 1.0, lanes))
+
+
+@inlined
+def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: float, lanes: int) -> None:
+    """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
+    velocity, slip = tables.velocity[tick], tables.slip[tick]
+    half = 0.5 * step
+    for i in range(6):
+        v, acceleration = load(state.v[i], lanes), load(state.acceleration[i], lanes)
+        v_mid = v + half * acceleration
+        store(state.v_mid[i], v_mid)
+        store(state.q_mid[i], load(state.q[i], lanes) + half * (v + 0.5 * half * acceleration))
+        store(state.velocity[i], velocity[i] + v_mid)
+        store(state.rhs[i], load(state.excess[i], lanes))
+    store(state.velocity[6], load(state.velocity[4], lanes) + load(state.velocity[5], lanes))
+    _add_friction(elements, state, step, lanes)
+    for i in range(6):
+        rhs = _product(state.coefficients[1], i, state.v_mid, load(state.rhs[i], lanes), -1.0, lanes)
+        store(state.rhs[i], _product(state.coefficients[2], i, state.q_mid, rhs, -1.0, lanes))
+    for i in range(6):
+        acceleration = _product(state.coefficients[0], i, state.rhs, 0.0 * load(state.rhs[i], lanes), 1.0, lanes)
+        v = load(state.v[i], lanes)
+        store(state.q[i], load(state.q[i], lanes) + (step * (v + half * acceleration) - slip[i]))
+        store(state.v[i], v + step * acceleration)
+        store(state.acceleration[i], acceleration)
+
+
+@inlined
+def _add_friction(elements: Record, state: Any, step: float, lanes: int) -> None:
+    """Advance the bristles of the seven elements and take their torques from `rhs`."""
+    for i in range(7):
+        z, torque = bristle_step(
+            load_elements(elements[i], lanes), load(state.z[i], lanes), load(state.velocity[i], lanes), step
+        )
+        store(state.z[i], z)
+        if i < 6:
+            store(state.rhs[i], load(state.rhs[i], lanes) - torque)
+        else:
+            store(state.rhs[4], load(state.rhs[4], lanes) - torque)
+            store(state.rhs[5], load(state.rhs[5], lanes) - torque)
+
+
+@inlined
+def _notice_loss(speed_limit: Array, state: Any, lanes: int) -> None:
+    lost = load(state.lost[0], lanes)
+    for i in range(6):
+        # The comparison is false for NaN too.
+        lost = select(absolute(load(state.velocity[i], lanes)) <= speed_limit[i], lost, 1.0)
+    store(state.lost[0], lost)
+
+
+@inlined
+def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
+    """Read the encoders and update the velocity observers."""
+    _read_encoders(plant, nominal, state, lanes)
+    for i in range(6):
+        position, velocity = observe(
+            load(state.motor_position[i], lanes),
+            load(state.observer[i], lanes),
+            load(state.motor_velocity[i], lanes),
+            plant.period,
+            plant.observer_position,
+            plant.observer_velocity,
+        )
+        store(state.observer[i], position)
+        store(state.motor_velocity[i], velocity)
+
+
+@inlined
+def _read_encoders(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
+    for i in range(6):
+        q = nominal[i] + load(state.q[i], lanes)
+        if i == 5:  # motor 6 turns with joints 5 and 6 together
+            q = q + (nominal[4] + load(state.q[4], lanes))
+        store(state.motor_position[i], encoder_reading(plant.gear[i] * q, plant.resolution[i]))

@@ -1,0 +1,205 @@
+"""The perturbation model as programs use it: prepared once for a motion, run for many parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.kinematics import forward, jacobian
+from rx90_common.description.wrist import to_motor
+from rx90_common.friction import FrictionSet
+from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.perturbation.batch import FEW, Record, lanes_for, pack
+from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
+from rx90_emulator.perturbation.linearisation import linearise
+from rx90_emulator.perturbation.nominal import NominalMotion, nominal_motion, nominal_torque
+
+Array = NDArray[np.float64]
+
+SPACING = 0.01
+"""From one point of the linearisation to the next, s."""
+
+
+@dataclass(frozen=True)
+class PerturbationResult:
+    """Runs about one nominal motion, on position ticks 0, 1, ..., m - 1.
+
+    Attributes:
+        model: what ran.
+        joint_deviation: dq, rad, shape (runs, m, 6).
+        bristles: deflections of the seven friction elements, rad, shape (runs, m, 7).
+        tip_deviation: J(q0) dq, m, shape (runs, m, 3).
+        saturated: ticks in which each amplifier was at its limit, shape (runs, 6).
+        lost: runs in which a joint left its speed limit far behind; their series mean nothing. Shape (runs,).
+    """
+
+    model: PerturbationModel
+    joint_deviation: Array
+    bristles: Array
+    tip_deviation: Array
+    saturated: NDArray[np.int64]
+    lost: NDArray[np.bool_]
+
+    def joint_position(self, run: int) -> Array:
+        """Return q0 + dq of a run, rad, shape (m, 6)."""
+        return np.asarray(self.model.slow_position + self.joint_deviation[run])
+
+    def tip_position(self, run: int) -> Array:
+        """Return the tip's position along the nominal motion plus J(q0) dq of a run, m, shape (m, 3)."""
+        return np.asarray(self.model.nominal_tip + self.tip_deviation[run])
+
+
+@dataclass(frozen=True, eq=False)
+class PerturbationModel:
+    """Everything about a nominal motion that does not depend on friction and controllers.
+
+    Attributes:
+        setup: robot, drives and rates; friction and controller of runs that bring none.
+        motion: the nominal motion.
+        tables: what compiled code reads.
+        spacing: base ticks from one point of the linearisation to the next.
+        initial_position: rad, shape (6,).
+        nominal_tip: tip's position along the nominal motion on position ticks, m, shape (m, 3).
+        plants: constants of the plant, shape (1,), PLANT_DTYPE; the drives' count.
+    """
+
+    setup: Setup
+    motion: NominalMotion
+    tables: Tables
+    spacing: int
+    initial_position: Array
+    nominal_tip: Array
+    plants: Record
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the series, s, shape (m,)."""
+        rows = np.arange(len(self.nominal_tip), dtype=np.float64)
+        return np.asarray(rows * self.setup.rates.position_period)
+
+    @property
+    def slow_position(self) -> Array:
+        """Return q0 on position ticks, rad, shape (m, 6)."""
+        return self.motion.position[: -1 : self.setup.rates.ratio]
+
+    def run_one(
+        self, friction: FrictionSet | None = None, controller: CS7BParameters | None = None
+    ) -> PerturbationResult:
+        """Run once, with the setup's own friction and controller unless others are given."""
+        return self.run([friction or self.setup.friction], None if controller is None else [controller])
+
+    def run(
+        self, frictions: Sequence[FrictionSet], controllers: Sequence[CS7BParameters] | None = None
+    ) -> PerturbationResult:
+        """Run a batch; what a run gives does not depend on its neighbours.
+
+        Args:
+            frictions: one for each run.
+            controllers: one for each run, or None for the setup's own in all of them.
+
+        Raises:
+            ConfigError: if the batch is empty or the numbers of frictions and controllers differ.
+        """
+        runs = len(frictions)
+        if runs == 0:
+            raise ConfigError("a batch of 0 runs; accepted: at least one")
+        if controllers is not None and len(controllers) != runs:
+            raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
+        lanes = lanes_for(runs)
+        groups = pack(frictions, self._laws(controllers, runs), lanes)
+        states, motion = groups.states, self.motion
+        states["q"] = (self.initial_position - motion.position[0])[:, None]
+        states["v"] = -motion.velocity[0][:, None]
+        states["excess"] = -self.tables.torque[0][:, None]  # the brakes held the arm until now
+        rows = len(self.nominal_tip)
+        series = Series(*(np.empty((runs, rows, columns)) for columns in (6, 7, 3)))
+        run = run_few if lanes == FEW else run_many
+        ratio = self.setup.rates.ratio
+        run(self.plants, self.tables, self.spacing, ratio, *groups, series)
+        # A lost run may have counted into NaN.
+        saturated = np.nan_to_num(np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs])
+        lost = states["lost"].reshape(-1)[:runs]
+        return PerturbationResult(self, *series, saturated.astype(np.int64), lost.astype(np.bool_))
+
+    def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
+        drives, rates = self.setup.drives, self.setup.rates
+        if controllers is None:
+            return [self.setup.controller.record(drives, rates)] * runs
+        return [controller.record(drives, rates) for controller in controllers]
+
+
+def prepare(
+    setup: Setup,
+    points: TrajectoryPoints,
+    initial_position: ArrayLike,
+    duration: float,
+    start_time: float = 0.0,
+    spacing: float = SPACING,
+) -> PerturbationModel:
+    """Prepare the model of a motion; the arguments mean what they mean to `simulate`.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        points: the trajectory.
+        initial_position: joint positions at rest, rad, shape (6,).
+        duration: simulated time, s.
+        start_time: when the trajectory starts, s.
+        spacing: from one point of the linearisation to the next, s.
+
+    Raises:
+        ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
+            not six numbers within the joint limits.
+        TrajectoryError: if the trajectory is refused.
+    """
+    rates = setup.rates
+    start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
+    if not rates.period <= spacing < np.inf:
+        raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
+    plant, controller = setup.plant(), setup.cs7b()
+    plant.reset(initial_position)
+    encoders = plant.motor_states()[0]
+    controller.reset(encoders)
+    hold = controller.trajectory.setpoints(0)[0, 0]
+    controller.trajectory.accept(points, 0, start)
+    setpoints = controller.trajectory.setpoints(0, -(-ticks // rates.ratio))
+    motion = nominal_motion(points, hold, start * rates.ratio, ticks, rates)
+    slow = motion.position[: -1 : rates.ratio]
+    apart = max(1, round(spacing * rates.base_hz))
+    tables = Tables(
+        position=motion.position,
+        velocity=motion.middle_velocity,
+        torque=nominal_torque(plant.constants, plant.state, motion),
+        slip=motion.slip,
+        coefficients=_coefficients(setup, motion, apart),
+        reference=_motor_side(setup, setpoints),
+        jacobian=np.ascontiguousarray(jacobian(setup.robot.chain, slow)[:, :3]),
+    )
+    tip = forward(setup.robot.chain, slow).position
+    return PerturbationModel(
+        setup, motion, tables, apart, np.array(initial_position, dtype=np.float64), tip, plant.constants
+    )
+
+
+def _coefficients(setup: Setup, motion: NominalMotion, apart: int) -> Array:
+    """Return the coefficients at every `apart`-th tick, one point past the end."""
+    last = len(motion.acceleration) - 1
+    ticks = np.minimum(np.arange(0, last + 2 * apart, apart), last)
+    # After the end the motion is not known; the point there stands in for it.
+    linear = linearise(
+        setup.robot, setup.drives, motion.position[ticks], motion.velocity[ticks], motion.acceleration[ticks]
+    )
+    return linear.for_steps()
+
+
+def _motor_side(setup: Setup, setpoints: Array) -> Array:
+    reference = np.empty_like(setpoints)
+    gear = setup.drives.gear
+    for row, motor in zip(setpoints.reshape(-1, 6), reference.reshape(-1, 6), strict=True):
+        to_motor(gear, row, motor)
+    return reference

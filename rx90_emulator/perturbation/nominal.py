@@ -1,0 +1,90 @@
+"""The nominal motion: the set-points as prescribed motion of the joints, and the torques that it takes."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.rates import Rates
+from rx90_common.kernels.compiled import kernel
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_sim.manipulator import mass_and_bias
+
+Array = NDArray[np.float64]
+Record = NDArray[Any]
+
+
+class NominalMotion(NamedTuple):
+    """A prescribed motion over n base ticks, in steps of constant acceleration between their ends.
+
+    Attributes:
+        position: q0 on ticks, rad, shape (n + 1, 6).
+        velocity: v0 on ticks, rad/s, shape (n + 1, 6).
+        middle_position: q0 in the middle of the steps, rad, shape (n, 6).
+        middle_velocity: v0 there, rad/s, shape (n, 6).
+        acceleration: mean over the steps, rad/s^2, shape (n, 6).
+        slip: by how much a step of constant acceleration falls short of the next position, rad, shape (n, 6).
+    """
+
+    position: Array
+    velocity: Array
+    middle_position: Array
+    middle_velocity: Array
+    acceleration: Array
+    slip: Array
+
+
+def nominal_motion(points: TrajectoryPoints, hold: Array, start: int, ticks: int, rates: Rates) -> NominalMotion:
+    """Return the motion of the set-points on base ticks.
+
+    Args:
+        points: the trajectory, which the controller has accepted.
+        hold: position before it starts, rad, shape (6,).
+        start: base tick at which it starts.
+        ticks: length of the motion in base ticks.
+        rates: rates of the loops.
+    """
+    everywhere = np.full(6, np.inf)
+    # What the controller has accepted between its own ticks is not to be judged again.
+    limits = JointLimits(("",) * 6, -everywhere, everywhere, everywhere, start_tolerance=np.inf)
+    generator = TrajectoryGenerator(limits, rates.period, hold)
+    generator.accept(points, 0, start)
+    position, velocity, _ = np.moveaxis(generator.setpoints(0, ticks + 1), 1, 0)
+    step = rates.period
+    acceleration = np.diff(velocity, axis=0) / step
+    return NominalMotion(
+        position=np.ascontiguousarray(position),
+        velocity=np.ascontiguousarray(velocity),
+        middle_position=position[:-1] + 0.5 * step * (velocity[:-1] + 0.25 * step * acceleration),
+        middle_velocity=0.5 * (velocity[:-1] + velocity[1:]),
+        acceleration=acceleration,
+        slip=np.diff(position, axis=0) - 0.5 * step * (velocity[:-1] + velocity[1:]),
+    )
+
+
+def nominal_torque(plants: Record, states: Record, motion: NominalMotion) -> Array:
+    """Return tau0 = M a0 + h without friction in the middle of the steps, Nm, shape (n, 6).
+
+    Args:
+        plants: constants of the plant, shape (1,), PLANT_DTYPE.
+        states: state of a plant, shape (1,), STATE_DTYPE; its workspace is overwritten.
+        motion: the nominal motion.
+    """
+    torque = np.empty_like(motion.acceleration)
+    _inverse_dynamics(plants, states, motion.middle_position, motion.middle_velocity, motion.acceleration, torque)
+    return torque
+
+
+@kernel
+def _inverse_dynamics(
+    plants: Record, states: Record, position: Array, velocity: Array, acceleration: Array, torque: Array
+) -> None:
+    plant, state = plants[0], states[0]
+    for k in range(len(torque)):
+        mass_and_bias(plant.arm, state.body, position[k], velocity[k], state.mass_matrix, state.bias)
+        for i in range(6):
+            torque[k, i] = state.bias[i]
+            for j in range(6):
+                torque[k, i] += state.mass_matrix[i, j] * acceleration[k, j]

@@ -1,0 +1,200 @@
+"""Runs on all cores of this machine, or on a Dask cluster; in both cases the same chunks of runs."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing as mp
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import lru_cache
+from multiprocessing.connection import wait as wait_for_any
+from typing import Any, NamedTuple
+
+from rx90_emulator.sweep.errors import SweepError
+from rx90_emulator.sweep.sweep import RunOutcome, Sweep
+
+LARGEST_CHUNK = 8
+_CHUNKS_EACH = 32
+_QUEUED_EACH = 3
+_CONNECT_TIMEOUT = 10.0
+_CHATTY = ("distributed", "distributed.client", "tornado.application")
+_KEPT = "what is done is kept, go on with resume (--resume)"
+
+Chunk = Sequence[int]
+Outcomes = list[RunOutcome]
+
+
+class Pool(NamedTuple):
+    """Where chunks of runs are computed.
+
+    Attributes:
+        workers: how many chunks at a time.
+        submit: hands a chunk over.
+    """
+
+    workers: int
+    submit: Callable[[Chunk], Future[Outcomes]]
+
+
+def available_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def run_all(pool: Pool, indices: Sequence[int]) -> Iterator[Outcomes]:
+    """Run runs on a pool; yield the outcomes of a chunk as soon as it is done, in any order."""
+    size = min(LARGEST_CHUNK, max(1, len(indices) // (_CHUNKS_EACH * pool.workers)))
+    chunks = (indices[first : first + size] for first in range(0, len(indices), size))
+    running: set[Future[Outcomes]] = set()
+    exhausted = False
+    while running or not exhausted:
+        while len(running) < _QUEUED_EACH * pool.workers and not exhausted:
+            chunk = next(chunks, None)
+            exhausted = chunk is None
+            if chunk is not None:
+                running.add(pool.submit(chunk))
+        ready, running = wait(running, return_when=FIRST_COMPLETED)
+        for future in ready:
+            yield future.result()
+
+
+@contextmanager
+def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
+    """Offer processes of this machine.
+
+    They are forked from this one, so that they share what it has compiled and planned.
+
+    Raises:
+        SweepError: if one of them dies.
+    """
+    sweep.warm_up()
+    context = mp.get_context("fork")
+    stop = context.RawValue("b", 0)  # without a lock, that a killed worker might keep
+    processes = ProcessPoolExecutor(workers, context, _start_worker, (sweep, stop))
+
+    def submit(chunk: Chunk) -> Future[Outcomes]:
+        with _interrupt_held_back():
+            return processes.submit(_run_in_worker, chunk)
+
+    try:
+        submit([])  # forks before the caller starts any thread
+        yield Pool(workers, submit)
+    except BrokenProcessPool as error:
+        raise SweepError(f"a worker process died, killed or out of memory; {_KEPT}") from error
+    finally:
+        stop.value = 1
+        processes.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interrupt_held_back() -> Iterator[None]:
+    """Fork with Ctrl-C blocked: the terminal sends it to the workers too, and they must overlook it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class _Worker(NamedTuple):
+    """What a worker process has from its parent: the sweep, and a shared number, 1 for leave your chunk."""
+
+    sweep: Sweep
+    stop: Any
+
+
+_worker: list[_Worker] = []
+
+
+def _start_worker(sweep: Sweep, stop: Any) -> None:
+    _worker.append(_Worker(sweep, stop))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = mp.parent_process()
+    if parent is not None:
+        wait_for_any([parent.sentinel])
+        os._exit(1)
+
+
+def _run_in_worker(chunk: Chunk) -> Outcomes:
+    sweep, stop = _worker[0]
+    return [sweep.run(index) for index in chunk if not stop.value]
+
+
+@contextmanager
+def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
+    """Offer the workers of a Dask cluster.
+
+    Raises:
+        SweepError: if the cluster cannot be reached, has no workers, or loses them.
+    """
+    distributed = _distributed()
+    with _quiet_loggers():
+        yield from _cluster(sweep, address, distributed)
+
+
+def _cluster(sweep: Sweep, address: str, distributed: Any) -> Iterator[Pool]:
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:  # TimeoutError is an OSError
+        raise SweepError(f"no Dask scheduler answers at {address} ({_one_line(error)})") from error
+    try:
+        workers = sum(client.ncores().values())
+        if not workers:
+            raise SweepError(f"the Dask scheduler at {address} has no workers; accepted: at least one")
+        executor = client.get_executor(pure=False)
+        payload = pickle.dumps(sweep)
+        yield Pool(workers, lambda chunk: executor.submit(_run_on_cluster, payload, chunk))
+    except (distributed.KilledWorker, CancelledError, OSError) as error:
+        raise SweepError(f"the Dask cluster at {address} failed ({_one_line(error)}); {_KEPT}") from error
+    except ImportError as error:
+        raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
+    finally:
+        client.close()
+
+
+def _distributed() -> Any:
+    try:
+        import distributed  # an extra that only this needs
+    except ImportError as error:
+        raise SweepError("Dask is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+    return distributed
+
+
+@contextmanager
+def _quiet_loggers() -> Iterator[None]:
+    """Keep Dask's own tracebacks of a lost connection off the terminal; the sweep says it in one line."""
+    loggers = [logging.getLogger(name) for name in _CHATTY]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
+
+
+@lru_cache(maxsize=2)
+def _received(payload: bytes) -> Sweep:
+    sweep: Sweep = pickle.loads(payload)
+    sweep.check_sources()
+    sweep.warm_up()
+    return sweep
+
+
+def _run_on_cluster(payload: bytes, chunk: Chunk) -> Outcomes:
+    sweep = _received(payload)
+    return [sweep.run(index) for index in chunk]
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

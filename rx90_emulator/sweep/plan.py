@@ -1,0 +1,192 @@
+"""What a sweep consists of: blocks of runs, each the product of a grid and of random draws."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.base.share import config_path
+from rx90_emulator.loop.setup import SetupFiles
+from rx90_emulator.sweep.spaces import Distribution, Values
+
+MOST_RUNS = 10_000_000
+LARGEST_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One swept quantity.
+
+    Attributes:
+        name: of its column.
+        paths: what it sets (see `rx90_emulator.sweep.catalogue`); all of them to the same value.
+        factor: whether the value multiplies what the files have, or replaces it.
+        space: where its values come from: a list in a grid, a distribution in random draws.
+        each: whether every place that a `*` stands for is a parameter of its own, drawn on its own.
+    """
+
+    name: str
+    paths: tuple[str, ...]
+    factor: bool
+    space: Values | Distribution
+    each: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.paths:
+            raise ConfigError(f"parameter '{self.name}' has no paths; accepted: at least one")
+        if self.each and isinstance(self.space, Values):
+            raise ConfigError(f"parameter '{self.name}' of a grid has each; accepted: in random draws only")
+
+
+@dataclass(frozen=True)
+class Block:
+    """All combinations of the grid's values, each with the same random draws.
+
+    The draws vary slowest and are shared by the grid's points, so that the points can be compared on the same
+    random robots, and more draws leave the runs of the first ones as they are.
+
+    Attributes:
+        name: stands in the results; the draws depend on it and not on the block's place.
+        grid: parameters with lists of values, the last one varying fastest.
+        random: parameters with distributions.
+        draws: how often the random ones are drawn; 1 without any.
+    """
+
+    name: str
+    grid: tuple[Parameter, ...] = ()
+    random: tuple[Parameter, ...] = ()
+    draws: int = 1
+
+    def __post_init__(self) -> None:
+        if self.draws < 1:
+            raise ConfigError(f"draws is {self.draws}; accepted: an integer >= 1")
+        if self.draws > 1 and not self.random:
+            raise ConfigError(f"draws is {self.draws} without random parameters; accepted: parameters to draw")
+        names = [parameter.name for parameter in (*self.grid, *self.random)]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"the parameter '{name}' stands twice; accepted: once in a block")
+        for parameter in self.grid:
+            if not isinstance(parameter.space, Values):
+                raise ConfigError(f"'{parameter.name}' of a grid is drawn; accepted: a list of values")
+        for parameter in self.random:
+            if isinstance(parameter.space, Values):
+                raise ConfigError(f"'{parameter.name}' of the random draws is a list; accepted: a distribution")
+
+    @property
+    def points(self) -> int:
+        """Return the number of points of the grid."""
+        return math.prod(len(p.space.values) for p in self.grid if isinstance(p.space, Values))
+
+    @property
+    def runs(self) -> int:
+        """Return the number of runs."""
+        return self.points * self.draws
+
+
+@dataclass(frozen=True)
+class SweepBase:
+    """What every run starts from.
+
+    Attributes:
+        files: robot, tool, drives, friction and controller.
+        task: the task file.
+        rates: of the loops.
+        substeps: plant steps in a tick.
+    """
+
+    files: SetupFiles = field(default_factory=SetupFiles)
+    task: Path = field(default_factory=lambda: config_path("task/reference_line.yaml"))
+    rates: Rates = field(default_factory=Rates)
+    substeps: int = 1
+
+    def hashes(self) -> dict[str, dict[str, str] | None]:
+        """Return name and SHA-256 of each file by its role.
+
+        Raises:
+            ConfigError: if one cannot be read.
+        """
+        paths = {
+            **{role: getattr(self.files, role) for role in self.files.__dataclass_fields__},
+            "task": self.task,
+        }
+        return {role: None if path is None else _named_hash(path) for role, path in paths.items()}
+
+
+def _named_hash(path: Path) -> dict[str, str]:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
+    return {"name": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+
+
+@dataclass(frozen=True)
+class SweepPlan:
+    """A sweep as it is asked for; its runs are the blocks' runs, one block after the other.
+
+    Attributes:
+        blocks: at least one.
+        seed: of all random draws.
+        base: what every run starts from.
+
+    Raises:
+        ConfigError: naming the value and what is accepted.
+    """
+
+    blocks: tuple[Block, ...]
+    seed: int = 0
+    base: SweepBase = field(default_factory=SweepBase)
+
+    def __post_init__(self) -> None:
+        if not self.blocks:
+            raise ConfigError("the sweep has no blocks; accepted: at least one")
+        if not 0 <= self.seed <= LARGEST_SEED:
+            raise ConfigError(f"seed is {self.seed}; accepted: an integer in [0, {LARGEST_SEED}]")
+        names = [block.name for block in self.blocks]
+        for name in names:
+            if names.count(name) > 1:
+                raise ConfigError(f"the block '{name}' stands twice; accepted: names that differ")
+        if self.runs > MOST_RUNS:
+            raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
+
+    @property
+    def runs(self) -> int:
+        """Return the number of runs."""
+        return sum(block.runs for block in self.blocks)
+
+    def description(self) -> dict[str, Any]:
+        """Return everything that decides the results, as data for JSON: the files by their content."""
+        return {
+            "seed": self.seed,
+            "base_rate": self.base.rates.base_hz,
+            "position_rate": self.base.rates.position_hz,
+            "substeps": self.base.substeps,
+            "files": self.base.hashes(),
+            "blocks": [_block_description(block) for block in self.blocks],
+        }
+
+
+def _block_description(block: Block) -> dict[str, Any]:
+    parts = {"grid": block.grid, "random": block.random}
+    described = {name: [_parameter_description(p) for p in parameters] for name, parameters in parts.items()}
+    return {"name": block.name, **described, "draws": block.draws}
+
+
+def _parameter_description(parameter: Parameter) -> dict[str, Any]:
+    data = asdict(parameter)
+    data["space"] = {type(parameter.space).__name__.lower(): data["space"]}
+    return data
+
+
+def plan_hash(description: dict[str, Any]) -> str:
+    """Return the SHA-256 of a plan's description; the files count by their content alone."""
+    files = {role: entry and entry["sha256"] for role, entry in description["files"].items()}
+    text = json.dumps({**description, "files": files}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

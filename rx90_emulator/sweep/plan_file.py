@@ -1,0 +1,179 @@
+"""Read a sweep's plan from a YAML file.
+
+seed: 1                          of all random draws; 0 if left out
+base:                            what every run starts from; the shipped files if left out
+  task: task/reference_line.yaml     also urdf, tool, drives, friction, controller: a file beside the
+                                     plan, from the working folder, or shipped
+  base_rate: 4000                    also position_rate, substeps
+blocks:                          their runs follow each other
+  any_name:
+    grid:                        all combinations, and each with all the draws
+      friction.*.c0:                 a path of rx90_emulator.sweep.catalogue, or a name with paths: [...]
+        factor: [0.5, 1.0, 2.0]          factor times the file's number, or value instead of it; also
+                                         {linspace: [start, stop, count]}, {geomspace: ...}
+    random:
+      drives.rotor_inertia[*]:
+        factor: {uniform: [0.9, 1.1]}    also {loguniform: [low, high]} and
+                                         {normal: {mean: x, deviation: x, low: x, high: x}}
+        each: true                       each place of the * is drawn on its own
+    draws: 100
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.base.share import resolve_config
+from rx90_emulator.loop.setup import SetupFiles
+from rx90_emulator.sweep.catalogue import Value
+from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, Parameter, SweepBase, SweepPlan
+from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
+
+_Thing = TypeVar("_Thing")
+_FILES = ("urdf", "tool", "drives", "friction", "controller")
+_SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"
+_DRAWN = (
+    "{uniform: [low, high]}, {loguniform: [low, high]} or "
+    "{normal: {mean: x, deviation: x, low: x, high: x}} (the bounds may be left out)"
+)
+
+
+def load_plan(path: Path) -> SweepPlan:
+    """Read a plan.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+    """
+    root = _PlanSection.load(path)
+    base = _base(root.section("base")) if "base" in root else SweepBase()
+    seed = root.integer("seed", 0, LARGEST_SEED) if "seed" in root else 0
+    blocks = root.section("blocks")
+    if not list(blocks):
+        root.refuse("blocks", {}, "at least one block")
+    plan = _built(root, "blocks", lambda: SweepPlan(tuple(_block(blocks, name) for name in blocks), seed, base))
+    root.finish()
+    return plan
+
+
+class _PlanSection(Section):
+    """A section that also holds lists of any length."""
+
+    @classmethod
+    def load(cls, path: Path) -> _PlanSection:
+        return cls(load_yaml(path)._data, path)
+
+    def section(self, key: str) -> _PlanSection:
+        """Return the mapping under `key`."""
+        inner = super().section(key)
+        return _PlanSection(inner._data, self.file, inner.path)
+
+    def listed(self, key: str, accepted: str) -> list[Any]:
+        """Return the list under `key`."""
+        value = self._get(key, accepted)
+        if not isinstance(value, list):
+            self.refuse(key, value, accepted)
+        return list(value)
+
+
+def _base(section: _PlanSection) -> SweepBase:
+    files = {role: _file(section, role) for role in (*_FILES, "task") if role in section}
+    task = {"task": files.pop("task")} if "task" in files else {}
+    base_hz = section.integer("base_rate", 1, 10**9) if "base_rate" in section else Rates.base_hz
+    position_hz = section.integer("position_rate", 1, 10**9) if "position_rate" in section else Rates.position_hz
+    substeps = section.integer("substeps", 1, 1000) if "substeps" in section else 1
+    rates = _built(section, "base_rate", lambda: Rates(base_hz, position_hz))
+    section.finish()
+    return SweepBase(SetupFiles(**files), rates=rates, substeps=substeps, **task)
+
+
+def _file(section: _PlanSection, role: str) -> Path:
+    """Return a file's path: beside the plan, from the working folder, or shipped."""
+    name = section.text(role)
+    beside = section.file.parent / name
+    return beside if beside.is_file() else _built(section, role, lambda: resolve_config(name))
+
+
+def _block(blocks: _PlanSection, name: str) -> Block:
+    section = blocks.section(name)
+    parts: dict[str, tuple[Parameter, ...]] = {}
+    for part, read in (("grid", _grid_space), ("random", _random_space)):
+        if part in section:
+            inner = section.section(part)
+            if not list(inner):
+                section.refuse(part, {}, "at least one parameter")
+            parts[part] = tuple(_parameter(inner, key, read) for key in inner)
+    if not parts:
+        blocks.refuse(name, {}, "a block with grid, random or both")
+    draws = 1
+    if "random" in section or "draws" in section:
+        draws = section.integer("draws", 1, MOST_RUNS)
+    section.finish()
+    return _built(blocks, name, lambda: Block(name, draws=draws, **parts))
+
+
+def _parameter(part: _PlanSection, name: str, read: Callable[[_PlanSection, str], Values | Distribution]) -> Parameter:
+    section = part.section(name)
+    paths = tuple(section.listed("paths", "a list of paths")) if "paths" in section else (name,)
+    for path in paths:
+        if not isinstance(path, str):
+            section.refuse("paths", path, "texts, such as friction.joint_2.c0")
+    modes = [mode for mode in ("value", "factor") if mode in section]
+    if len(modes) != 1:
+        part.refuse(name, " and ".join(modes) or "neither value nor factor", "one of value and factor")
+    each = section.boolean("each") if "each" in section else False
+    space = _built(section, modes[0], lambda: read(section, modes[0]))
+    section.finish()
+    return _built(part, name, lambda: Parameter(name, paths, modes[0] == "factor", space, each))
+
+
+def _grid_space(section: _PlanSection, key: str) -> Values:
+    if not section.holds_mapping(key):
+        return Values(tuple(_value(section, key, value) for value in section.listed(key, _SPACES)))
+    inner = section.section(key)
+    kinds: dict[str, Callable[..., Values]] = {"linspace": Values.linspace, "geomspace": Values.geomspace}
+    kind = _only(section, key, inner, kinds, _SPACES)
+    return kinds[kind](*inner.numbers(kind, 3))
+
+
+def _random_space(section: _PlanSection, key: str) -> Distribution:
+    if not section.holds_mapping(key):
+        section.refuse(key, section.listed(key, _DRAWN), _DRAWN)
+    inner = section.section(key)
+    kind = _only(section, key, inner, ("uniform", "loguniform", "normal"), _DRAWN)
+    if kind != "normal":
+        low, high = inner.numbers(kind, 2)
+        return Uniform(low, high) if kind == "uniform" else LogUniform(low, high)
+    normal = inner.section(kind)
+    bounds = {side: normal.number(side) for side in ("low", "high") if side in normal}
+    distribution = Normal(normal.number("mean"), normal.number("deviation"), **bounds)
+    normal.finish()
+    return distribution
+
+
+def _only(section: _PlanSection, key: str, inner: _PlanSection, kinds: Any, accepted: str) -> str:
+    found = list(inner)
+    if len(found) != 1 or found[0] not in kinds:
+        section.refuse(key, ", ".join(found), accepted)
+    return found[0]
+
+
+def _value(section: _PlanSection, key: str, value: Any) -> Value:
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        section.refuse(key, value, "finite numbers, or true and false")
+    return value if isinstance(value, bool) else float(value)
+
+
+def _built(section: Section, key: str, build: Callable[[], _Thing]) -> _Thing:
+    """Build something; let a refusal that does not name the file yet name file and key."""
+    try:
+        return build()
+    except ConfigError as error:
+        if str(error).startswith(str(section.file)):
+            raise
+        raise ConfigError(f"{section.where(key)}: {error}") from error

@@ -1,0 +1,202 @@
+"""Where results are kept while a sweep runs, so that an end at any moment leaves what is done readable.
+
+Finished runs go to small Parquet files in a folder `FILE.parts`, each renamed into its place when complete.
+The end of a sweep, also by Ctrl-C, gathers them into the one file. A killed sweep leaves the folder, which
+pandas and pyarrow read as it is (`pandas.read_parquet("FILE.parts")`) and which a resumed sweep takes up.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from rx90_emulator.sweep.errors import SweepError
+from rx90_emulator.sweep.sweep import RunOutcome, Sweep
+from rx90_emulator.sweep.table import about, read_table, schema_of, table_of
+
+# A part is written after this long, s, or after this share of the time so far: never more is lost, and the
+# number of parts grows with the logarithm of the time.
+_FLUSH_AFTER = 1.0
+_FLUSH_SHARE = 0.01
+
+
+def parts_folder(file: Path) -> Path:
+    """Return the folder in which an unfinished sweep keeps its results."""
+    return file.with_name(file.name + ".parts")
+
+
+def read_results(file: Path) -> pa.Table:
+    """Return the results of a sweep, finished or not, sorted by the run's index.
+
+    Raises:
+        SweepError: if there are none, or they cannot be read.
+    """
+    sources = _sources(file)
+    if not sources:
+        raise SweepError(f"{file} does not exist; accepted: a result of rx90_sweep run")
+    tables = [_read_source(source, file) for source in sources]
+    identities = {about(t.schema, s)["identity"] for t, s in zip(tables, sources, strict=True)}
+    if len(identities) > 1:
+        raise SweepError(f"{file} and {parts_folder(file)} hold results of different plans")
+    table = pa.concat_tables(tables)
+    # A kill between gathering the parts and removing them leaves runs twice.
+    _, first = np.unique(table["index"].to_numpy(), return_index=True)
+    return table.take(pa.array(first)).combine_chunks()
+
+
+def _read_source(source: Path, file: Path) -> pa.Table:
+    try:
+        return read_table(source)
+    except SweepError as error:
+        if source == file:
+            raise
+        raise SweepError(f"{error}; accepted: remove this part, resume (--resume) computes its runs again") from error
+
+
+def _sources(file: Path) -> list[Path]:
+    parts = sorted(parts_folder(file).glob("part-*.parquet"))
+    return [file, *parts] if file.is_file() else parts
+
+
+class ResultStore:
+    """The results of a sweep that is running.
+
+    Attributes:
+        file: the Parquet file that the end of the sweep writes.
+        done: for each run whether its result is there, shape (runs,).
+    """
+
+    def __init__(self, file: Path, sweep: Sweep, *, resume: bool = False) -> None:
+        """Take up a result, or begin one.
+
+        Raises:
+            SweepError: if a result is in the way, or is not one of this sweep, or cannot be written.
+        """
+        self.file = file
+        self.done: NDArray[np.bool_] = np.zeros(len(sweep), dtype=np.bool_)
+        self._sweep = sweep
+        self._schema = schema_of(sweep)
+        self._parts = parts_folder(file)
+        if file.is_dir():
+            raise SweepError(f"{file} is a folder; accepted: a file")
+        if not resume:
+            self._refuse_existing()
+        if _sources(file):
+            self._take_up()
+        self._lock = self._open_folder()
+        self._waiting: list[RunOutcome] = []
+        numbers = [int(part.stem.removeprefix("part-")) for part in self._parts.glob("part-*.parquet")]
+        self._number = max(numbers, default=-1) + 1
+        self._began = self._flushed = time.monotonic()
+
+    def _refuse_existing(self) -> None:
+        if _sources(self.file):
+            found = self.file if self.file.exists() else self._parts
+            raise SweepError(f"{found} exists; accepted: another output, or resume (--resume) to compute what it lacks")
+
+    def _take_up(self) -> None:
+        table = read_results(self.file)
+        there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
+        for key, what in (
+            ("identity", "plan"),
+            ("sources", "version of the sources"),
+            ("versions", "set of versions"),
+        ):
+            if there[key] != own[key]:
+                raise SweepError(
+                    f"{self.file} has another {what} ({_difference(there[key], own[key])}); accepted: the "
+                    "same, or another output"
+                )
+        self.done[table["index"].to_numpy()] = True
+
+    def _open_folder(self) -> int:
+        path = self._parts / ".lock"
+        try:
+            self._parts.mkdir(exist_ok=True)
+            lock = os.open(path, os.O_CREAT | os.O_RDWR)
+        except OSError as error:
+            raise SweepError(f"{self._parts} cannot be written ({error.strerror})") from error
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # A sweep that ended between the two calls has taken the folder away, and this lock with it.
+            if not os.path.samestat(path.stat(), os.fstat(lock)):
+                raise FileNotFoundError(path)
+        except (BlockingIOError, FileNotFoundError) as error:
+            os.close(lock)
+            raise SweepError(f"another sweep is writing to {self.file}; accepted: one at a time") from error
+        return lock
+
+    def __enter__(self) -> ResultStore:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Gather what is done into the file, whatever ended the sweep."""
+        try:
+            self.flush()
+            self._gather()
+        finally:
+            os.close(self._lock)
+
+    def add(self, outcomes: Iterable[RunOutcome]) -> None:
+        """Keep the outcomes of some runs; they are on disk after a second or so."""
+        for outcome in outcomes:
+            self._waiting.append(outcome)
+            self.done[outcome.run.index] = True
+        now = time.monotonic()
+        if now - self._flushed >= max(_FLUSH_AFTER, _FLUSH_SHARE * (now - self._began)):
+            self.flush()
+            self._flushed = now
+
+    def flush(self) -> None:
+        """Write what was added since the last time."""
+        if self._waiting:
+            table = table_of(self._sweep, self._schema, self._waiting)
+            self._write(table, self._parts / f"part-{self._number:06d}.parquet")
+            self._number += 1
+            self._waiting = []
+
+    def _gather(self) -> None:
+        if any(self._parts.glob("part-*.parquet")):
+            self._write(read_results(self.file).replace_schema_metadata(self._schema.metadata), self.file)
+        try:
+            shutil.rmtree(self._parts)
+        except OSError as error:
+            raise SweepError(
+                f"{self._parts} cannot be removed ({error.strerror}); its runs are in {self.file}"
+            ) from error
+
+    def _write(self, table: pa.Table, target: Path) -> None:
+        # Readers of the folder overlook names that begin with a dot.
+        temporary = self._parts / f".{target.name}"
+        try:
+            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
+            with temporary.open("rb") as stream:
+                os.fsync(stream.fileno())
+            temporary.replace(target)
+        except OSError as error:
+            raise SweepError(f"{target} cannot be written ({error.strerror})") from error
+
+
+def _difference(there: object, own: object) -> str:
+    if isinstance(there, dict) and isinstance(own, dict):
+        keys = [key for key in own if own[key] != there.get(key)]
+        return ", ".join(f"{key} {there.get(key)} instead of {own[key]}" for key in keys)
+    return f"{str(there)[:12]} instead of {str(own)[:12]}"
+
+
+def failures(table: pa.Table) -> int:
+    """Return how many of the runs in a table ended in an error."""
+    return int(pc.sum(pc.is_valid(table["error"])).as_py() or 0)

@@ -1,0 +1,153 @@
+"""A plan made ready to run: files read, paths checked, the line planned once."""
+
+from __future__ import annotations
+
+import platform
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rx90_common.base.errors import ConfigError
+from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.task_run import line_points
+from rx90_emulator.sweep.application import apply
+from rx90_emulator.sweep.catalogue import Catalogue, Value
+from rx90_emulator.sweep.errors import SweepError
+from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
+from rx90_emulator.sweep.plan import SweepPlan, plan_hash
+from rx90_emulator.sweep.provenance import run_hash, versions
+from rx90_emulator.sweep.runs import RunDescription, RunList
+
+PLANNED_LINES = 64
+RUN_COLUMNS = ("index", "block", "seed", "error")
+"""Columns of the results beside parameters and metrics."""
+
+
+class RunOutcome(NamedTuple):
+    """What came of a run: its metrics, or the error that ended it."""
+
+    run: RunDescription
+    metrics: tuple[float | int, ...] | None
+    error: str | None
+
+
+class _Motion(NamedTuple):
+    points: TrajectoryPoints
+    start_pose: np.ndarray[Any, Any]
+    duration: float
+
+
+class Sweep:
+    """A plan over the files that it names.
+
+    It can be sent to other processes and machines, which then need none of the files.
+
+    Attributes:
+        plan: what was asked for.
+        setup: the base of every run.
+        task: its task.
+        runs: the runs, by their index.
+        metrics: what is measured, in the order of `RunOutcome.metrics`.
+        description: what decides the results, as data for JSON.
+        identity: hash of the description.
+        versions: of the interpreter and the libraries.
+        sources: hash of the emulator's sources.
+    """
+
+    def __init__(self, plan: SweepPlan) -> None:
+        """Read the files and check the plan against them.
+
+        Raises:
+            ConfigError, LineError: naming file or parameter, value and what is accepted.
+        """
+        self.plan = plan
+        self.description = plan.description()
+        self.identity = plan_hash(self.description)
+        self.versions = versions()
+        self.sources = run_hash()
+        self.setup = Setup.load(plan.base.files, plan.base.rates)
+        self.task = load_task(plan.base.task)
+        self.metrics: tuple[Metric, ...] = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
+        self.runs = RunList(plan, Catalogue(self.setup, self.task))
+        self._check_names()
+        self._prepare()
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def _check_names(self) -> None:
+        taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
+        for column in self.runs.columns:
+            if column.name in taken:
+                raise ConfigError(f"a parameter has the name '{column.name}' of a result; accepted: another name")
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_motion"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        robot, period = self.setup.robot, self.setup.rates.position_period
+
+        # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
+        @lru_cache(maxsize=PLANNED_LINES)
+        def motion(task: LineTask) -> _Motion:
+            plan = plan_line(robot, task, period)
+            return _Motion(line_points(plan), plan.start_pose, plan.duration)
+
+        self._motion = motion
+
+    def warm_up(self) -> None:
+        """Compile, or load, every kernel that a run calls, and plan the line of the task.
+
+        Raises:
+            LineError: if the arm cannot travel the line of the plan's own task.
+        """
+        motion = self._motion(self.task)
+        period = self.setup.rates.position_period
+        simulate(self.setup, motion.points, motion.start_pose, period, substeps=self.plan.base.substeps)
+
+    def simulate(self, run: RunDescription) -> RunResult:
+        """Run one run through the closed loop and return all of it.
+
+        Raises:
+            Rx90Error: whatever ends it.
+        """
+        return self._simulate(run)[1]
+
+    def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
+        setup, task = apply(self.setup, self.task, self.runs.changes(run))
+        motion = self._motion(task)
+        substeps = self.plan.base.substeps
+        return task, simulate(setup, motion.points, motion.start_pose, motion.duration, substeps=substeps)
+
+    def run(self, index: int) -> RunOutcome:
+        """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
+        run = self.runs.describe(index)
+        try:
+            with np.errstate(all="ignore"):  # a diverging run says so itself
+                return RunOutcome(run, measure(*self._simulate(run)), None)
+        except Exception as error:  # the sweep goes on whatever a value has led to
+            return RunOutcome(run, None, " ".join(f"{type(error).__name__}: {error}".split()))
+
+    def values(self, run: RunDescription) -> tuple[Value | None, ...]:
+        """Return a run's value for each of `runs.columns`; None where its block leaves it as in the files."""
+        given = dict(run.values)
+        return tuple(given.get(column.name) for column in self.runs.columns)
+
+    def check_sources(self) -> None:
+        """Check that this process runs the sources that the sweep was made with.
+
+        Raises:
+            SweepError: if not; the results would not belong together.
+        """
+        here = run_hash()
+        if here != self.sources:
+            raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")

@@ -1,1 +1,0 @@
-"""From recorded bags to the friction parameters of a robot, with their uncertainty and a cross-check."""

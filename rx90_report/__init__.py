@@ -1,1 +1,0 @@
-"""What every HTML report of the suite shares: the look of its plots."""

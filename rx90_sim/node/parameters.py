@@ -1,0 +1,102 @@
+"""The simulation node's parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rclpy.node import Node
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_common.base.share import resolve_config
+from rx90_common.description.drives import load_drives
+from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.exchange.node_tools import declare
+from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
+from rx90_common.friction import load_friction
+from rx90_sim.plant import Plant
+
+
+@dataclass(frozen=True)
+class SimulationParameters:
+    """What the node was asked for; see the descriptors in `read_parameters`."""
+
+    rates: Rates
+    joint_state_rate: int
+    clock_rate: int
+    time_mode: str
+    real_time_factor: float
+    command_timeout: float
+    initial_position: tuple[float, ...]
+    duration: float
+    paused: bool
+    substeps: int
+
+    def __post_init__(self) -> None:
+        if self.time_mode not in TIME_MODES:
+            raise ConfigError(f"parameter time_mode is '{self.time_mode}'; accepted: {', '.join(TIME_MODES)}")
+        if len(self.initial_position) != 6:
+            raise ConfigError(
+                f"parameter initial_position has {len(self.initial_position)} numbers; accepted: six, rad"
+            )
+
+    @property
+    def last_tick(self) -> int | None:
+        """Return the tick at which the run ends, None for a run without end."""
+        return round(self.duration * self.rates.base_hz) if self.duration > 0 else None
+
+
+def read_parameters(node: Node) -> SimulationParameters:
+    """Declare and read the node's parameters.
+
+    Raises:
+        ConfigError: naming parameter, value and accepted range.
+    """
+    base = declare(node, "base_rate", 4000, "rate of the plant and of the exchange with the controller, Hz",
+                   low=100, high=20000)  # fmt: skip
+    position = declare(node, "position_rate", 1000, "rate of the controller's position loop, Hz", low=10, high=20000)
+    return SimulationParameters(
+        rates=Rates(base, position),
+        joint_state_rate=declare(
+            node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
+        ),
+        clock_rate=declare(node, "clock_rate", 50, "rate of /clock, Hz", low=1, high=20000),
+        time_mode=declare(
+            node, "time_mode", LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock"
+        ),
+        real_time_factor=declare(
+            node, "real_time_factor", 1.0, "pace in lock_step, 0 for as fast as it goes", low=0.0, high=1000.0
+        ),
+        command_timeout=declare(
+            node, "command_timeout", 0.02, "free_running: age of a command from which the brakes close, s",
+            low=0.0, high=10.0,
+        ),
+        initial_position=tuple(
+            declare(node, "initial_position", [0.0] * 6, "joint positions at the start and after a reset, rad")
+        ),
+        duration=declare(node, "duration", 0.0, "simulated time after which the node ends, s; 0: never",
+                         low=0.0, high=1e9),
+        paused=declare(node, "paused", False, "begin with time standing still"),
+        substeps=declare(node, "substeps", 1, "steps of the plant in a tick", low=1, high=1000),
+    )  # fmt: skip
+
+
+def build_plant(node: Node, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
+    """Read the robot's files and put the arm at its initial position.
+
+    Raises:
+        ConfigError: naming file, key, value and accepted range.
+    """
+    tool = declare(node, "tool", "robot/tool_laser_head.yaml", "tool file, shipped or your own; none: no tool")
+    urdf = declare(node, "urdf", "robot/rx90b.urdf", "URDF of the arm, shipped or your own")
+    robot = load_robot(resolve_config(urdf), None if tool == "none" else resolve_config(tool))
+    drives = load_drives(resolve_config(declare(node, "drives", "robot/drives.yaml", "drives file")))
+    friction = load_friction(
+        resolve_config(declare(node, "friction", "robot/friction.yaml", "friction file")), robot.joint_names
+    )
+    for line in friction.passivity_warnings(robot.max_velocity.tolist()):
+        node.get_logger().warning(line)
+    plant = Plant(robot, drives, friction, parameters.rates, parameters.substeps)
+    plant.reset(parameters.initial_position)
+    plant.warm_up()
+    return robot, plant

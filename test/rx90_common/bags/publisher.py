@@ -1,0 +1,70 @@
+"""Publish all topics of the suite as its nodes do, with numbers of the tick: `publisher.py DEPTH`.
+
+Every line on standard input, `TICKS RATE`, makes it publish ticks at a rate in Hz (0: as fast as it goes)
+once it has a subscriber; it prints where it is and `done` behind each, and ends with its input.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from rx90_common.exchange.environment import prepare
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+
+FAST = ("motor_states", "motor_commands")
+SLOW = ("joint_states", "friction_states", "rx90_controller/reference", "rx90_controller/tracking_error")
+TICK_NS = 250_000
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+
+
+def main() -> None:
+    """Publish on demand."""
+    prepare()
+    rclpy.init()
+    node = rclpy.create_node("publisher")
+    qos = QoSProfile(depth=int(sys.argv[1]))
+    publishers = {topic: node.create_publisher(JointState, topic, qos) for topic in (*FAST, *SLOW)}
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    trajectory = node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", qos)
+    fast = [publishers[topic].publish for topic in FAST]
+    slow = [publishers[topic].publish for topic in SLOW]
+    print("there", flush=True)
+    tick = 0
+    for line in sys.stdin:
+        ticks, rate = map(int, line.split())
+        while not any(publisher.get_subscription_count() for publisher in publishers.values()):
+            time.sleep(0.01)
+        message = JointTrajectory(joint_names=list(NAMES))
+        message.header.stamp.nanosec = 100_000_000
+        trajectory.publish(message)
+        publish(range(tick, tick + ticks), rate, fast, slow)
+        tick += ticks
+        print("done", flush=True)
+
+
+def publish(ticks: range, rate: int, fast: list[Callable[[bytes], None]], slow: list[Callable[[bytes], None]]) -> None:
+    """Publish these ticks."""
+    codec = JointStateCodec(NAMES)
+    start = time.monotonic()
+    for tick in ticks:
+        if rate:
+            time.sleep(max(0.0, start + (tick - ticks.start) / rate - time.monotonic()))
+        values = np.sin(np.arange(6) + 0.001 * tick)
+        raw = codec.encode(tick * TICK_NS, values, -values, 2 * values)
+        for send in fast if tick % 4 else fast + slow:
+            send(raw)
+        if tick % 500 == 0:
+            print(f"at {tick}", flush=True)
+
+
+main()

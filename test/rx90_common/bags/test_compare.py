@@ -1,0 +1,307 @@
+"""The verdict on two bags, and its figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_making import NAMES, ROS1, STORAGES, joint_state, series, write_ros1, write_ros2
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rx90_common.bags.comparison import Scope, TopicComparison, Verdict, compare_series
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.tolerance import Tolerances, parse_rule
+from rx90_common.bags.writing import write_joint_states
+from rx90_emulator.cli.bag import main
+
+
+def compared(a: JointSeries, b: JointSeries, *rules: str, **scope: Any) -> TopicComparison:
+    """Compare two series with tolerances as on the command line."""
+    return compare_series(a, b, Tolerances(map(parse_rule, rules)), Scope(**scope))
+
+
+def changed(source: JointSeries, row: int, column: int, value: float, field: str = "position") -> JointSeries:
+    """Return a copy in which one number is another."""
+    values = source.fields[field].copy()
+    values[row, column] = value
+    return replace(source, **{field: values})
+
+
+def joined(*parts: JointSeries) -> JointSeries:
+    """Return the messages of several series one after the other."""
+    fields = {f: np.concatenate([p.fields[f] for p in parts]) for f in parts[0].fields}
+    return JointSeries(parts[0].topic, parts[0].names, np.concatenate([p.stamp_ns for p in parts]), **fields)
+
+
+def value_of(result: TopicComparison, joint: str, field: str) -> Any:
+    """Return the difference of a joint's field."""
+    return next(v for v in result.values if (v.joint, v.field) == (joint, field))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.permutations(range(3)), st.integers(0, 19), st.integers(0, 2), st.floats(1e-12, 1e3), st.data())
+def test_one_change_is_found(order: list[int], row: int, column: int, step: float, data: Any) -> None:
+    """In any order of joints and messages, one changed number gives its distance, its time and its RMS."""
+    field = data.draw(st.sampled_from(["position", "velocity", "effort"]))
+    a = series()
+    b = changed(a, row, column, a.fields[field][row, column] + step, field)
+    distance = abs(b.fields[field][row, column] - a.fields[field][row, column])
+    b = b.select([NAMES[i] for i in order]).take(np.array(data.draw(st.permutations(range(20)))))
+    result = compared(a, b)
+    found = value_of(result, NAMES[column], field)
+    assert found.maximum == distance
+    assert found.rms == pytest.approx(distance / math.sqrt(20))
+    assert found.beyond == 1
+    assert found.at_ns == a.stamp_ns[row]
+    assert result.verdict is Verdict.DIFFERS
+    assert all(v.maximum == 0 and not v.beyond for v in result.values if v is not found)
+    assert compared(a, b, f"{field}={float(distance)!r}").verdict is Verdict.SAME
+    assert compared(a, b, f"{field}={float(np.nextafter(distance, 0))!r}").verdict is Verdict.DIFFERS
+
+
+def test_rms_and_maximum_of_all_rows() -> None:
+    """Maximum and RMS of random differences are those of the plain formulas."""
+    a, b = series(500, seed=1), series(500, seed=2)
+    result = compared(a, b)
+    for field, values in a.fields.items():
+        distance = values - b.fields[field]
+        for column, joint in enumerate(NAMES):
+            found = value_of(result, joint, field)
+            assert found.maximum == np.abs(distance[:, column]).max()
+            assert found.at_ns == a.stamp_ns[np.abs(distance[:, column]).argmax()]
+            assert found.rms == pytest.approx(np.sqrt(np.mean(distance[:, column] ** 2)), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "exact", "within_1"),
+    [
+        (math.nan, math.nan, "same", "same"),
+        (math.inf, math.inf, "same", "same"),
+        (0.0, -0.0, "differs", "same"),
+        (1.0, np.nextafter(1.0, 2.0), "differs", "same"),
+        (math.nan, 0.0, "differs", "differs"),
+        (math.inf, -math.inf, "differs", "differs"),
+        (math.inf, 1.0, "differs", "differs"),
+        (1.5e308, -1.5e308, "differs", "differs"),
+    ],
+)
+def test_special_numbers(one: float, other: float, exact: str, within_1: str) -> None:
+    """NaN and infinity equal only themselves, and without a tolerance every bit counts."""
+    a, b = changed(series(), 3, 1, one), changed(series(), 3, 1, other)
+    for x, y in ((a, b), (b, a)):
+        assert compared(x, y).verdict.name.lower() == exact
+        assert compared(x, y, "position=1").verdict.name.lower() == within_1
+        found = value_of(compared(x, y), NAMES[1], "position")
+        assert math.isfinite(found.maximum)
+        assert math.isfinite(found.rms)
+
+
+def test_missing_messages() -> None:
+    """A stamp missing inside the common range differs; outside it is counted, and differs only when asked."""
+    a = series(20)
+    inside, outside = np.arange(20) != 7, np.arange(20) < 15
+    result = compared(a, a.take(inside))
+    assert result.verdict is Verdict.DIFFERS
+    assert result.reasons == ("only the first bag has 1 messages of the common range, the first at t = 0.007000000 s",)
+    result = compared(a.take(outside), a)
+    assert result.verdict is Verdict.SAME
+    assert result.b is not None
+    assert result.b.outside == 5
+    assert compared(a.take(outside), a, same_range=True).verdict is Verdict.DIFFERS
+
+
+def test_repeated_messages() -> None:
+    """Exact repetitions count once; a second message with the same stamp and other content differs."""
+    a = series(6)
+    doubled = joined(a, a.take(slice(2, 5)))
+    result = compared(a, doubled)
+    assert result.verdict is Verdict.SAME
+    assert result.b is not None
+    assert (result.pairs, result.b.repeats) == (6, 3)
+    other = changed(a.take(slice(2, 3)), 0, 0, 99.0)
+    result = compared(a, joined(a, other))
+    assert result.verdict is Verdict.DIFFERS
+    assert result.b is not None
+    assert (result.b.missing, result.b.ambiguous) == (1, 1)
+
+
+def test_two_runs_in_one_bag() -> None:
+    """A bag in which time was set back equals itself, and messages of one stamp are paired in their order."""
+    a = joined(series(6), changed(series(6, seed=5), 2, 0, 7.0))
+    assert compared(a, a).verdict is Verdict.SAME
+    result = compared(a, joined(series(6), changed(series(6, seed=5), 2, 0, 7.5)))
+    assert value_of(result, NAMES[0], "position").maximum == 0.5
+    assert result.pairs == 12
+
+
+def test_what_only_one_has() -> None:
+    """Joints and arrays of only one series make a difference; with nothing in common there is no verdict."""
+    a = series()
+    assert compared(a, a.select(NAMES[:2])).reasons == ("only the first bag has joint_3",)
+    assert compared(replace(a, effort=None), a).reasons == ("only the second bag has effort",)
+    assert compared(replace(a, effort=None), a, fields=("position",)).verdict is Verdict.SAME
+    assert compared(a, series(names=("x", "y", "z"))).verdict is Verdict.INCOMPARABLE
+    assert compared(a, replace(a, stamp_ns=a.stamp_ns + 1)).verdict is Verdict.INCOMPARABLE
+
+
+def test_most_special_tolerance_decides() -> None:
+    """Joint of a topic before topic before joint of any topic before field; among equals the last."""
+    rules = ["position=1", "*:a:position=2", "t:position=3", "t:a:position=4", "position=5", "t:a:position=6"]
+    tolerances = Tolerances(map(parse_rule, rules))
+    assert tolerances.of("/t", "a", "position") == 6
+    assert tolerances.of("/t", "b", "position") == 3
+    assert tolerances.of("/u", "a", "position") == 2
+    assert tolerances.of("/u", "b", "position") == 5
+    assert tolerances.of("/t", "a", "effort") == 0
+
+
+@pytest.fixture
+def bags(tmp_path: Path) -> Path:
+    """Make the bags a, same (other storage, other order), off (joint_2 by 1e-3 at 5 ms) and more."""
+    a = series()
+    assert a.position is not None
+    off = changed(a, 5, 1, a.position[5, 1] + 1e-3)
+    write_joint_states(tmp_path / "a", [a])
+    write_joint_states(tmp_path / "same", [a.select(NAMES[::-1])], storage="sqlite3")
+    write_joint_states(tmp_path / "off", [off])
+    write_joint_states(tmp_path / "more", [a, series(topic="motor_states")])
+    (tmp_path / "within.yaml").write_text("joint_states: {joints: {joint_2: {position: 0.0011}}}")
+    (tmp_path / "below.yaml").write_text("'*': {position: 0.0009}")
+    (tmp_path / "odd.yaml").write_text("joint_states: {speed: 1.0}")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        ("a a", 0),
+        ("a same", 0),
+        ("a off", 1),
+        ("a off --tolerance joint_states:position=0.0011", 0),
+        ("a off --tolerance /joint_states:joint_2:position=0.0011", 0),
+        ("a off --tolerance joint_states:joint_1:position=0.0011", 1),
+        ("a off --tolerances within.yaml", 0),
+        ("a off --tolerances below.yaml", 1),
+        ("a off --tolerances below.yaml --tolerance position=1", 0),
+        ("a off --fields velocity effort", 0),
+        ("a off --to 0.0049", 0),
+        ("a off --from 0.006", 0),
+        ("a off --from 0.005 --to 0.005", 1),
+        ("a more", 2),
+        ("a more --topics joint_states", 0),
+    ],
+)
+def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The exit code is 0 for the same, 1 for different and 2 for incomparable bags, under every option."""
+    monkeypatch.chdir(bags)
+    assert main(["compare", *arguments.split()]) == code
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ("a off --tolerance joint_states:speed=1", "accepted: position, velocity, effort"),
+        ("a off --tolerance position=-1", "accepted: a finite number >= 0"),
+        ("a off --tolerance position=inf", "accepted: a finite number >= 0"),
+        ("a off --tolerance position", "accepted: [TOPIC:[JOINT:]]FIELD=VALUE"),
+        ("a off --tolerance joint_state:position=1", "/joint_state, which is in neither bag"),
+        ("a off --tolerance *:joint_9:position=1", "joint_9, which no compared topic has"),
+        ("a off --tolerances odd.yaml", "joint_states.speed is not a known key"),
+        ("a off --tolerances nowhere.yaml", "nowhere.yaml: cannot be read"),
+        ("a off --topics elbow", "/elbow is in neither bag; JointState topics: /joint_states"),
+        ("a off --from soon", "--from is 'soon'; accepted: a time in s"),
+        ("a off --from nan", "--from is 'nan'; accepted: a time in s"),
+        ("a off --from 2 --to 1", "accepted: a start before the end"),
+        ("a off --from 100", "in the time window"),
+        ("a nowhere", "nowhere: no such bag"),
+    ],
+)
+def test_mistakes_are_one_line(
+    bags: Path,
+    arguments: str,
+    complaint: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A mistake in the arguments gives one line with what is accepted, nothing else, and exit code 2."""
+    monkeypatch.chdir(bags)
+    assert main(["compare", *arguments.split()]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith("rx90_bag compare: ")
+    assert err.count("\n") == 1
+    assert complaint in err
+
+
+def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The table names joint, maximum, time, RMS and unit of what differs, and JSON has the same figures."""
+    monkeypatch.chdir(bags)
+    main(["compare", "a", "off"])
+    text = capsys.readouterr().out
+    (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)
+    assert row == ["position", "joint_2", "1.000e-03", "0.005000", "2.236e-04", "rad", "0", "1"]
+    assert text.rstrip().endswith("a against off: DIFFERS")
+    main(["compare", "a", "off", "--json"])
+    content = json.loads(capsys.readouterr().out)
+    assert (content["verdict"], content["exit_code"]) == ("differs", 1)
+    (topic,) = content["topics"]
+    (value,) = (v for v in topic["values"] if v["beyond"])
+    assert (value["joint"], value["field"], value["unit"]) == ("joint_2", "position", "rad")
+    assert value["at_ns"] == 5_000_000
+    assert value["maximum"] == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_ros1_bag_against_ros2_bag(tmp_path: Path, storage: str) -> None:
+    """A ROS 1 bag with an arm and a gripper on one topic equals the same messages as a ROS 2 bag."""
+    contents = [(i, ["gripper"] if i % 2 else ["a", "b"], [float(i)] * (1 if i % 2 else 2)) for i in range(20)]
+    ros1 = [("/joint_states", i, joint_state(i, n, v, store=ROS1)) for i, n, v in contents]
+    ros2 = [("/joint_states", i + 5, joint_state(i, n, v)) for i, n, v in contents]
+    a, b = write_ros1(tmp_path / "a.bag", ros1), write_ros2(tmp_path / "b", ros2, storage)
+    assert main(["compare", str(a), str(b)]) == 0
+    ros2[4] = ("/joint_states", 9, joint_state(4, ["a", "b"], [4.0, 4.5]))
+    c = write_ros2(tmp_path / "c", ros2, storage)
+    assert main(["compare", str(a), str(c)]) == 1
+    d = write_ros2(tmp_path / "d", [m for m in ros2 if len(m[2].name) == 2], storage)
+    assert main(["compare", str(c), str(d)]) == 2
+
+
+@settings(max_examples=25, deadline=None)
+@given(*[st.lists(st.integers(0, 12), min_size=1, max_size=12)] * 2)
+def test_counts_of_stamps(stamps_a: list[int], stamps_b: list[int]) -> None:
+    """For any stamps, also repeated ones, pairs, missing and outside messages are those of sets of stamps."""
+
+    def make(stamps: list[int]) -> JointSeries:
+        content = np.array(stamps, dtype=float)[:, None]
+        return JointSeries("/t", ("a",), np.array(stamps), content)
+
+    result = compared(make(stamps_a), make(stamps_b))
+    a, b = set(stamps_a), set(stamps_b)
+    if not a & b:
+        assert result.verdict is Verdict.INCOMPARABLE
+        return
+    common = set(range(max(min(a), min(b)), min(max(a), max(b)) + 1))
+    assert result.a is not None
+    assert result.b is not None
+    assert result.pairs == len(a & b)
+    assert result.a.missing == len((a - b) & common)
+    assert result.b.missing == len((b - a) & common)
+    assert result.a.outside == len(a - common)
+    assert result.a.repeats == len(stamps_a) - len(a)
+    assert (result.verdict is Verdict.SAME) == (a & common == b & common)
+
+
+def test_empty_topics_are_no_difference(tmp_path: Path) -> None:
+    """A topic without messages in either bag is passed over, unless it was asked for."""
+    empty = JointSeries("/quiet", ("a",), np.zeros(0, dtype=np.int64))
+    for name in "ab":
+        write_joint_states(tmp_path / name, [series(), empty])
+    bags = [str(tmp_path / name) for name in "ab"]
+    assert main(["compare", *bags]) == 0
+    assert main(["compare", *bags, "--topics", "quiet"]) == 2

@@ -1,0 +1,198 @@
+"""Bags that cannot be read: one clear line each, and no other exception whatever the bytes."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from bag_making import ROS1, STORAGES, joint_state, series, write_ros1, write_ros2
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rx90_common.bags.reading import read_joint_series
+from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
+from rx90_common.base.errors import BagError
+from rx90_emulator.cli.bag import main
+
+
+def edit_metadata(bag: Path, edit: Callable[[dict[str, Any]], object]) -> None:
+    """Change metadata.yaml."""
+    path = bag / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    edit(content["rosbag2_bagfile_information"])
+    path.write_text(yaml.safe_dump(content))
+
+
+def truncate(share: float) -> Callable[[Path], None]:
+    """Return what cuts the storage file to this share of its length."""
+
+    def damage(bag: Path) -> None:
+        file = bag / "bag.mcap"
+        file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+
+    return damage
+
+
+def forget_a_message(content: dict[str, Any]) -> None:
+    """Let the metadata count one message more than there are."""
+    content["topics_with_message_count"][0]["message_count"] += 1
+    content["message_count"] += 1
+
+
+DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "missing": (shutil.rmtree, "no such bag"),
+    "emptied": (lambda bag: [file.unlink() for file in bag.iterdir()], "not a bag"),
+    "foreign folder": (
+        lambda bag: [shutil.rmtree(bag), bag.mkdir(), (bag / "letter.txt").write_text("hello")],
+        "not a bag",
+    ),
+    "no metadata": (
+        lambda bag: (bag / "metadata.yaml").unlink(),
+        "metadata.yaml is missing; bag.mcap is whole: give its path instead",
+    ),
+    "metadata no YAML": (lambda bag: (bag / "metadata.yaml").write_text("{]"), "damaged or not a bag"),
+    "metadata empty": (lambda bag: (bag / "metadata.yaml").write_text(""), "damaged or not a bag"),
+    "metadata binary": (lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe"), "damaged or not a bag"),
+    "metadata of future": (
+        lambda bag: edit_metadata(bag, lambda c: c.update(version=99)),
+        "version 99 not supported",
+    ),
+    "metadata without topics": (
+        lambda bag: edit_metadata(bag, lambda c: c.pop("topics_with_message_count")),
+        "topics_with_message_count",
+    ),
+    "metadata with other count": (
+        lambda bag: edit_metadata(bag, forget_a_message),
+        "metadata.yaml says 31 messages of /joint_states",
+    ),
+    "metadata with other sum": (
+        lambda bag: edit_metadata(bag, lambda c: c.update(message_count=7)),
+        "metadata.yaml says 7 messages in all",
+    ),
+    "metadata with other type": (
+        lambda bag: edit_metadata(
+            bag, lambda c: c["topics_with_message_count"][0]["topic_metadata"].update(type="a/msg/B")
+        ),
+        "metadata.yaml says",
+    ),
+    "metadata with other quality of service": (
+        lambda bag: edit_metadata(
+            bag, lambda c: c["topics_with_message_count"][0]["topic_metadata"].update(offered_qos_profiles=[])
+        ),
+        "/joint_states should hold 30 messages, 0 can be read",
+    ),
+    "metadata with other file": (
+        lambda bag: edit_metadata(bag, lambda c: c.update(relative_file_paths=["other.mcap"])),
+        "other.mcap",
+    ),
+    "metadata with other storage": (
+        lambda bag: edit_metadata(bag, lambda c: c.update(storage_identifier="sqlite3")),
+        "damaged or not a bag",
+    ),
+    "storage gone": (lambda bag: (bag / "bag.mcap").unlink(), "not a bag, or an emptied one"),
+    "storage empty": (lambda bag: (bag / "bag.mcap").write_bytes(b""), "damaged or not a bag"),
+    "storage of noise": (
+        lambda bag: (bag / "bag.mcap").write_bytes(bytes(range(256)) * 50),
+        "damaged or not a bag",
+    ),
+    "storage cut at the end": (
+        truncate(0.99),
+        "bag.mcap is cut off (its recorder was killed?): 30 messages up to t = 0.029000 s are whole",
+    ),
+    "storage cut early": (truncate(0.5), "cut off before its first whole chunk: nothing can be saved"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("verb", ["info", "compare"])
+def test_each_damage_is_one_line(tmp_path: Path, damage: str, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A damaged, emptied, foreign or missing bag gives one line that names it and why, and exit code 2."""
+    good, bad = tmp_path / "good", tmp_path / "bag"
+    for path in (good, bad):
+        write_joint_states(path, [series(30)])
+    spoil, complaint = DAMAGES[damage]
+    spoil(bad)
+    assert main([verb, *([str(good)] if verb == "compare" else []), str(bad)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith(f"rx90_bag {verb}: {bad}: ")
+    assert err.count("\n") == 1
+    assert complaint in err
+
+
+def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Bags without messages or without joint states cannot be compared, and the line says which it is."""
+    write_joint_states(tmp_path / "good", [series()])
+    write_joint_states(tmp_path / "empty", [series(0)])
+    write_joint_states(tmp_path / "void", [])
+    write_joint_states(tmp_path / "text", [], messages=[string_message("robot_description", "x")])
+    for name, complaint in (
+        ("empty", "holds no messages"),
+        ("void", "holds no messages"),
+        ("text", "holds no JointState topic, only /robot_description"),
+    ):
+        for pair in (("good", name), (name, "good")):
+            assert main(["compare", *(str(tmp_path / n) for n in pair)]) == 2
+            err = capsys.readouterr().err
+            assert err == f"rx90_bag compare: {tmp_path / name}: {complaint}\n"
+
+
+def test_storage_file_alone_is_enough(tmp_path: Path) -> None:
+    """Without metadata a whole storage file can still be read by its own path."""
+    for storage, suffix in zip(STORAGES, ("mcap", "db3"), strict=True):
+        path = tmp_path / storage
+        write_joint_states(path, [series()], storage=storage)
+        (path / "metadata.yaml").unlink()
+        assert main(["compare", *[str(path / f"{storage}.{suffix}")] * 2]) == 0
+
+
+def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A database with a journal is refused with what to do, which gives all messages up to the checkpoint."""
+    bag = BagWriter(tmp_path / "bag", "sqlite3")
+    connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
+    big = string_message("text", "x" * 10_000).cdr
+    for i in range(1500):
+        bag.write(connection, i * 1_000_000, big)
+    killed = tmp_path / "killed"
+    shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
+    bag.close()
+    for path in (killed, killed / "bag.db3"):
+        assert main(["info", str(path)]) == 2
+        assert "bag.db3 was not closed" in capsys.readouterr().err
+    with sqlite3.connect(killed / "bag.db3") as database:
+        database.execute("CREATE TABLE opened(x)")
+    database.close()
+    assert main(["info", str(killed / "bag.db3")]) == 0
+    assert " 1001 messages" in capsys.readouterr().out
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+@pytest.mark.parametrize("kind", [*STORAGES, "ros1"])
+def test_no_other_exception(tmp_path: Path, kind: str, data: Any) -> None:
+    """Whatever bytes are cut off or changed, a bag is read or refused with a BagError of one line."""
+    path = tmp_path / ("bag.bag" if kind == "ros1" else "bag")
+    shutil.rmtree(path, ignore_errors=True)
+    path.unlink(missing_ok=True)
+    if kind == "ros1":
+        write_ros1(path, [("/x", i, joint_state(i, ["a"], [1.0], store=ROS1)) for i in range(20)])
+    else:
+        write_ros2(path, [("/x", i, joint_state(i, ["a"], [1.0])) for i in range(20)], kind)
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    file = data.draw(st.sampled_from(files))
+    content = bytearray(file.read_bytes())
+    for _ in range(data.draw(st.integers(0, 8))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(content[: data.draw(st.integers(0, len(content)))] if data.draw(st.booleans()) else content)
+    message = ""
+    try:
+        read_joint_series(path)
+    except BagError as error:
+        message = str(error)
+    assert "\n" not in message
+    assert not message or str(path) in message

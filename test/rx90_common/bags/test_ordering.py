@@ -1,0 +1,118 @@
+"""Log time and order of recorded messages."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rx90_common.bags.ordering import Entry, LogOrder, TimeSource, stamp_ns
+
+MS = 1_000_000
+
+
+def message(stamp: int, order: Literal["little", "big"] = "little", content: bytes = b"") -> bytes:
+    """Return a CDR message that begins with a stamp."""
+    flag = b"\x00\x01\x00\x00" if order == "little" else b"\x00\x00\x00\x00"
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    return flag + seconds.to_bytes(4, order, signed=True) + nanoseconds.to_bytes(4, order) + content
+
+
+def run(order: LogOrder, arrivals: list[tuple[int, TimeSource, bytes]], every: int = 7) -> list[Entry]:
+    """Pass messages through and return all that is released."""
+    released: list[Entry] = []
+    for i, (topic, source, cdr) in enumerate(arrivals):
+        order.add(topic, source, cdr, 10**18 + i)
+        if i % every == 0:
+            released += order.release()
+    return released + order.release_all()
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_order_does_not_depend_on_the_interleaving(data: Any) -> None:
+    """However three topics arrive interleaved within 0.4 s, they are released sorted by stamp, then topic."""
+    sent = [(stamp * MS, topic) for stamp in range(0, 3000, 50) for topic in range(3)]
+    delays = data.draw(st.lists(st.integers(0, 400), min_size=3, max_size=3))
+    arrivals = sorted(sent, key=lambda m: m[0] + delays[m[1]] * MS)
+    released = run(LogOrder(), [(t, TimeSource.CLOCK, message(s)) for s, t in arrivals], data.draw(st.integers(1, 50)))
+    assert [(e.log_ns, e.topic) for e in released] == sent
+
+
+def test_messages_without_stamp_get_the_newest() -> None:
+    """Without a stamp of its own a message gets the newest one seen, or the first if it comes before that."""
+    arrivals = [
+        (9, TimeSource.NEWEST, b"early"),
+        (0, TimeSource.CLOCK, message(5 * MS)),
+        (0, TimeSource.CLOCK, message(6 * MS)),
+        (9, TimeSource.NEWEST, b"later"),
+        (8, TimeSource.STAMP, message(0)),
+        (8, TimeSource.STAMP, message(50 * MS)),
+        (0, TimeSource.CLOCK, message(7 * MS)),
+    ]
+    times = {e.cdr: e.log_ns for e in run(LogOrder(), arrivals) if e.topic > 0}
+    assert times == {b"early": 5 * MS, b"later": 6 * MS, message(0): 6 * MS, message(50 * MS): 50 * MS}
+
+
+def test_wall_clock_where_no_topic_gives_the_time() -> None:
+    """Without a topic that gives the time, log time is that of reception, also when told so late or never."""
+    for told in (True, False):
+        order = LogOrder()
+        if told:
+            order.expect_no_clock()
+        released = run(order, [(0, TimeSource.NEWEST, bytes([i])) for i in range(5)])
+        assert [e.log_ns for e in released] == [10**18 + i for i in range(5)]
+
+
+def test_time_that_is_set_back_holds_nothing_up() -> None:
+    """After a reset of simulated time messages go on being released, and none is lost."""
+    order = LogOrder()
+    held = []
+    stamps = [*range(0, 10_000, 10), *range(0, 5_000, 10)]
+    released: list[Entry] = []
+    for stamp in stamps:
+        order.add(0, TimeSource.CLOCK, message(stamp * MS), 0)
+        released += order.release()
+        held.append(order.held_bytes)
+    released += order.release_all()
+    assert len(released) == len(stamps)
+    assert max(held) <= 12 * 80
+    assert order.held_bytes == 0
+
+
+def test_undated_messages_do_not_pile_up() -> None:
+    """Messages that wait for a first stamp are released by time of reception before they fill the memory."""
+    order = LogOrder()
+    for i in range(40):
+        order.add(0, TimeSource.NEWEST, bytes(1 << 20), i + 1)
+    assert {e.log_ns for e in order.release_all()} == set(range(1, 41))
+
+
+@given(st.integers(0, (1 << 31) * 10**9 - 1), st.sampled_from(["little", "big"]))
+def test_stamp_of_a_message(stamp: int, order: Literal["little", "big"]) -> None:
+    """The stamp is read in both byte orders; times before 0 and messages cut off count as 0."""
+    assert stamp_ns(message(stamp, order, b"rest")) == stamp
+    assert stamp_ns(message(-stamp - 1, order)) == 0
+    assert stamp_ns(message(stamp, order)[:11]) == 0
+
+
+def test_a_reset_is_told_and_keeps_the_runs_apart() -> None:
+    """Stamps that go back, in one topic after the other, leave both runs whole and one behind the other."""
+    order = LogOrder()
+    runs = [*range(0, 300, 10)], [*range(0, 200, 10)]
+    for topic, stamp in [(0, s) for s in runs[0]] + [(1, s) for s in runs[0][:-3]]:
+        order.add(topic, TimeSource.CLOCK, message(stamp * MS), 0)
+    order.add(0, TimeSource.CLOCK, message(0), 0)  # before the other topic's last messages of the first run
+    for stamp in runs[0][-3:]:
+        order.add(1, TimeSource.CLOCK, message(stamp * MS), 0)
+    order.add(1, TimeSource.CLOCK, message(0), 0)
+    for topic, stamp in [(t, s) for t in (0, 1) for s in runs[1][1:]]:
+        order.add(topic, TimeSource.CLOCK, message(stamp * MS), 0)
+    released = order.release_all()
+    assert [e.log_ns for e in released] == sorted(e.log_ns for e in released)
+    for topic in (0, 1):
+        stamps = [stamp_ns(e.cdr) for e in released if e.topic == topic]
+        assert stamps == [s * MS for run in runs for s in run]
+    assert order.set_backs == [(290 * MS, 0)]
+    assert order.newest_ns == 190 * MS

@@ -1,0 +1,185 @@
+"""Writing bags from arrays."""
+
+from __future__ import annotations
+
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from bag_making import STORAGES, series
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability, QosReliability
+
+from rx90_common.bags import writing
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
+from rx90_common.base.errors import BagError
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_bag_opens_elsewhere(tmp_path: Path, storage: str) -> None:
+    """Rosbags finds every message at its stamp, in order, with its values and its quality of service."""
+    fast, slow = series(40, topic="/motor_states"), series(10, topic="joint_states", step_ns=4_000_000)
+    path = tmp_path / "bag"
+    write_joint_states(path, [fast, slow], storage=storage, messages=[string_message("robot_description", "<robot/>")])
+    found: list[tuple[int, str]] = []
+    with AnyReader([path]) as reader:
+        for connection, log_ns, data in reader.messages():
+            found.append((log_ns, connection.topic))
+            message: Any = reader.deserialize(data, connection.msgtype)
+            if connection.topic == "/robot_description":
+                assert message.data == "<robot/>"
+                continue
+            source = fast if connection.topic == fast.topic else slow
+            row = int(np.flatnonzero(source.stamp_ns == log_ns)[0])
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == log_ns
+            assert tuple(message.name) == source.names
+            for field, values in source.fields.items():
+                np.testing.assert_array_equal(getattr(message, field), values[row])
+        qos = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}  # type: ignore[union-attr]
+    expected = [(t, "/motor_states") for t in range(0, 40_000_000, 1_000_000)]
+    expected += [(t, "/joint_states") for t in range(0, 40_000_000, 4_000_000)]
+    expected.append((0, "/robot_description"))
+    order = ["/motor_states", "/joint_states", "/robot_description"]
+    assert found == sorted(expected, key=lambda entry: (entry[0], order.index(entry[1])))
+    assert all(q.reliability is QosReliability.RELIABLE for q in qos.values())
+    assert [qos[t].durability for t in order] == [QosDurability.VOLATILE] * 2 + [QosDurability.TRANSIENT_LOCAL]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_equal_calls_give_equal_files(tmp_path: Path, storage: str) -> None:
+    """Writing the same series twice gives the same bytes in every file."""
+    contents = []
+    for folder in ("first", "second"):
+        write_joint_states(tmp_path / folder / "bag", [series(3000)], storage=storage)
+        contents.append({p.name: p.read_bytes() for p in (tmp_path / folder / "bag").iterdir()})
+    assert contents[0] == contents[1]
+
+
+def test_messages_are_those_of_rclpy(tmp_path: Path) -> None:
+    """For rclpy a written message is the same JointState, and its own bytes differ in the padding alone."""
+    serialization = pytest.importorskip("rclpy.serialization")
+    from sensor_msgs.msg import JointState
+
+    written = series(2)
+    write_joint_states(tmp_path / "bag", [written])
+    with AnyReader([tmp_path / "bag"]) as reader:
+        raw = [data for _, _, data in reader.messages()][1]
+    message = serialization.deserialize_message(raw, JointState)
+    expected = JointState(name=list(written.names))
+    expected.header.stamp.nanosec = 1_000_000
+    for field, values in written.fields.items():
+        setattr(expected, field, values[1].tolist())
+    assert message == expected
+    theirs = np.frombuffer(serialization.serialize_message(expected)[: len(raw)], dtype=np.uint8)
+    ours = np.frombuffer(raw, dtype=np.uint8)
+    assert len(theirs) == len(ours)
+    different = np.flatnonzero(theirs != ours)
+    assert not ours[different].any()  # padding: zero here, anything there
+    assert len(different) <= 3 * (2 + len(written.names)) + 4 * 3
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    """A folder that exists, even an empty one, is refused and stays as it is."""
+    path = tmp_path / "bag"
+    path.mkdir()
+    (path / "notes.txt").write_text("mine")
+    with pytest.raises(BagError, match="exists already"):
+        BagWriter(path)
+    assert [p.name for p in path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize(
+    ("call", "complaint"),
+    [
+        (lambda p: BagWriter(p / "x", "csv"), "storage is 'csv'; accepted: mcap, sqlite3"),
+        (lambda p: BagWriter(p / "file" / "bag"), "cannot be written"),
+        (lambda p: write_joint_states(p / "x", [series(), series()]), "each topic once"),
+        (lambda p: BagWriter(p / "x").add_topic("t", "my_msgs/msg/Odd"), "common interfaces"),
+    ],
+)
+def test_mistakes_are_refused(tmp_path: Path, call: Any, complaint: str) -> None:
+    """A wrong storage, place, topic list or type is refused with what is accepted."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagError, match=complaint):
+        call(tmp_path)
+
+
+class _Usage(NamedTuple):
+    total: int
+    used: int
+    free: int
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_bag_is_whole_when_the_disk_is_nearly_full(
+    tmp_path: Path, storage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Writing stops with a clear line while index and metadata still fit; what was written can be read."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: _Usage(1 << 40, 1 << 40, 5 << 20))
+    monkeypatch.setattr(writing, "_BYTES_PER_SPACE_CHECK", 100_000)
+    written = series(3000)
+    with pytest.raises(BagError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)"):
+        write_joint_states(tmp_path / "bag", [written], storage=storage)
+    read = read_joint_states(tmp_path / "bag", "joint_states")
+    assert 0 < len(read.stamp_ns) < 3000
+    np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_failed_writes_are_one_clear_line(tmp_path: Path, storage: str) -> None:
+    """When the system refuses to write on, the error is one line that names the bag."""
+    code = f"""
+import resource
+from bag_making import series
+from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.errors import BagError
+resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, {resource.RLIM_INFINITY}))
+try:
+    write_joint_states({str(tmp_path / "bag")!r}, [series(30000)], storage={storage!r})
+except BagError as error:
+    print(error)
+"""
+    tests = Path(__file__).parents[2] / "support"
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PYTHONPATH": f"{tests}:{tests.parent}"},
+    )
+    assert done.stdout.startswith(f"{tmp_path / 'bag'}: cannot be written (")
+    assert done.stdout.count("\n") == 1
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_checkpoint_outlives_the_process(tmp_path: Path, storage: str) -> None:
+    """What was written a second of log time ago is on the disk before the bag is closed."""
+    bag = BagWriter(tmp_path / "bag", storage)
+    connection = bag.add_topic("text", "std_msgs/msg/String", [offered_qos()])
+    message = string_message("text", "marked content")
+    bag.write(connection, 0, message.cdr)
+    (file,) = (p for p in (tmp_path / "bag").iterdir() if p.suffix in {".mcap", ".db3"})
+    assert b"marked content" not in file.read_bytes()
+    bag.write(connection, 1_000_000_000, message.cdr)
+    assert file.read_bytes().count(b"marked content") == 2
+    bag.close()
+
+
+def test_other_messages_keep_their_time(tmp_path: Path) -> None:
+    """A message of another type stands in the bag at its own log time."""
+    text = string_message("note", "x")
+    late = RawMessage("note", text.msgtype, 5_500_000, text.cdr)
+    write_joint_states(tmp_path / "bag", [series(10)], messages=[late])
+    with AnyReader([tmp_path / "bag"]) as reader:
+        times = [(c.topic, t) for c, t, _ in reader.messages()]
+    assert times[5:8] == [
+        ("/joint_states", 5_000_000),
+        ("/note", 5_500_000),
+        ("/joint_states", 6_000_000),
+    ]

@@ -1,0 +1,164 @@
+"""Configuration files: what a section gives, and how it refuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rx90_common.base.config import PROVENANCE, Section, load_yaml
+from rx90_common.base.errors import ConfigError, Rx90Error
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str | bytes], Path]:
+    """Return a function that writes a file."""
+
+    def make(text: str | bytes) -> Path:
+        path = tmp_path / "file.yaml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return make
+
+
+Write = Callable[[str | bytes], Path]
+
+
+def refusal(call: Callable[[], Any], path: Path) -> str:
+    """Return the line with which a file is refused; it names the file and what is accepted."""
+    with pytest.raises(ConfigError) as caught:
+        call()
+    text = str(caught.value)
+    assert str(path) in text
+    assert "\n" not in text
+    assert isinstance(caught.value, Rx90Error)
+    return text
+
+
+BROKEN: list[tuple[str | bytes, str]] = [
+    ("", "holds NoneType; accepted: a mapping"),
+    ("- 1\n- 2\n", "holds list; accepted: a mapping"),
+    ("just words", "holds str"),
+    ("a: [1, 2\nb: 3", "not valid YAML"),
+    ("a: 1\na: 2", "the key 'a' stands twice"),
+    ("a: {b: 1, b: 2}", "the key 'b' stands twice"),
+    ("a: 1\n---\na: 2", "not valid YAML"),
+    (b"\xff\xfe\x00", "cannot be read"),
+    (b"a: \x00", "not valid YAML"),
+    ("a: !!python/object:os.system 1", "not valid YAML"),
+    ("a: &x [*x]", "not valid YAML"),
+    ("a: 1\n2: 3", "the key 2 is not a name"),
+    ("? [a]\n: 1", "the key ['a'] is not a name"),
+    ("? ~\n: 1", "the key None is not a name"),
+    ("a: " + "1" * 5000, "not valid YAML"),
+    ("a: !!int foo", "not valid YAML"),
+    ("a: !!float foo", "not valid YAML"),
+    ("a: !!timestamp foo", "not valid YAML"),
+    ("a: " + "[" * 5000, "not valid YAML"),
+    ("provenance: guessed", "provenance is 'guessed'; accepted: one of published, derived"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), BROKEN)
+def test_a_file_that_is_no_mapping_is_refused(write: Write, text: str | bytes, words: str) -> None:
+    """What is not UTF-8, not YAML, not one mapping or says a key twice is refused in one line."""
+    path = write(text)
+    assert words in refusal(lambda: load_yaml(path), path)
+
+
+def test_a_file_that_cannot_be_opened_is_refused(tmp_path: Path) -> None:
+    """A missing file and a folder are refused by path."""
+    for path in (tmp_path / "none.yaml", tmp_path):
+        assert "cannot be read" in refusal(lambda p=path: load_yaml(p), path)
+
+
+@pytest.mark.parametrize("value", ["-1.5", ".nan", ".inf", "-.inf", "text", "true", "~", "[1]", "{a: 1}"])
+def test_a_number_out_of_range_is_refused(write: Write, value: str) -> None:
+    """What is not a finite number in the range is refused with place, value and range."""
+    path = write(f"outer: {{inner: {{x: {value}}}}}")
+    section = load_yaml(path).section("outer").section("inner")
+    said = refusal(lambda: section.number("x", 0.0, 2.0), path)
+    assert ": outer.inner.x is " in said
+    assert said.endswith("; accepted: a number in [0, 2]")
+
+
+def test_ranges_are_worded_as_they_are_checked(write: Write) -> None:
+    """Closed and open ends are accepted or refused just as the message says."""
+    path = write("zero: 0.0\ntwo: 2\nthree: 3.0")
+    root = load_yaml(path)
+    assert root.number("zero", 0.0) == 0.0
+    assert root.number("two", 0.0, 2.0, above=True) == 2.0
+    assert refusal(lambda: root.number("zero", 0.0, above=True), path).endswith("accepted: a number > 0")
+    assert refusal(lambda: root.number("zero", 1.0), path).endswith("accepted: a number >= 1")
+    assert refusal(lambda: root.number("three", 0.0, 2.0, above=True), path).endswith("a number in (0, 2]")
+    assert refusal(lambda: root.number("none"), path).endswith("none is missing; accepted: a finite number")
+    assert refusal(lambda: root.number("none", -math.inf, 5.0), path).endswith("in [-inf, 5]")
+
+
+@pytest.mark.parametrize("value", ["[1, 2]", "[1, 2, 3, 4]", "5", "abc", "~", "{a: 1, b: 2, c: 3}"])
+def test_a_list_of_another_length_is_refused(write: Write, value: str) -> None:
+    """What is not a list of so many numbers is refused with what stands there."""
+    path = write(f"x: {value}")
+    assert "accepted: 3 numbers, each" in refusal(lambda: load_yaml(path).numbers("x", 3), path)
+
+
+def test_a_bad_entry_of_a_list_is_named(write: Write) -> None:
+    """The index of the bad entry is part of the message."""
+    path = write("x: [1, 2, .nan]")
+    assert "x[2] is nan; accepted: 3 numbers" in refusal(lambda: load_yaml(path).numbers("x", 3), path)
+    assert load_yaml(write("x: [1, 2, 3.5]")).numbers("x", 3) == (1.0, 2.0, 3.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1e5", 1e5), ("1.0e5", 1e5), ("-2E-3", -2e-3), ("1e+5", 1e5), (".5", 0.5), ("010", 10.0)]
+)
+def test_numbers_are_what_they_look_like(write: Write, text: str, number: float) -> None:
+    """Every usual way to write a number is one, with or without point and sign of the exponent."""
+    assert load_yaml(write(f"x: {text}")).number("x") == number
+
+
+@pytest.mark.parametrize("text", ["1:30", "2001-13-45", "2001-01-01", "0x", "0b_", "1_0", "1e", "1" * 400, "1e999"])
+def test_what_only_resembles_a_number_is_refused(write: Write, text: str) -> None:
+    """Times, dates and numbers beyond the range of a double are refused, not turned into other numbers."""
+    path = write(f"x: {text}")
+    assert "x is " in refusal(lambda: load_yaml(path).number("x"), path)
+
+
+def test_integers_switches_and_texts(write: Write) -> None:
+    """Integers, switches and choices accept their own kind and nothing that merely looks like it."""
+    path = write("whole: 3\nreal: 3.0\nyes_: true\nword: blue")
+    root = load_yaml(path)
+    assert root.integer("whole", 1, 3) == 3
+    assert root.boolean("yes_") is True
+    assert root.text("word", ("red", "blue")) == "blue"
+    assert "real is 3.0; accepted: an integer in [1, 5]" in refusal(lambda: root.integer("real", 1, 5), path)
+    assert "yes_ is True; accepted: an integer" in refusal(lambda: root.integer("yes_", 0, 5), path)
+    assert "whole is 3; accepted: an integer in [4, 5]" in refusal(lambda: root.integer("whole", 4, 5), path)
+    assert "whole is 3; accepted: true or false" in refusal(lambda: root.boolean("whole"), path)
+    assert "word is 'blue'; accepted: one of red" in refusal(lambda: root.text("word", ("red",)), path)
+    assert "whole is 3; accepted: a text" in refusal(lambda: root.text("whole"), path)
+
+
+def test_keys_that_nobody_asked_for_are_refused(write: Write) -> None:
+    """A misspelt key is refused with the known ones; provenance and source are free."""
+    path = write("x: 1\nomega: 2\nprovenance: derived\nsource: a book\nnote: so")
+    root = load_yaml(path)
+    root.number("x")
+    said = refusal(root.finish, path)
+    assert said.endswith("omega is not a known key; accepted: x")
+    assert root.provenance == "derived"
+    assert root.source == "a book"
+    root.number("omega")
+    root.finish()
+
+
+def test_provenance_has_four_words(tmp_path: Path) -> None:
+    """Only published, derived, assumed and identified say where a value comes from."""
+    for word in PROVENANCE:
+        assert Section({"provenance": word}, tmp_path).provenance == word
+    with pytest.raises(ConfigError, match="provenance is 3; accepted: one of"):
+        Section({"provenance": 3}, tmp_path)

@@ -1,0 +1,39 @@
+"""Rates are whole multiples of each other, or refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
+
+
+@pytest.mark.parametrize(("base", "position"), [(4000, 1000), (8000, 500), (1, 1), (10000, 10000)])
+def test_periods_and_ratio_fit_together(base: int, position: int) -> None:
+    """The tick is a whole number of nanoseconds and the ratio of the loops a whole number of ticks."""
+    rates = Rates(base, position)
+    assert rates.ratio * position == base
+    assert rates.period_ns * base == NANOSECONDS
+    assert rates.period == 1 / base
+    assert rates.position_period == 1 / position
+
+
+@pytest.mark.parametrize("base", [0, -4000, 3000, 7, NANOSECONDS + 1])
+def test_a_base_rate_without_a_whole_period_is_refused(base: int) -> None:
+    """A base rate that is not positive, or whose period is no whole number of ns, is refused by value."""
+    with pytest.raises(ConfigError, match=rf"base_rate is {base} Hz; accepted"):
+        Rates(base, 1)
+
+
+@pytest.mark.parametrize("position", [0, -1, 3, 300, 8000])
+def test_a_ratio_that_is_no_whole_number_is_refused(position: int) -> None:
+    """A position rate that does not divide the base rate is refused with rates that would."""
+    with pytest.raises(ConfigError, match=rf"position_rate is {position} Hz; accepted: .* 4000 Hz, such as .*1000"):
+        Rates(4000, position)
+
+
+def test_any_rate_is_refused_under_its_own_name() -> None:
+    """A rate of a topic is refused by the name it is given."""
+    assert ticks_per("clock_rate", 4000, 100) == 40
+    with pytest.raises(ConfigError, match="clock_rate is 30 Hz"):
+        ticks_per("clock_rate", 4000, 30)

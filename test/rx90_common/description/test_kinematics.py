@@ -1,0 +1,198 @@
+"""Jacobian, bias acceleration, inverse kinematics, singularity margins and path error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from rx90_common.description.branch import BRANCHES, Branch
+from rx90_common.description.inverse import (
+    SphericalWristArm,
+    nearest_turn,
+    singularity_margins,
+    solve_anywhere,
+    solve_near,
+)
+from rx90_common.description.kinematics import bias_acceleration, decompose, forward, jacobian, path_error
+from rx90_common.description.robot import RigidChain, RobotModel, load_robot
+from rx90_emulator.loop.setup import Setup
+
+
+def _states(robot: RobotModel, count: int, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, 6))
+
+
+def _arm(robot: RobotModel) -> SphericalWristArm:
+    arm = SphericalWristArm.from_chain(robot.chain)
+    assert arm is not None
+    return arm
+
+
+def test_jacobian_and_bias_are_those_of_pinocchio(shipped: Setup, random_arm: Callable[[int], Path]) -> None:
+    """J and dJ/dt·dq equal Pinocchio's frame Jacobian and classical acceleration, on two arms."""
+    for robot in (shipped.robot, load_robot(random_arm(2))):
+        data = robot.model.createData()
+        frame = robot.model.getFrameId(robot.tcp_frame)
+        rng = np.random.default_rng(4)
+        q, v = _states(robot, 10), rng.normal(size=(10, 6))
+        ours, bias = jacobian(robot.chain, q), bias_acceleration(robot.chain, q, v)
+        for k in range(10):
+            pin.computeJointJacobians(robot.model, data, q[k])
+            oracle = pin.getFrameJacobian(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            np.testing.assert_allclose(ours[k], oracle, atol=1e-12)
+            pin.forwardKinematics(robot.model, data, q[k], v[k], np.zeros(6))
+            pin.updateFramePlacements(robot.model, data)
+            acceleration = pin.getFrameClassicalAcceleration(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            np.testing.assert_allclose(bias[k], acceleration.vector, atol=1e-11)
+
+
+@pytest.mark.parametrize("branch", BRANCHES, ids=str)
+def test_inverse_kinematics_gives_the_pose_back_in_every_branch(shipped: Setup, branch: Branch) -> None:
+    """The closed form's angles lead back to the pose within 1e-12, in the branch asked for."""
+    robot, arm = shipped.robot, _arm(shipped.robot)
+    pose = forward(robot.chain, _states(robot, 300))
+    q = arm.solve(robot.chain, pose, branch)
+    again = forward(robot.chain, q)
+    assert np.abs(again.position - pose.position).max() < 1e-12
+    assert np.abs(again.rotation - pose.rotation).max() < 1e-12
+    assert np.all((arm.forward_reach(robot.chain, q) > 0) == (branch.shoulder == "front"))
+    assert np.all((nearest_turn(q[:, 2], np.zeros(300)) > 0) == (branch.elbow == "positive"))
+    assert np.all((np.sin(q[:, 4]) > 0) == (branch.wrist == "positive"))
+
+
+def test_one_of_the_eight_solutions_is_where_the_arm_was(shipped: Setup) -> None:
+    """For random joint angles, exactly one branch returns these same angles, up to whole turns."""
+    robot, arm = shipped.robot, _arm(shipped.robot)
+    q = _states(robot, 300)
+    pose = forward(robot.chain, q)
+    hits = sum(
+        np.abs(nearest_turn(arm.solve(robot.chain, pose, branch), q) - q).max(axis=1) < 1e-8 for branch in BRANCHES
+    )
+    np.testing.assert_array_equal(hits, np.ones(300))
+
+
+def _offset_arm(chain: RigidChain) -> RigidChain:
+    """Return an arm with offsets at shoulder, elbow and forearm, and reversed axes."""
+    origin = chain.origin.copy()
+    origin[0] += [0.03, -0.02, 0.0]
+    origin[1] += [0.15, 0.05, 0.02]
+    origin[2] += [-0.02, -0.03, 0.0]
+    origin[3] += [0.08, 0.02, 0.1]
+    axis = chain.axis * np.array([-1, 1, -1, 1, -1, -1])[:, None]
+    return chain._replace(origin=origin, axis=axis)
+
+
+def test_closed_form_covers_arms_with_offsets(shipped: Setup) -> None:
+    """Shoulder, elbow and lateral offsets and reversed axes still give every pose back in all branches."""
+    chain = _offset_arm(shipped.robot.chain)
+    arm = SphericalWristArm.from_chain(chain)
+    assert arm is not None
+    q = _states(shipped.robot, 200)
+    pose = forward(chain, q)
+    found = np.zeros(200)
+    for branch in BRANCHES:
+        solution = arm.solve(chain, pose, branch)
+        there = ~np.isnan(solution).any(axis=1)
+        assert np.abs(forward(chain, solution[there]).position - pose.position[there]).max() < 1e-12
+        found += np.abs(nearest_turn(solution, q) - q).max(axis=1) < 1e-8
+    np.testing.assert_array_equal(found, np.ones(200))
+
+
+def test_out_of_reach_is_nan(shipped: Setup) -> None:
+    """A pose farther than the arm is long has no angles, and its neighbours in the same call are unharmed."""
+    robot, arm = shipped.robot, _arm(shipped.robot)
+    pose = forward(robot.chain, _states(robot, 3))
+    far = pose.position.copy()
+    far[1] = [2.0, 0.0, 0.4]
+    q = arm.solve(robot.chain, pose._replace(position=far), BRANCHES[0])
+    assert np.isnan(q[1]).any()
+    assert not np.isnan(q[[0, 2]]).any()
+
+
+def test_newton_steps_agree_with_the_closed_form(shipped: Setup) -> None:
+    """From a guess 0.1 rad away, damped Newton steps end on the same angles within 1e-10."""
+    robot = shipped.robot
+    q = _states(robot, 40)
+    margins = singularity_margins(robot.chain, q)
+    q = q[np.min(list(margins.values()), axis=0) > 0.2]
+    assert len(q) > 5
+    for row in q:
+        pose = forward(robot.chain, row)
+        found = solve_near(robot.chain, pose, row + 0.1 * np.cos(np.arange(6)))
+        assert found is not None
+        np.testing.assert_allclose(found, row, atol=1e-10)
+
+
+def test_other_arms_are_solved_by_newton_steps_alone(random_arm: Callable[[int], Path]) -> None:
+    """Without a spherical wrist the search finds the pose, and the same angles at every call."""
+    robot = load_robot(random_arm(7))
+    assert SphericalWristArm.from_chain(robot.chain) is None
+    pose = forward(robot.chain, _states(robot, 1)[0])
+    first, second = (solve_anywhere(robot, pose) for _ in range(2))
+    assert first is not None
+    assert second is not None
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_allclose(forward(robot.chain, first).position, pose.position, atol=1e-11)
+
+
+def test_newton_steps_give_up_out_of_reach(shipped: Setup) -> None:
+    """A pose beyond the arm's reach returns None, not angles that miss it."""
+    robot = shipped.robot
+    pose = forward(robot.chain, np.zeros(6))
+    assert solve_near(robot.chain, pose._replace(position=np.array([3.0, 0, 0])), np.full(6, 0.3)) is None
+
+
+def test_margins_multiply_to_the_determinant(shipped: Setup) -> None:
+    """|det J| is the product of the three margins, both arm lengths and the reach, at random states."""
+    robot = shipped.robot
+    q = _states(robot, 200)
+    product = np.prod(list(singularity_margins(robot.chain, q).values()), axis=0) * 0.45 * 0.45 * 0.9
+    np.testing.assert_allclose(np.abs(np.linalg.det(jacobian(robot.chain, q))), product, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("kind", "q"),
+    [
+        ("wrist", [0.3, 0.4, 1.0, 0.2, 0.0, 0.1]),
+        ("elbow", [0.3, 0.4, 0.0, 0.2, 0.7, 0.1]),
+        ("shoulder", [0.3, -0.5, 1.0, 0.2, 0.7, 0.1]),
+    ],
+)
+def test_each_kind_of_singularity_has_its_own_margin(shipped: Setup, kind: str, q: list[float]) -> None:
+    """Straight wrist, stretched arm and wrist above axis 1 bring their own margin to 0, no other."""
+    margins = singularity_margins(shipped.robot.chain, np.array(q))
+    assert margins.pop(kind) == pytest.approx(0.0, abs=1e-15)
+    assert min(margins.values()) > 0.1
+
+
+def test_path_error_of_known_points() -> None:
+    """Points beside, before and past a line have the distances of elementary geometry."""
+    points = np.array([[1.0, 3, 4], [-2, 0, 0], [5, 0, 1], [2, 0, 0]])
+    error = path_error(points, np.zeros(3), np.array([4.0, 0, 0]))
+    np.testing.assert_allclose(error.along, [1, -2, 5, 2])
+    np.testing.assert_allclose(error.perpendicular, [5, 0, 1, 0])
+    np.testing.assert_allclose(error.beyond, [0, 2, 1, 0])
+
+
+def test_path_error_does_not_depend_on_the_frame() -> None:
+    """Turning and shifting points and line together changes none of the three measures."""
+    rng = np.random.default_rng(8)
+    points, start, end = rng.normal(size=(20, 3)), rng.normal(size=3), rng.normal(size=3)
+    rotation, shift = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    first = path_error(points, start, end)
+    second = path_error(points @ rotation.T + shift, rotation @ start + shift, rotation @ end + shift)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-13)
+    along, across = decompose(points, end - start)
+    np.testing.assert_allclose(across @ (end - start), 0.0, atol=1e-14)
+    np.testing.assert_allclose(along**2 + (across**2).sum(axis=1), (points**2).sum(axis=1))
+
+
+def test_a_line_between_equal_points_is_refused() -> None:
+    """Path error without a direction is an error, not NaN."""
+    with pytest.raises(ValueError, match="two different points"):
+        path_error(np.zeros((2, 3)), np.ones(3), np.ones(3))

@@ -1,0 +1,132 @@
+"""A URDF or a tool file that is not a usable arm is refused in one line that names the culprit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot import load_robot
+from rx90_emulator.loop.setup import SetupFiles
+
+LINK_5 = '<mass value="1.2"/>'
+INERTIA_5 = 'ixx="0.0022" ixy="0" ixz="0" iyy="0.0023" iyz="0" izz="0.0008"'
+LIMIT_5 = 'lower="-1.8325957145940461" upper="2.0943951023931953" velocity="5.585053606381854" effort="43.5"'
+JOINT_5 = '<joint name="joint_5" type="revolute">'
+XACRO = '<link name="flange"/><xacro:arm xmlns:xacro="http://ros.org/wiki/xacro"/>'
+AXIS_1 = '<child link="link_1"/>\n    <axis xyz="0 0 1"/>'
+
+CASES = {
+    "broken XML": ("</robot>", "", "not well-formed XML"),
+    "another root": ("robot", "model", "root element is 'model'"),
+    "xacro": ('<link name="flange"/>', XACRO, "expand it with xacro"),
+    "prismatic": (JOINT_5, '<joint name="joint_5" type="prismatic">', "'joint_5' type is 'prismatic'"),
+    "continuous": (JOINT_5, '<joint name="joint_5" type="continuous">', "'joint_5' type is 'continuous'"),
+    "floating base": (
+        '<joint name="base_fixed" type="fixed">',
+        '<joint name="base_fixed" type="floating">',
+        "'base_fixed' type is 'floating'",
+    ),
+    "five joints": (JOINT_5, '<joint name="joint_5" type="fixed">', "number of revolute joints is 5"),
+    "side branch": ('<parent link="link_5"/>', '<parent link="link_4"/>', "on a side branch"),
+    "two roots": ('<parent link="base_link"/>\n    <child link="link_1"/>', '<parent link="flange"/>'
+                  '<child link="link_1"/>', "a loop|root links"),
+    "unknown parent": ('<parent link="link_5"/>', '<parent link="link_7"/>', "parent link is 'link_7'"),
+    "two parents": ('<child link="flange"/>', '<child link="link_2"/>', "child link is 'link_2'"),
+    "name twice": ('<link name="flange"/>', '<link name="link_4"/>', "link name is 'link_4'"),
+    "zero mass": (LINK_5, '<mass value="0"/>', "'link_5' inertial mass is 0.0"),
+    "negative mass": (LINK_5, '<mass value="-1.2"/>', "'link_5' inertial mass is -1.2"),
+    "mass NaN": (LINK_5, '<mass value="nan"/>', "'link_5' inertial mass value is 'nan'"),
+    "mass missing": (LINK_5, "", "'link_5' inertial mass value is missing"),
+    "mass no number": (LINK_5, '<mass value="heavy"/>', "'heavy'"),
+    "not definite": (INERTIA_5, INERTIA_5.replace("0.0008", "-0.0008"), "positive definite"),
+    "not definite by products": (INERTIA_5, INERTIA_5.replace('ixy="0"', 'ixy="0.003"'), "positive definite"),
+    "triangle": (INERTIA_5, INERTIA_5.replace("0.0008", "0.0080"), "any two add up"),
+    "no inertia": (f"<inertia {INERTIA_5}/>", "", "'link_5' inertial inertia ixx is missing"),
+    "limits missing": (f"<limit {LIMIT_5}/>", "", "'joint_5' limit is None"),
+    "one limit missing": (LIMIT_5, LIMIT_5.replace("effort", "force"), "'joint_5' limit effort is missing"),
+    "limits crossed": (LIMIT_5, LIMIT_5.replace('"-1.83', '"3.83'), "'joint_5' limit lower is 3.83"),
+    "speed zero": (LIMIT_5, LIMIT_5.replace("5.585053606381854", "0"), "'joint_5' limit velocity is 0.0"),
+    "axis zero": (AXIS_1, AXIS_1.replace("0 0 1", "0 0 0"), "'joint_1' axis is '0 0 0'"),
+    "axis short": (AXIS_1, AXIS_1.replace("0 0 1", "0 1"), "'joint_1' axis xyz is '0 1'"),
+    "origin": ('<origin xyz="0 0 0.420"/>', '<origin xyz="0 0 high"/>', "'joint_1' origin xyz is '0 0 high'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_urdf_is_refused_naming_file_element_and_value(
+    case: str, shipped_files: SetupFiles, tmp_path: Path
+) -> None:
+    """One fault in the URDF gives one line with the file, the element, the value and what is accepted."""
+    old, new, expected = CASES[case]
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    assert old in text
+    file = tmp_path / "bad.urdf"
+    file.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError) as refusal:
+        load_robot(file, shipped_files.tool)
+    message = str(refusal.value)
+    assert re.search(expected, message), message
+    assert message.startswith(str(file))
+    assert "\n" not in message
+
+
+def test_a_link_without_any_mass_is_refused(shipped_files: SetupFiles, tmp_path: Path) -> None:
+    """A moving link with no inertial element, nor anything heavy fixed to it, is named."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    bare = re.sub(r'(<link name="link_3">)\s*<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
+    assert bare != text
+    file = tmp_path / "massless.urdf"
+    file.write_text(bare, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"link 'link_3' inertial is None; accepted: mass and inertia"):
+        load_robot(file)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\xff\xfe\x00<", b"no xml at all"])
+def test_a_file_that_is_no_urdf_is_refused(content: bytes | None, tmp_path: Path) -> None:
+    """A missing, empty, binary or foreign file gives one line that names it."""
+    file = tmp_path / "foreign.urdf"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"foreign\.urdf: (cannot be read|not well-formed)") as refusal:
+        load_robot(file)
+    assert "\n" not in str(refusal.value)
+
+
+TOOL_CASES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
+    "mass": (("inertial", "mass"), -3.5, r"inertial\.mass is -3\.5"),
+    "inertia": (("inertial", "inertia"), [0.01, 0.01, 0.05, 0, 0, 0], r"inertial\.inertia is .*any two"),
+    "inertia short": (("inertial", "inertia"), [0.01, 0.01], r"inertial\.inertia is .*6 numbers"),
+    "tcp": (("tcp", "position"), [0, 0, "far"], r"tcp\.position\[2\] is 'far'"),
+    "misspelt": (("tcp", "rpy"), [0, 0, 0], r"tcp\.rpy is not a known key"),
+    "looks": (("visual", "cylinders", "body"), [0.2, 0.1, 0.04], r"visual\.cylinders\.body is"),
+}
+
+
+@pytest.mark.parametrize("case", TOOL_CASES)
+def test_bad_tool_is_refused_naming_key_and_value(
+    case: str, shipped_files: SetupFiles, edited_yaml: Callable[..., Path]
+) -> None:
+    """One fault in the tool file gives one line with the file, the key and the value."""
+    path, value, expected = TOOL_CASES[case]
+    assert shipped_files.tool is not None
+    with pytest.raises(ConfigError, match=expected) as refusal:
+        load_robot(shipped_files.urdf, edited_yaml(shipped_files.tool, path, value))
+    assert "tool_laser_head.yaml" in str(refusal.value)
+
+
+def test_a_tool_needs_a_place_of_its_own(shipped_files: SetupFiles, tmp_path: Path) -> None:
+    """Without a link tool0, or with a link tool already there, the tool is refused."""
+    text = shipped_files.urdf.read_text(encoding="utf-8")
+    file = tmp_path / "other.urdf"
+    file.write_text(text.replace('"tool0"', '"hand"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match="link 'tool0' is None"):
+        load_robot(file, shipped_files.tool)
+    assert load_robot(file).tcp_frame == "hand"
+    file.write_text(text.replace('"flange"', '"tool"'), encoding="utf-8")
+    with pytest.raises(ConfigError, match="a link is 'tool'"):
+        load_robot(file, shipped_files.tool)

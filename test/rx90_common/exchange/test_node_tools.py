@@ -1,0 +1,26 @@
+"""What both nodes share, on real DDS in one process."""
+
+from __future__ import annotations
+
+import pytest
+from ros_client import Client
+
+node_tools = pytest.importorskip("rx90_common.exchange.node_tools", reason="needs rclpy", exc_type=ImportError)
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+
+@pytest.mark.ros
+def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001
+    """A subscriber that asks for more than is offered does not keep the others waiting."""
+    client = Client()
+    try:
+        heard = client.listen("joint_states")
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        client.node.create_subscription(JointState, "joint_states", heard.append, latched)
+        publisher = client.node.create_publisher(JointState, "joint_states", 10)
+        client.spin_until(lambda: client.node.count_subscribers("joint_states") == 2, "both in the graph")
+        assert node_tools.wait_until_matched(client.node, [publisher], 200)
+        assert publisher.get_subscription_count() == 1
+    finally:
+        client.close()

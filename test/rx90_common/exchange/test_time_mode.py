@@ -1,0 +1,40 @@
+"""What the simulation says of time."""
+
+from __future__ import annotations
+
+import pytest
+
+from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.rates import Rates
+from rx90_common.exchange.time_mode import TimeMode
+
+
+def test_the_text_carries_mode_and_rates() -> None:
+    """What is written can be read, and is readable."""
+    mode = TimeMode("free_running", Rates(8000, 2000))
+    assert mode.text == "free_running base_rate=8000 position_rate=2000"
+    assert TimeMode.parse(mode.text) == mode
+
+
+@pytest.mark.parametrize(
+    ("theirs", "told"),
+    [
+        (Rates(2000, 1000), "base_rate is 4000 Hz here and 2000 Hz in the simulation"),
+        (Rates(4000, 500), "position_rate is 1000 Hz here and 500 Hz in the simulation"),
+    ],
+)
+def test_other_rates_are_refused_with_both_values(theirs: Rates, told: str) -> None:
+    """One line names the rate and both values."""
+    TimeMode("lock_step", Rates()).check(Rates())
+    with pytest.raises(ExchangeError, match=told):
+        TimeMode("lock_step", theirs).check(Rates())
+
+
+@pytest.mark.parametrize(
+    "text", ["", "lock_step", "sometimes base_rate=4000 position_rate=1000", "lock_step base_rate=x position_rate=1",
+             "lock_step base_rate=0 position_rate=1000", "lock_step position_rate=4000 base_rate=1000"]
+)  # fmt: skip
+def test_another_text_is_refused(text: str) -> None:
+    """A text that is not the simulation's is named with what is accepted."""
+    with pytest.raises(MessageError, match="accepted: lock_step, free_running"):
+        TimeMode.parse(text)

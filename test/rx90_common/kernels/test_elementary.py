@@ -1,0 +1,118 @@
+"""Exponential, sine, cosine and power of lanes: accurate, the same as of floats, the same on every processor."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.kernels.elementary import exponential, power, sine_cosine
+from rx90_common.kernels.lanes import load, store
+
+Array = NDArray[np.float64]
+
+
+@numba.njit
+def in_lanes(x: Array, out: Array) -> None:
+    """Write exp(-|x|), sin(x), cos(x), shape (3, 8 n), eight lanes at a time."""
+    for i in range(0, x.size, 8):
+        sine, cosine = sine_cosine(load(x[i:], 8))
+        store(out[0, i:], exponential(load(-np.abs(x[i : i + 8]), 8)))
+        store(out[1, i:], sine)
+        store(out[2, i:], cosine)
+
+
+@numba.njit
+def one_by_one(x: Array, out: Array) -> None:
+    """Write the same for one float at a time."""
+    for i in range(x.size):
+        out[0, i] = exponential(-abs(x[i]))
+        out[1, i], out[2, i] = sine_cosine(x[i])
+
+
+def samples() -> Array:
+    """Return numbers of all sizes, both signs, and the neighbours of multiples of pi/4."""
+    rng = np.random.default_rng(7)
+    turns = np.arange(-40, 40) * (math.pi / 4)
+    beside = [np.nextafter(turns, -9e9), turns, np.nextafter(turns, 9e9)]
+    spread = rng.choice([-1, 1], 4000) * 10.0 ** rng.uniform(-12, 3, 4000)
+    x = np.concatenate([*beside, spread, rng.uniform(-7, 7, 4000), [0.0, -0.0]])
+    return x[: x.size // 8 * 8]
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="needs an extended precision to compare with")
+def test_errors_stay_below_two_units_in_the_last_place() -> None:
+    """Down to the smallest normal number exp, and to a thousand radians sin and cos, are off by less than 2 ulp."""
+    x = samples()
+    got = np.empty((3, x.size))
+    in_lanes(x, got)
+    wide = x.astype(np.longdouble)
+    want = np.array([np.exp(-np.abs(wide)), np.sin(wide), np.cos(wide)])
+    normal = want[0] > 1e-307
+    assert np.all(np.abs(got[0] - want[0])[normal] < 2 * np.spacing(got[0][normal]))
+    assert np.all(got[0][~normal] < 1e-307)
+    # Next to a zero of sine or cosine the rounding of the reduced angle counts, 1e-26 at most.
+    assert np.all(np.abs(got[1:] - want[1:]) < 2 * np.spacing(np.abs(got[1:])) + 1e-26)
+
+
+def test_values_that_must_be_exact() -> None:
+    """The exponential of 0 and cos(0) are 1, sin(0) and exp of minus infinity are 0, NaN stays NaN."""
+    x = np.array([0.0, -0.0, 1e4, math.inf, math.nan, 0.0, 0.0, 0.0])
+    out = np.empty((3, 8))
+    in_lanes(x, out)
+    assert out[0, :4].tolist() == [1.0, 1.0, 0.0, 0.0]
+    assert out[1, :2].tolist() == [0.0, 0.0]
+    assert out[2, :2].tolist() == [1.0, 1.0]
+    assert np.isnan(out[:, 4]).all()
+
+
+def test_lanes_and_floats_give_the_same_bits() -> None:
+    """A number gives the same result in a lane as by itself."""
+    x = samples()
+    together, single = np.empty((2, 3, x.size))
+    in_lanes(x, together)
+    one_by_one(x, single)
+    assert together.tobytes() == single.tobytes()
+
+
+def test_power() -> None:
+    """Exponents 1 and 2 are exact, others the C library's, also mixed in one set of lanes."""
+
+    @numba.njit
+    def compute(base: Array, exponent: Array, out: Array) -> None:
+        store(out, power(load(base, 7), load(exponent, 7)))
+
+    base = np.array([0.0, 0.3, 1.7, 0.0, 0.3, 1.7, 1e300])
+    for exponent in (np.ones(7), np.full(7, 2.0), np.array([1.0, 1.0, 2.0, 0.5, 2.7, 0.01, 50.0])):
+        out = np.empty(7)
+        compute(base, exponent, out)
+        plain = (exponent == 1.0) | (exponent == 2.0)
+        with np.errstate(over="ignore"):
+            assert out == pytest.approx(base**exponent, rel=1e-15, abs=0.0)
+            assert np.array_equal(out[plain], np.where(exponent == 1.0, base, base * base)[plain])
+
+
+def test_a_processor_without_vector_and_fma_instructions_gives_the_same_bits(tmp_path: Path) -> None:
+    """Compiled for the oldest processor of the kind, in a process of its own, every bit is the same."""
+    if os.environ.get("NUMBA_CPU_NAME"):
+        pytest.skip("already compiled for a chosen processor")
+    x = samples()
+    here = np.empty((3, x.size))
+    in_lanes(x, here)
+    np.save(tmp_path / "x.npy", x)
+    code = (
+        "import sys, numpy as np; sys.path[:0] = sys.argv[2:]; from test_elementary import in_lanes; "
+        "x = np.load(sys.argv[1] + '/x.npy'); out = np.empty((3, x.size)); in_lanes(x, out); "
+        "np.save(sys.argv[1] + '/out.npy', out)"
+    )
+    folders = [str(tmp_path), str(Path(__file__).parent), str(Path(__file__).parents[3])]
+    plain = {**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+    subprocess.run([sys.executable, "-c", code, *folders], check=True, env=plain, timeout=120)
+    assert np.load(tmp_path / "out.npy").tobytes() == here.tobytes()

@@ -1,0 +1,65 @@
+"""Ctrl-C is neither lost nor raised where a program cannot take it."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import pytest
+
+from rx90_common.process.interrupts import interrupts_later, raise_where_heard
+
+
+def _interrupted_block(reached: list[str], *, check: bool) -> None:
+    with interrupts_later() as check_interrupt:
+        signal.raise_signal(signal.SIGINT)
+        reached.append("after the signal")
+        if check:
+            check_interrupt()
+            reached.append("after the check")
+
+
+@pytest.mark.parametrize("check", [True, False])
+def test_an_interrupt_waits(check: bool) -> None:
+    """Within the block Ctrl-C does nothing until the yielded function is called or the block ends."""
+    before = signal.getsignal(signal.SIGINT)
+    reached: list[str] = []
+    with pytest.raises(KeyboardInterrupt):
+        _interrupted_block(reached, check=check)
+    assert reached == ["after the signal"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    """Where a parent told the process to ignore Ctrl-C, the block does not take it up."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with interrupts_later() as check:
+            signal.raise_signal(signal.SIGINT)
+            check()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class _Interrupted:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def _interrupted_destructor() -> None:
+    thing = _Interrupted()
+    del thing
+    deadline = time.monotonic() + 30.0
+    while time.monotonic() < deadline:
+        time.sleep(0.01)
+
+
+def test_an_interrupt_in_a_destructor_is_not_lost() -> None:
+    """Python swallows exceptions of destructors; the interrupt is raised in the code that follows."""
+    before = signal.getsignal(signal.SIGINT)
+    raise_where_heard()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            _interrupted_destructor()
+    finally:
+        signal.signal(signal.SIGINT, before)

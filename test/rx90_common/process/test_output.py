@@ -1,0 +1,72 @@
+"""Tools whose standard output cannot be written."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from processes import executable
+
+TOOLS = {
+    "rx90_line": ["--from-file", "task/reference_line.yaml", "--dry-run"],
+    "rx90_bag": ["info", str(Path(__file__).parents[2] / "reference/reference_task")],
+    "rx90_run": ["--help"],
+    "rx90_sweep": ["--help"],
+    "rx90_demo": ["--help"],
+    "friction_ramp": ["--help"],
+    "friction_rig_emulator": ["--help"],
+    "rx90_sim": ["--help"],
+}
+# Stands for a tool that prints more than a buffer holds, and has something to end in order.
+LONG = """
+import sys
+from rx90_common.process.output import with_checked_output
+def run():
+    try:
+        for k in range(100_000):
+            print(k)
+    finally:
+        print("ended", file=sys.stderr)
+    return 0
+sys.exit(with_checked_output("tool", run))
+"""
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_a_full_disk_is_one_line(name: str) -> None:
+    """Output to a full device gives one line that says so and a non-zero exit code."""
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [executable(name), *TOOLS[name]], stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+        )
+    assert done.returncode == 1
+    said = [line for line in done.stderr.splitlines() if "compiling" not in line]
+    assert said == [f"{name}: standard output cannot be written: No space left on device"]
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_a_reader_that_has_gone_is_a_quiet_end(name: str) -> None:
+    """Output into a closed pipe gives nothing on standard error and the exit code of SIGPIPE."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [executable(name), *TOOLS[name]], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_what_has_begun_ends_in_order() -> None:
+    """A reader that goes in the middle, as head does, ends the tool through its own clean-up."""
+    with subprocess.Popen(
+        [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "0\n"
+        process.stdout.close()
+        assert process.stderr is not None
+        assert process.stderr.read() == "ended\n"
+    assert process.returncode == 141

@@ -1,0 +1,68 @@
+"""Sweeps with known friction for the tests of the identification."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from rx90_common.friction import FrictionSet
+from rx90_emulator.cli import experiment as experiment_command
+from rx90_emulator.cli import identify as identify_command
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.loop.setup import Setup
+
+Sweeps = Callable[..., tuple[JointRecord, FrictionSet]]
+
+
+@pytest.fixture(scope="session")
+def arm(shipped: Setup) -> RigidArm:
+    """Return the rigid model of the shipped arm."""
+    return RigidArm.from_setup(shipped)
+
+
+@pytest.fixture(scope="session")
+def sweeps(shipped: Setup) -> Sweeps:
+    """Return a maker of synthetic records: `sweeps(joints, seed, noise, payload, **program)`."""
+
+    def make(
+        joints: Sequence[int],
+        seed: int = 0,
+        noise: Noise | None = None,
+        payload: float = 0.0,
+        friction: FrictionSet | None = None,
+        **program: float,
+    ) -> tuple[JointRecord, FrictionSet]:
+        rng = np.random.default_rng(seed)
+        friction = friction or random_friction(shipped.friction, rng)
+        short = {"count": 12, "poses": 1, "longest": 2.0}
+        motion = Program(joints, **(short | program)).motion(shipped, seed)  # type: ignore[arg-type]
+        torque = drive_torque(shipped, friction, motion, payload)
+        return measured(shipped, motion, torque, rng, noise or Noise()), friction
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the bags of a short series for joint 4 on the engine."""
+    folder = tmp_path_factory.mktemp("engine") / "series"
+    assert experiment_command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def identified(series: Path) -> tuple[Path, str]:
+    """Return the friction file of the short series, its report beside it, and what the command printed."""
+    output = series.parent / "friction.yaml"
+    said = io.StringIO()
+    with redirect_stdout(said):
+        code = identify_command.main([str(series), "--output", str(output)])
+    assert code == identify_command.CONFIRMED, said.getvalue()
+    return output, said.getvalue()

@@ -1,0 +1,185 @@
+"""The complete path: experiments on the real nodes, bags by the recorder, identification, verdict."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import Processes, wait_until
+
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.friction import FrictionSet, load_friction
+from rx90_emulator.cli import identify as identify_command
+from rx90_emulator.identification.experiments.engine import run_on_engine
+from rx90_emulator.identification.experiments.folder import read_index
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
+from rx90_emulator.loop.setup import Setup
+
+
+def test_bags_become_a_friction_file_that_loads(identified: tuple[Path, str], shipped: Setup) -> None:
+    """From bags comes a file that the simulation loads, a report, and a verdict on the bag that was not used."""
+    output, said = identified
+    assert "validation " in said
+    found = load_friction(output, shipped.robot.joint_names).elements[3]
+    truth = shipped.friction.elements[3]
+    assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.1
+    assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+    assert abs(found.c1 / truth.c1 - 1.0) < 0.15
+    text = output.read_text(encoding="utf-8")
+    assert "sha256" in text
+    assert "provenance: assumed" in text  # the other joints did not move
+    assert "<svg" in output.with_suffix(".html").read_text(encoding="utf-8")
+
+
+def test_the_sweeps_of_one_joint_leave_the_weights_of_the_others_alone(identified: tuple[Path, str]) -> None:
+    """A series for joint 4 alone is confirmed on a run of all joints to 1 % of each joint's torque."""
+    _, said = identified
+    (share,) = re.findall(r"confirmed: torque RMS ([\d.]+)%", said)
+    assert float(share) < 1.0
+
+
+def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An output that exists is refused without --force, and a refusal of the data leaves it as it was with --force."""
+    output = tmp_path / "friction.yaml"
+    output.write_text("mine", encoding="utf-8")
+    assert identify_command.main([str(series), "--output", str(output)]) == identify_command.REFUSED
+    assert "exists; accepted: another name, or --force" in capsys.readouterr().err
+    bag = str(read_index(series).presliding[0])
+    arguments = ["--sliding", str(tmp_path / "nowhere"), "--presliding", bag, "--output", str(output), "--force"]
+    assert identify_command.main(arguments) == identify_command.REFUSED
+    assert output.read_text(encoding="utf-8") == "mine"
+    assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
+
+
+def test_a_bag_is_not_validated_by_itself(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A bag that was used for the identification is refused as validation."""
+    bag = str(read_index(series).sliding[0])
+    arguments = ["--sliding", bag, "--validation", bag, "--output", str(tmp_path / "f.yaml")]
+    assert identify_command.main(arguments) == identify_command.REFUSED
+    assert "also used for the identification" in capsys.readouterr().err
+
+
+def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(
+    shipped: Setup, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A motion that was not used confirms friction that the fit found, and one of another robot refutes it."""
+    fourth = replace(shipped.friction.elements[3], tau_c_positive=7.0, tau_c_negative=5.5, c2=2.6, c0=1.3e4)
+    friction = FrictionSet(
+        shipped.friction.names, (*shipped.friction.elements[:3], fourth, *shipped.friction.elements[4:])
+    )
+    truth = replace(shipped, friction=friction)
+    options = PlanOptions(speeds=8, groups=("joint_4",), presliding_cycles=(2e-3,), tone_amplitudes=(4e-5,), burst=3.0)
+    sliding, presliding, _ = make_plan(truth.robot, truth.drives, options)
+    for experiment in (sliding, presliding, fresh_motion(truth)):
+        run_on_engine(truth, experiment, tmp_path / experiment.name)
+    # The same check refuses the friction that joint 4 does not have.
+    run_on_engine(shipped, fresh_motion(shipped), tmp_path / "other")
+    bags = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
+    arguments = [*bags, "--validation", tmp_path / "fresh", tmp_path / "other", "--output", tmp_path / "friction.yaml"]
+    assert identify_command.main([str(value) for value in arguments]) == identify_command.NOT_CONFIRMED
+    said = capsys.readouterr().out
+    assert f"validation {tmp_path / 'fresh'}: confirmed" in said
+    assert f"validation {tmp_path / 'other'}: NOT CONFIRMED" in said
+
+
+def fresh_motion(setup: Setup) -> Experiment:
+    """Return a motion that no plan has: joint 4 fast and slow with reversals, the others a little."""
+    motion = Motion(np.zeros(6))
+    for target, speed in ((0.9, 1.2), (-0.5, 0.4), (-0.2, 0.1)):
+        motion.move([0.1 * target, 0.1, 0.1 * target, target, 0.2, 0.1], np.full(6, speed), 4.0)
+        motion.rest(0.1)
+    motion.move(np.zeros(6), np.full(6, 0.5), 4.0)
+    return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
+
+
+ON_NODES = """
+import sys
+from pathlib import Path
+import numpy as np
+from rx90_common.exchange.environment import prepare
+prepare()
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.nodes import ExperimentRunner
+from rx90_emulator.identification.experiments.plan import Experiment, Kind
+from rx90_emulator.loop.setup import Setup
+robot, fourth = Setup.load().robot, np.eye(6)[3]
+slide, bend = Motion(np.zeros(6)), Motion(np.zeros(6))
+for speed in np.geomspace(0.041, 1.63, 5):
+    slide.sweep(fourth, speed, 0.5, 6.0)
+    slide.sweep(fourth, -speed, 0.5, 6.0)
+bend.sweep(fourth, 0.05, 0.3, 6.0)
+bend.oscillate(fourth, [2e-3], [1.0], 2.0)
+bend.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+bend.move(np.zeros(6), np.ones(6), 5.0)
+plan = [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
+        Experiment("bend", Kind.PRESLIDING, bend.points(robot.joint_names), 2)]
+folder = Path(sys.argv[1])
+folder.mkdir()
+ExperimentRunner(robot, "rx90_controller", 60.0).run(plan, folder, print)
+"""
+"""Much less than the command's --quick: one joint, five speeds, one micro-oscillation, 12 s of motion."""
+
+
+@pytest.mark.ros
+def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
+    """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters."""
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    processes.start("rx90_controller")
+    folder = tmp_path / "series"
+    run = processes.start(sys.executable, "-c", ON_NODES, folder)
+    assert run.wait(timeout=120.0) == 0
+    output = tmp_path / "friction.yaml"
+    assert identify_command.main([str(folder), "--output", str(output)]) == identify_command.CONFIRMED
+    found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
+    assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
+    assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+
+
+INTERRUPTED = """
+import sys
+import numpy as np
+from rx90_emulator.cli import experiment as command
+from rx90_emulator.identification.experiments import job
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.plan import Experiment, Kind
+from rx90_emulator.loop.setup import Setup
+robot, plan = Setup.load().robot, []
+for name, duration in (("short", 0.5), ("long", 400.0)):
+    motion = Motion(np.zeros(6))
+    motion.sweep(np.eye(6)[3], 1e-3, duration, 6.0)
+    plan.append(Experiment(name, Kind.SLIDING, motion.points(robot.joint_names), 1))
+job.make_plan = lambda *_: plan
+sys.exit(command.main(["run", "--nodes", "--output", sys.argv[1]]))
+"""
+"""The command with a plan of half a second and one that lasts until it is stopped."""
+
+
+@pytest.mark.ros
+def test_an_interrupted_series_keeps_its_complete_bags(processes: Processes, tmp_path: Path) -> None:
+    """Ctrl-C in the second experiment ends with 130, the first in the index, and no recorder left behind."""
+    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
+    processes.start("rx90_controller")
+    folder = tmp_path / "series"
+    run = processes.start(sys.executable, "-c", INTERRUPTED, folder)
+    wait_until((folder / "long").exists, "the second bag")
+    run.signal(signal.SIGINT)
+    assert run.wait() == 130
+    assert run.lines[-1] == "rx90_experiment: interrupted; complete bags stay"
+    assert [bag.name for bag in read_index(folder).sliding] == ["short"]
+    assert len(read_joint_states(folder / "short", "joint_states").stamp_ns) >= 500
+    assert not [pid for pid, words in running() if str(folder) in words]
+
+
+def running() -> Iterator[tuple[str, str]]:
+    """Yield id and command line of every process."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            yield process.name, (process / "cmdline").read_text(encoding="utf-8", errors="replace")

@@ -1,0 +1,168 @@
+"""The planned motions: within the arm's limits, telling elements apart, run into bags of the right topics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_emulator.cli import experiment as command
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.experiments.folder import read_index
+from rx90_emulator.identification.experiments.load import check_load
+from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan
+from rx90_emulator.identification.experiments.speeds import sweep_speeds
+from rx90_emulator.loop.setup import Setup
+
+
+def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
+    """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
+    for experiment in make_plan(shipped.robot, shipped.drives):
+        load = check_load(experiment, shipped.robot, shipped.drives, shipped.controller)
+        assert load.speed.max() <= 1.0
+        assert load.torque.max() <= 1.0
+
+
+def test_every_experiment_begins_and_ends_at_home(shipped: Setup) -> None:
+    """Experiments can be run in any order, because each begins and ends at the home pose."""
+    for experiment in make_plan(shipped.robot, shipped.drives):
+        assert np.allclose(experiment.points.position[[0, -1]], PlanOptions().home, atol=1e-12)
+
+
+def test_sweeps_cover_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
+    """Joint 1 is held at 28 speeds in each direction, all different, evenly spaced in their logarithms."""
+    plan = {e.name: e for e in make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))}
+    velocity = plan["sliding_joint_1"].points.velocity
+    assert velocity is not None
+    held = velocity[:-1, 0][velocity[:-1, 0] == velocity[1:, 0]]
+    nominal = np.log(np.geomspace(0.004, 0.4 * shipped.robot.max_velocity[0], 56))
+    for sign, first in ((1.0, 0), (-1.0, 1)):
+        speeds = np.unique(np.round(held[sign * held > 0.0] * sign, 9))
+        assert len(speeds) == PlanOptions().speeds
+        # A speed lies below its nominal place by less than the next one's distance, away from a beat with the sampling.
+        below = nominal[first::2] - np.log(speeds)
+        assert below.min() > -1e-6
+        assert below.max() < nominal[1] - nominal[0]
+
+
+def test_a_speed_is_held_for_long_where_the_arm_has_room(shipped: Setup) -> None:
+    """Sweeps last 4 s, or 0.6 rad of travel where that is less, but at least 0.7 s."""
+    points = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_1",)))[0].points
+    assert points.velocity is not None
+    speed, same = np.abs(points.velocity[:-1, 0]), points.velocity[:-1, 0] == points.velocity[1:, 0]
+    held = same & (speed > 0.0)
+    expected = np.clip(0.6 / speed[held], 0.7, 4.0)
+    assert np.diff(points.times)[held] == pytest.approx(expected, abs=1.001e-3)
+
+
+def test_no_sweep_beats_with_the_sampling(shipped: Setup) -> None:
+    """No motor passes nearly a whole, half, third or quarter number of encoder steps in a millisecond of a sweep."""
+    drives = shipped.drives
+    for direction in directions(shipped.robot.joint_names):
+        speeds = sweep_speeds(direction.vector, 0.004, 1.4, 56, drives)
+        motors = drives.gear * direction.vector
+        motors[5] = drives.gear[5] * (direction.vector[4] + direction.vector[5])
+        steps = np.outer(speeds, np.abs(motors[motors != 0.0])) * drives.encoder_counts[0] / (2.0 * np.pi) * 1e-3
+        parts = steps[..., None] * np.array([1.0, 2.0, 3.0, 4.0])
+        assert np.abs(parts - np.round(parts)).min() > 0.05, direction.name
+
+
+def test_directions_of_the_wrist_tell_three_elements_apart(shipped: Setup) -> None:
+    """The rows of torque that the wrist's directions excite have full rank in the three elements 5, 6 and 5+6."""
+    inputs = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
+    rows = []
+    for direction in directions(shipped.robot.joint_names):
+        signs = np.sign(inputs @ direction.vector)
+        if not direction.vector[:4].any():
+            rows += [inputs[[4, 5, 6], joint] * signs[[4, 5, 6]] for joint in (4, 5)]
+    assert np.linalg.matrix_rank(np.array(rows)) == 3
+
+
+def test_oscillations_are_what_they_say() -> None:
+    """In the middle of an oscillation the knots' position, velocity and acceleration are those of the sine."""
+    motion = Motion(np.zeros(6))
+    motion.oscillate(np.eye(6)[2], [1e-4], [8.0], 4.0)
+    points = motion.points([f"joint_{i}" for i in range(1, 7)])
+    assert points.velocity is not None
+    assert points.acceleration is not None
+    middle = (points.times > 1.1) & (points.times < 2.9)
+    omega, time = 16.0 * np.pi, points.times[middle]
+    assert np.allclose(points.position[middle, 2], 1e-4 * np.sin(omega * time), atol=1e-12)
+    assert np.allclose(points.velocity[middle, 2], 1e-4 * omega * np.cos(omega * time), atol=1e-10)
+    assert np.allclose(points.acceleration[middle, 2], -1e-4 * omega**2 * np.sin(omega * time), atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"groups": ("joint_9",)}, "unknown group 'joint_9'"),
+        ({"poses": ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0),)}, "joint_2 is 9 rad"),
+        ({"poses": ((0.0, 0.0),)}, "pose 1 has 2 angles"),
+        ({"speeds": 4}, "4 speeds; accepted: 5 to 1000"),
+        ({"speeds": 10**8}, "100000000 speeds; accepted: 5 to 1000"),
+        ({"travel": 0.01}, "travel is 0.01 rad; accepted: 0.016 or more"),
+    ],
+)
+def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, object], text: str) -> None:
+    """Unknown groups and poses outside the joints' ranges are refused with the offending value."""
+    with pytest.raises(IdentificationError, match=text):
+        make_plan(shipped.robot, shipped.drives, replace(PlanOptions(), **change))  # type: ignore[arg-type]
+
+
+def test_too_much_acceleration_is_refused(shipped: Setup) -> None:
+    """A plan whose torques pass what the URDF allows is refused with joint, torque and limit."""
+    plan = make_plan(shipped.robot, shipped.drives, PlanOptions(acceleration=60.0, groups=("joint_2",)))
+    with pytest.raises(IdentificationError, match=r"would need .* Nm; accepted: up to"):
+        check_load(plan[0], shipped.robot, shipped.drives, shipped.controller)
+
+
+def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """`rx90_experiment plan` prints runs and time of each experiment and their sums, and writes nothing."""
+    assert command.main(["plan", "--group", "joint_4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines[1:4]] == ["sliding_joint_4", "presliding_joint_4", "validation"]
+    assert lines[-1].startswith("3 experiments, ")
+    seconds = sum(float(line.split()[2]) for line in lines[1:4])
+    assert abs(float(lines[-1].split(" s of motion")[0].split()[-1]) - seconds) < 1.0
+
+
+def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> None:
+    """A series on the engine has an index and bags with joint states, motor states and set-points."""
+    bags = read_index(series)
+    assert [bag.name for bag in (*bags.sliding, *bags.presliding, *bags.validation)] == [
+        "sliding_joint_4",
+        "presliding_joint_4",
+        "validation",
+    ]
+    wanted = [{"joint_states"}, {"motor_states"}, {"motor_states", "rx90_controller/reference"}]
+    for bag, topics in zip((*bags.sliding, *bags.presliding, *bags.validation), wanted, strict=True):
+        with BagReader(bag) as reader:
+            assert {there.name for there in reader.topics} == {f"/{topic}" for topic in (*topics, "robot_description")}
+    for bag in (*bags.presliding, *bags.validation):
+        assert np.median(np.diff(read_joint_states(bag, "motor_states").stamp_ns)) == 250_000
+
+
+def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A series is never written into a folder that is there."""
+    assert command.main(["run", "--engine", "--output", str(tmp_path)]) == command.REFUSED
+    assert "accepted: a folder that can be made" in capsys.readouterr().err
+
+
+def test_kinds_have_topics() -> None:
+    """Every kind of experiment says what is recorded of it."""
+    from rx90_emulator.identification.experiments.folder import TOPICS
+
+    assert set(TOPICS) == set(Kind)
+
+
+@pytest.mark.parametrize("seconds", ["nan", "-1", "inf", "soon"])
+def test_a_time_limit_that_is_none_is_wrong_usage(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A --timeout that would never come, or has passed, ends with what is accepted and status 2."""
+    with pytest.raises(SystemExit) as end:
+        command.main(["run", "--nodes", "--output", "nowhere", "--timeout", seconds])
+    assert end.value.code == 2
+    assert f"--timeout: '{seconds}'; accepted: a positive number" in capsys.readouterr().err

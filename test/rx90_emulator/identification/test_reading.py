@@ -1,0 +1,211 @@
+"""Bags of this project and of other robots become joint-side records, or one line of refusal."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_making import ROS1, joint_state, write_ros1, write_ros2
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import BagError
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.records.reading import BagLayout, read_record
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.run_bag import write_run
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+NAMES = ("a", "b")
+PERIOD_NS = 2_000_000
+COUPLED = np.array([[50.0, 0.0], [20.0, 20.0]])
+
+
+def motion(count: int = 1000) -> tuple[Array, Array, Array]:
+    """Return positions, velocities and torques of two joints."""
+    t = np.arange(count) * PERIOD_NS * 1e-9
+    phase = np.column_stack([2.0 * t, 3.0 * t])
+    return 0.5 * np.sin(phase), np.array([1.0, 1.5]) * np.cos(phase), np.column_stack([5 * np.cos(t), 3 * np.sin(t)])
+
+
+def messages(
+    position: Array, velocity: Array | None, effort: Array | None, names: tuple[str, ...] = NAMES, **store: Any
+) -> list[tuple[str, int, Any]]:
+    """Return JointState messages on /arm."""
+    rows = []
+    for k, q in enumerate(position):
+        stamp = 10**9 + k * PERIOD_NS
+        v, e = (() if values is None else values[k] for values in (velocity, effort))
+        rows.append(("/arm", stamp, joint_state(stamp, list(names), q, v, e, **store)))
+    return rows
+
+
+LAYOUT = BagLayout.joint_side("arm", NAMES)
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+def test_a_foreign_robots_bag_is_read(tmp_path: Path, ros: int) -> None:
+    """A JointState bag of ROS 1 or ROS 2 with more joints in another order gives those asked for."""
+    q, v, e = motion()
+    swapped = [np.column_stack([values[:, 1], 7.0 + values[:, 0], values[:, 0]]) for values in (q, v, e)]
+    names = ("b", "gripper", "a")
+    if ros == 1:
+        path = write_ros1(tmp_path / "arm.bag", messages(*swapped, names, store=ROS1))
+    else:
+        path = write_ros2(tmp_path / "arm", messages(*swapped, names))
+    record = read_record(path, LAYOUT)
+    assert record.names == NAMES
+    for found, wanted in ((record.position, q), (record.velocity, v), (record.torque, e)):
+        assert np.array_equal(found, wanted)
+    assert record.time[0] == pytest.approx(1.0)
+    assert (record.missing, record.outliers) == (0, 0)
+
+
+def test_motor_side_currents_become_joint_torques(tmp_path: Path) -> None:
+    """Motor angles and currents of a coupled wrist give joint angles and, by virtual work, joint torques."""
+    q, v, e = motion()
+    constants = np.array([0.1, 0.2])
+    current = np.linalg.solve(COUPLED.T, e.T).T / constants
+    path = write_ros2(tmp_path / "arm", messages(q @ COUPLED.T, v @ COUPLED.T, current, ("m1", "m2")))
+    layout = BagLayout.motor_side(
+        "arm", ("m1", "m2"), NAMES, np.array([50.0, 20.0]), np.array([[1, 0], [1, 1]]), constants
+    )
+    record = read_record(path, layout)
+    for found, wanted in ((record.position, q), (record.velocity, v), (record.torque, e)):
+        assert np.allclose(found, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("given", [None, "quantised"])
+def test_velocities_come_from_positions_where_messages_have_none(tmp_path: Path, given: str | None) -> None:
+    """Without velocities, or with those of a coarse tachometer, the record's are right to 1 % of the largest."""
+    q, v, e = motion()
+    coarse = None if given is None else np.round(v, 1)
+    record = read_record(write_ros2(tmp_path / "arm", messages(q, coarse, e)), LAYOUT)
+    assert np.abs(record.velocity - v)[20:-20].max() < 0.015
+
+
+def test_lost_messages_and_spikes_are_counted(tmp_path: Path) -> None:
+    """Missing messages, a NaN, a spike and a repeated stamp are counted and leave the rest as it is."""
+    q, v, e = motion()
+    e[100, 0], e[200, 1] = np.nan, 80.0
+    rows = messages(q, v, e)
+    rows[300] = (rows[300][0], rows[300][1], rows[299][2])
+    record = read_record(write_ros2(tmp_path / "arm", rows[:400] + rows[405:]), LAYOUT)
+    assert record.outliers == 3
+    assert record.missing == 5 + 1  # and the message under its neighbour's stamp
+    assert len(record.time) == 1000 - 5 - 3
+    assert np.abs(record.torque).max() <= 5.0
+
+
+def test_jitter_is_no_loss(tmp_path: Path) -> None:
+    """Stamps that jitter by half a period count as no missing message, and as those that are missing in a gap."""
+    q, v, e = motion()
+    jitter = np.random.default_rng(0).uniform(-0.49, 0.49, len(q)) * PERIOD_NS
+    rows = []
+    for k, stamp in enumerate((10**9 + np.arange(len(q)) * PERIOD_NS + jitter).astype(int).tolist()):
+        rows.append(("/arm", stamp, joint_state(stamp, list(NAMES), q[k], v[k], e[k])))
+    assert read_record(write_ros2(tmp_path / "whole", rows), LAYOUT).missing <= 20
+    assert 180 <= read_record(write_ros2(tmp_path / "gap", rows[:300] + rows[500:]), LAYOUT).missing <= 220
+
+
+def test_a_lower_rate_gives_means(tmp_path: Path) -> None:
+    """At a fifth of the rate each sample is the mean of five, its time included."""
+    q, v, e = motion()
+    path = write_ros2(tmp_path / "arm", messages(q, v, e))
+    record = read_record(path, LAYOUT, rate=100.0)
+    assert len(record.time) == 200
+    assert np.allclose(record.torque[3], e[15:20].mean(axis=0))
+    assert record.time[3] == pytest.approx(1.0 + 17 * PERIOD_NS * 1e-9)
+
+
+def test_the_digest_is_that_of_the_storage_file(tmp_path: Path) -> None:
+    """The record names the bag's file by the SHA-256 that sha256sum prints."""
+    path = write_ros2(tmp_path / "arm", messages(*motion(50)))
+    (file,) = path.glob("*.mcap")
+    assert read_record(path, LAYOUT).sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> None:
+    """motor_states through gears and coupling give what joint_states hold, within the encoders' counts."""
+    names, zero = shipped.robot.joint_names, np.zeros(6)
+    goal = np.array([0.1, 0.4, 1.0, -0.2, 0.6, 0.3])
+    points = TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
+    result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
+    write_run(result, tmp_path / "run")
+    motors = read_record(tmp_path / "run", BagLayout.rx90_motors(shipped))
+    joints = read_record(tmp_path / "run", BagLayout.rx90_joints(shipped))
+    same = np.isin(motors.time, joints.time)
+    assert same.sum() > 600
+    rows = np.isin(joints.time, motors.time)
+    assert np.abs(motors.position[same] - joints.position[rows]).max() < 1e-5
+    assert np.abs(motors.torque[same] - joints.torque[rows]).max() < 1e-9
+
+
+def refused(path: Path, layout: BagLayout = LAYOUT) -> str:
+    """Return the one line with which a bag is refused."""
+    with pytest.raises((BagError, IdentificationError)) as caught:
+        read_record(path, layout)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
+    """Wrong names or velocities, no or zero effort, no position, and stamps that go back are each refused."""
+    q, v, e = motion(200)
+
+    def bag(name: str, rows: list[tuple[str, int, Any]]) -> Path:
+        return write_ros2(tmp_path / name, rows)
+
+    good = messages(q, v, e)
+    assert "no joint 'c'; there are a, b" in refused(bag("names", good), BagLayout.joint_side("arm", ("a", "c")))
+    assert "no topic /leg" in refused(tmp_path / "names", BagLayout.joint_side("leg", NAMES))
+    assert "carries no effort; accepted" in refused(bag("effort", messages(q, v, None)))
+    assert "effort 0 throughout" in refused(bag("zero", messages(q, v, 0.0 * e)))
+    assert "carries no effort" in refused(bag("nan", messages(q, v, np.nan * e)))
+    assert "carries no position" in refused(bag("position", messages(np.zeros((200, 0)), v, e)))
+    for factor, said in ((-1.0, "-1"), (np.degrees(1.0), "57.3")):
+        wrong = bag(f"velocity{said}", messages(q, factor * v, e))
+        assert f"the velocity of 'a' is {said} times the change of its position; accepted: rad" in refused(wrong)
+    back = [(topic, 10**9 + k, message) for k, (topic, _, message) in enumerate([*good[25:], *good[:25]])]
+    assert "stamp goes back from 1.398000000 s to 1.000000000 s" in refused(bag("back", back))
+    assert "no.mcap" in refused(tmp_path / "no.mcap")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"messages": ("a",)}, "1 names in the messages for 2 joints"),
+        ({"turns": np.zeros((2, 2))}, "accepted: an invertible matrix"),
+        ({"turns": np.eye(3)}, r"turns has shape \(3, 3\); accepted: finite numbers, \(2, 2\)"),
+        ({"torque_constant": np.ones(3)}, r"torque_constant has shape \(3,\)"),
+    ],
+)
+def test_a_layout_that_does_not_fit_is_refused(change: dict[str, Any], message: str) -> None:
+    """Sizes that do not fit the joints are refused with what is accepted."""
+    with pytest.raises(IdentificationError, match=message):
+        dataclasses.replace(LAYOUT, **change)
+
+
+def test_a_record_checks_itself() -> None:
+    """A record refuses NaN, time that stands still, wrong shapes and parts that hold nothing."""
+    q, v, e = motion(10)
+    time = np.arange(10) * 0.1
+    record = JointRecord(NAMES, time, q, v, e, Path("bag"), "")
+    assert len(record.between(0.2, 0.5).time) == 3
+    with pytest.raises(IdentificationError, match=r"bag: no samples from 2 s to 3 s"):
+        record.between(2.0, 3.0)
+    for change, message in (
+        ({"torque": e * np.nan}, "torque holds NaN"),
+        ({"time": np.zeros(10)}, "time goes from"),
+        ({"velocity": v[:5]}, "velocity has shape"),
+    ):
+        with pytest.raises(IdentificationError, match=message):
+            dataclasses.replace(record, **change)

@@ -1,0 +1,208 @@
+"""The sliding fit finds known friction, says how well, and says what it cannot tell."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.synthetic_sweeps import Noise
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_emulator.identification.errors import IdentificationError
+from rx90_emulator.identification.estimate import SLIDING, ElementEstimate
+from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.sliding.fit import identify_sliding
+from rx90_emulator.loop.setup import Setup
+
+
+def errors(estimate: ElementEstimate, element: LuGreElement) -> dict[str, float]:
+    """Return relative errors by parameter."""
+    return {name: abs(found.value / getattr(element, name) - 1.0) for name, found in estimate.parameters.items()}
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2, 3])
+def test_random_friction_is_found_within_two_per_cent_at_the_rigs_noise(sweeps: Any, arm: RigidArm, joint: int) -> None:
+    """Every sliding parameter of a joint is within 2 % of the truth at the default rig's encoder and torque noise."""
+    record, friction = sweeps([joint], 20 + joint, count=16, poses=3, longest=4.0)
+    estimate = identify_sliding([record], arm).estimates[joint]
+    assert tuple(estimate.parameters) == SLIDING
+    assert max(errors(estimate, friction.elements[joint]).values()) < 0.02
+
+
+def test_element_seven_separates_from_joints_five_and_six(sweeps: Any, arm: RigidArm) -> None:
+    """With joints 5 and 6 moved apart, together and against each other, all three elements are within 2 %."""
+    record, friction = sweeps([4, 5], 1, count=14, poses=2)
+    fit = identify_sliding([record], arm)
+    for e in (4, 5, 6):
+        assert max(errors(fit.estimates[e], friction.elements[e]).values()) < 0.02
+
+
+def test_wrist_joints_moved_one_at_a_time_leave_element_seven_untold(sweeps: Any, arm: RigidArm) -> None:
+    """With joint 5 alone no parameter of joint 5 is given out as if element 7 were not there."""
+    record, _ = sweeps([4], 1)
+    fit = identify_sliding([record], arm)
+    for e in (4, 6):
+        coulomb = fit.estimates[e].parameters["tau_c_positive"]
+        assert not coulomb.identifiable
+        assert math.isnan(coulomb.value)
+        assert "cannot be told from" in coulomb.reason
+
+
+def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
+    sweeps: Any, arm: RigidArm, shipped: Setup
+) -> None:
+    """A constant torque of element 7 cannot be told by any motion: joints 5 and 6 take it, and nothing else changes."""
+    seventh = dataclasses.replace(shipped.friction.elements[6], tau_c_positive=1.6, tau_c_negative=1.4)
+    friction = FrictionSet(shipped.friction.names, (*shipped.friction.elements[:6], seventh))
+    record, _ = sweeps([4, 5], 1, Noise(0.0), friction=friction)
+    found = [fit.parameters for fit in identify_sliding([record], arm).estimates[4:]]
+    assert found[2]["tau_c_positive"].value == pytest.approx(1.5, rel=2e-3)
+    assert found[2]["tau_c_negative"].value == pytest.approx(1.5, rel=2e-3)
+    assert found[0]["tau_c_positive"].value == pytest.approx(4.1, rel=2e-3)
+    assert found[1]["tau_c_negative"].value == pytest.approx(1.9, rel=2e-3)
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_an_unknown_payload_of_one_kilogram_does_not_move_tau_c(sweeps: Any, arm: RigidArm, joint: int) -> None:
+    """A payload of 1 kg that the model does not have shifts tau_c by less than 2 %."""
+    without, _ = sweeps([joint], 4, count=14, poses=2)
+    loaded, _ = sweeps([joint], 4, payload=1.0, count=14, poses=2)
+    shift = np.abs(loaded.torque - without.torque).max()
+    assert shift > 5.0  # Nm: it would show
+    fits = [identify_sliding([record], arm).estimates[joint].parameters for record in (without, loaded)]
+    for name in ("tau_c_positive", "tau_c_negative"):
+        assert fits[1][name].value == pytest.approx(fits[0][name].value, rel=0.02)
+
+
+def test_the_error_of_the_weights_explains_the_payload(sweeps: Any, arm: RigidArm) -> None:
+    """Rigid torque with the found inertial error and friction add up to the torque that the payload makes."""
+    record, friction = sweeps([1, 2], 4, Noise(0.0), payload=1.0)
+    fit = identify_sliding([record], arm)
+    rows = np.flatnonzero(np.abs(record.velocity[:, 1]) > 0.1)[50::500]
+    q, v = record.position[rows], record.velocity[rows]
+    rigid = arm.torque(q, v, np.zeros_like(v)) + arm.regressor(q, v, np.zeros_like(v)) @ fit.inertial
+    expected = record.torque[rows, 1] - friction.elements[1].steady_torque(v[:, 1])
+    assert np.abs(rigid[:, 1] - expected).max() < 0.2
+
+
+@pytest.mark.parametrize("common", [0.0, 1e-3])
+def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) -> None:
+    """95 % intervals hold the truth in 90 % of 140 cases or more, and errors are as large as the deviations say."""
+    inside, scores = [], []
+    for seed in range(20):
+        record, friction = sweeps([3], 100 + seed, Noise(common=common))
+        for name, found in identify_sliding([record], arm).estimates[3].parameters.items():
+            low, high = found.bounds
+            true = getattr(friction.elements[3], name)
+            inside.append(low <= true <= high)
+            scores.append((found.value - true) / found.deviation)
+    assert np.mean(inside) >= 0.9
+    assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+def test_deviations_follow_the_noise(sweeps: Any, arm: RigidArm) -> None:
+    """Twice the torque noise gives twice the standard deviations."""
+    small, large = (
+        identify_sliding([sweeps([2], 5, Noise(scale * Noise.torque))[0]], arm).estimates[2] for scale in (1.0, 2.0)
+    )
+    ratios = [large.parameters[name].deviation / small.parameters[name].deviation for name in SLIDING]
+    assert np.median(ratios) == pytest.approx(2.0, rel=0.25)
+
+
+def test_a_coarse_encoder_is_no_obstacle(sweeps: Any, arm: RigidArm) -> None:
+    """With 1000 counts per motor revolution Coulomb and viscous friction stay within 2 %."""
+    record, friction = sweeps([2], 6, Noise(counts=1000.0), count=14, poses=2)
+    found = errors(identify_sliding([record], arm).estimates[2], friction.elements[2])
+    assert max(found[name] for name in ("tau_c_positive", "tau_c_negative", "c2")) < 0.02
+
+
+def test_outliers_do_not_move_the_estimate(sweeps: Any, arm: RigidArm) -> None:
+    """One torque sample in fifty thrown off by ten times the friction changes no parameter by more than 2 %."""
+    record, friction = sweeps([2], 7, count=14, poses=2)
+    rng = np.random.default_rng(7)
+    torque = record.torque.copy()
+    torque[rng.random(len(torque)) < 0.02, 2] += 200.0
+    spoilt = dataclasses.replace(record, torque=torque)
+    assert max(errors(identify_sliding([spoilt], arm).estimates[2], friction.elements[2]).values()) < 0.02
+
+
+def test_missing_samples_do_not_move_the_estimate(sweeps: Any, arm: RigidArm) -> None:
+    """A record in which one sample in ten is missing gives every parameter within 2 %."""
+    record, friction = sweeps([2], 8, count=14, poses=2)
+    kept = np.random.default_rng(8).random(len(record.time)) > 0.1
+    fields = {name: getattr(record, name)[kept] for name in ("time", "position", "velocity", "torque")}
+    estimate = identify_sliding([dataclasses.replace(record, **fields)], arm).estimates[2]
+    assert max(errors(estimate, friction.elements[2]).values()) < 0.02
+
+
+def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, shipped: Setup) -> None:
+    """Friction without a static rise leaves tau_s, omega_s and delta untold, and Coulomb and viscous friction told."""
+    plain = dataclasses.replace(shipped.friction.elements[2], tau_s_positive=18.0, tau_s_negative=18.0)
+    elements = (*shipped.friction.elements[:2], plain, *shipped.friction.elements[3:])
+    record, _ = sweeps([2], 9, friction=FrictionSet(shipped.friction.names, elements))
+    found = identify_sliding([record], arm).estimates[2].parameters
+    for name in ("tau_s_positive", "tau_s_negative", "omega_s", "delta"):
+        assert not found[name].identifiable
+        assert "no Stribeck effect" in found[name].reason
+    assert found["tau_c_positive"].value == pytest.approx(18.0, rel=0.02)
+    assert found["c2"].value == pytest.approx(7.0, rel=0.02)
+
+
+def test_correlations_are_correlations(sweeps: Any, arm: RigidArm) -> None:
+    """The correlation matrix has ones on its diagonal, is symmetric and has no negative eigenvalue."""
+    record, _ = sweeps([2], 10)
+    correlation = identify_sliding([record], arm).estimates[2].correlation
+    assert np.allclose(np.diag(correlation), 1.0)
+    assert np.allclose(correlation, correlation.T)
+    assert np.linalg.eigvalsh(correlation).min() > -1e-9
+
+
+def test_the_curve_goes_through_its_points(sweeps: Any, arm: RigidArm) -> None:
+    """What is left for an element in each plateau is its fitted torque within the noise."""
+    record, _ = sweeps([2], 11, longest=4.0)
+    curve = identify_sliding([record], arm).curves[2]
+    assert len(curve.velocity) == 24
+    assert np.abs((curve.torque - curve.fitted) / curve.deviation).max() < 4.5
+
+
+def test_speeds_close_to_each_other_count(sweeps: Any, arm: RigidArm) -> None:
+    """Sweeps at speeds of which each is 8 % above the one before are many speeds, not one."""
+    record, friction = sweeps([2], 3, count=80, poses=1, longest=0.9)
+    estimate = identify_sliding([record], arm).estimates[2]
+    assert errors(estimate, friction.elements[2])["tau_c_positive"] < 0.02
+
+
+def test_too_few_speeds_are_refused(sweeps: Any, arm: RigidArm) -> None:
+    """Four speeds are refused with both counts and what is accepted."""
+    record, _ = sweeps([2], count=4, longest=4.0)
+    with pytest.raises(
+        IdentificationError, match=r"joint_3 slides at 4 speeds in positive and 4 .*accepted: 5 or more"
+    ):
+        identify_sliding([record], arm, ["joint_3"])
+
+
+def test_one_direction_is_refused(sweeps: Any, arm: RigidArm) -> None:
+    """Sweeps in one direction only are refused with the direction."""
+    record, _ = sweeps([2], backward=False)
+    with pytest.raises(IdentificationError, match=r"joint_3 slides at positive velocities only; accepted: .*both"):
+        identify_sliding([record], arm, ["joint_3"])
+
+
+def test_a_bag_without_sweeps_is_refused(sweeps: Any, arm: RigidArm) -> None:
+    """A record at rest is refused for want of constant velocity."""
+    record, _ = sweeps([2])
+    with pytest.raises(IdentificationError, match="no stretch of constant velocity"):
+        identify_sliding([record.between(0.0, 0.08)], arm)
+
+
+def test_other_joints_than_the_arms_are_refused(sweeps: Any, arm: RigidArm) -> None:
+    """A record of other joints is refused with both lists of names."""
+    record, _ = sweeps([2])
+    renamed = dataclasses.replace(record, names=tuple("abcdef"))
+    with pytest.raises(IdentificationError, match="joints a, b, c, d, e, f; accepted: joint_1"):
+        identify_sliding([renamed], arm)
+    with pytest.raises(IdentificationError, match="element 'joint_9'; accepted: joint_1"):
+        identify_sliding([record], arm, ["joint_9"])

@@ -1,0 +1,211 @@
+"""The closed loop without ROS is the same plant and the same control law as the nodes step, and no other."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
+from rx90_common.base.rates import Rates
+from rx90_common.friction import FrictionSet
+from rx90_controller.law.parameters import FeedForward
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
+REST = np.zeros(6)
+
+
+def there_and_back(size: float = 0.15) -> TrajectoryPoints:
+    """Return a motion with reversals in all joints."""
+    turn = HOME + size * np.array([1, -1, 1, -1, 1, -1])
+    rows = [HOME, turn, HOME]
+    return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3, 0.6], rows, [REST] * 3, [REST] * 3)
+
+
+def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> dict[str, Array]:
+    """Run the same ticks as the nodes do: sample, command, publish, step, one Python call each."""
+    plant, controller = setup.plant(substeps), setup.cs7b()
+    plant.reset(HOME)
+    controller.reset(plant.motor_states()[0])
+    controller.trajectory.accept(there_and_back(), 0, start)
+    seen: dict[str, list[Array]] = {
+        name: []
+        for name in (
+            "motor_states",
+            "motor_commands",
+            "joint_states",
+            "friction_states",
+            "reference",
+            "tracking_error",
+        )
+    }
+    for k in range(round(duration * setup.rates.base_hz)):
+        slow = k % setup.rates.ratio == 0
+        if slow:
+            seen["joint_states"].append(np.array(plant.joint_states()))
+            seen["friction_states"].append(np.array(plant.friction_states()))
+        position, velocity, torque = plant.motor_states()
+        seen["motor_states"].append(np.array([position, velocity, torque]))
+        command = controller.step(position, velocity).copy()
+        seen["motor_commands"].append(command)
+        if slow:
+            seen["reference"].append(np.array(controller.reference()))
+            seen["tracking_error"].append(np.array(controller.tracking_error()))
+        plant.step(command)
+    return {name: np.array(rows) for name, rows in seen.items()}
+
+
+def series(result: RunResult) -> dict[str, Array]:
+    """Return all series of a run by topic."""
+    assert result.fast is not None
+    return {**result.fast._asdict(), **result.slow._asdict()}
+
+
+CASES = {
+    "as shipped": (Rates(), 1, 0),
+    "later start": (Rates(), 1, 37),
+    "three substeps": (Rates(), 3, 0),
+    "other rates": (Rates(8000, 500), 1, 5),
+    "one rate": (Rates(2000, 2000), 2, 0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup, case: str) -> None:
+    """Every sample of every topic is the same to the last bit as from Plant and CS7B called tick by tick."""
+    rates, substeps, start = CASES[case]
+    setup = dataclasses.replace(shipped, rates=rates)
+    start_time = start / rates.position_hz
+    got = series(simulate(setup, there_and_back(), HOME, 0.8, start_time, substeps, record_fast=True))
+    want = step_by_step(setup, 0.8, start, substeps)
+    assert set(got) == set(want)
+    for name, values in want.items():
+        assert got[name].tobytes() == values.tobytes(), name
+    assert np.abs(want["joint_states"][:, 0] - HOME).max() > 0.1
+
+
+def test_the_same_run_twice_gives_the_same_bits(shipped: Setup) -> None:
+    """Two runs of the same inputs give the same bits."""
+    first, second = (series(simulate(shipped, there_and_back(), HOME, 0.5, record_fast=True)) for _ in range(2))
+    for name, values in first.items():
+        assert values.tobytes() == second[name].tobytes(), name
+
+
+def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> None:
+    """The slow series are the same with and without the fast ones, and have the documented shapes."""
+    full = simulate(shipped, there_and_back(), HOME, 0.5, record_fast=True)
+    lean = simulate(shipped, there_and_back(), HOME, 0.5)
+    assert lean.fast is None
+    for name, values in lean.slow._asdict().items():
+        assert values.tobytes() == getattr(full.slow, name).tobytes()
+        assert values.shape == (500, 3, 7 if name == "friction_states" else 6)
+    assert full.fast is not None
+    assert full.fast.motor_states.shape == (2000, 3, 6)
+    assert full.fast.motor_commands.shape == (2000, 6)
+    assert lean.times == pytest.approx(np.arange(500) * 1e-3)
+
+
+def test_the_first_sample_is_the_reset_state(shipped: Setup) -> None:
+    """Tick 0 samples the arm at rest in its initial pose, before any command."""
+    result = simulate(shipped, there_and_back(), HOME, 0.01, record_fast=True)
+    position, velocity, torque = result.slow.joint_states[0]
+    assert np.array_equal(position, HOME)
+    assert not velocity.any()
+    assert not torque.any()
+    assert result.fast is not None
+    # A command acts in the tick it is given for and shows in the next sample.
+    assert np.array_equal(result.fast.motor_states[1, 2], result.fast.motor_commands[0])
+
+
+def test_the_arm_follows_and_comes_to_rest(shipped: Setup) -> None:
+    """The shipped controller keeps the shipped arm near its set-points and rests at the last point."""
+    result = simulate(shipped, there_and_back(), HOME, 1.5)
+    position, reference = result.slow.joint_states[:, 0], result.slow.reference[:, 0]
+    assert np.abs(position - reference).max() < 5e-3
+    assert np.abs(position[-200:] - HOME).max() < 2e-4
+    assert np.array_equal(reference[-1], HOME)
+
+
+def test_feed_forward_earns_its_place(shipped: Setup) -> None:
+    """Without the feed-forward the same motion has more than a third more tracking error, in most joints."""
+    bare = dataclasses.replace(shipped.controller, feed_forward=FeedForward.off())
+    worst = [
+        np.abs(simulate(s, there_and_back(), HOME, 0.6).slow.tracking_error[:, 0]).max(axis=0)
+        for s in (shipped, dataclasses.replace(shipped, controller=bare))
+    ]
+    assert worst[0].sum() < 0.75 * worst[1].sum()
+    assert np.count_nonzero(worst[0] < worst[1]) >= 4
+
+
+def test_more_substeps_change_little(shipped: Setup) -> None:
+    """Eight plant steps in a tick instead of one move the arm's path by under 10 urad."""
+    paths = [simulate(shipped, there_and_back(), HOME, 0.8, substeps=n).slow.joint_states[:, 0] for n in (1, 8)]
+    assert 0.0 < np.abs(paths[0] - paths[1]).max() < 1e-5
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, 1e-9, float("nan"), float("inf")])
+def test_a_duration_that_is_none_is_refused(shipped: Setup, duration: float) -> None:
+    """A duration without an end, or shorter than a tick, is refused with its value."""
+    with pytest.raises(ConfigError, match=rf"duration is {duration} s; accepted: a finite number, at least a tick"):
+        simulate(shipped, there_and_back(), HOME, duration)
+
+
+@pytest.mark.parametrize("start", [float("nan"), float("inf")])
+def test_a_start_time_that_is_none_is_refused(shipped: Setup, start: float) -> None:
+    """A start time that is not finite is refused with its value."""
+    with pytest.raises(ConfigError, match=rf"start time is {start} s; accepted: a finite number"):
+        simulate(shipped, there_and_back(), HOME, 0.5, start)
+
+
+def test_what_the_controller_refuses_the_run_refuses(shipped: Setup) -> None:
+    """A trajectory that starts elsewhere, or in the past, is refused before anything runs."""
+    with pytest.raises(TrajectoryError, match="joint_3 starts at"):
+        simulate(shipped, there_and_back(), HOME + np.array([0, 0, 0.5, 0, 0, 0]), 0.5)
+    with pytest.raises(TrajectoryError, match="in the past"):
+        simulate(shipped, there_and_back(), HOME, 0.5, start_time=-0.1)
+    with pytest.raises(ConfigError, match=r"initial position of joint_1 is 9\.0 rad"):
+        simulate(shipped, there_and_back(), [9.0, 0, 0, 0, 0, 0], 0.5)
+
+
+def diverging(setup: Setup) -> Setup:
+    """Return a setup whose fourth joint no explicit step can integrate."""
+    elements = list(setup.friction.elements)
+    elements[3] = dataclasses.replace(elements[3], c1=1e5, omega_d=1e6)
+    return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, tuple(elements)))
+
+
+def test_a_diverging_run_is_an_error(shipped: Setup) -> None:
+    """A run whose plant diverges ends with an error that names the joint, and the tick of stepping one by one."""
+    setup = diverging(shipped)
+    with pytest.raises(DivergenceError, match=r"joint_4 diverged in tick [1-9]\d*") as caught:
+        simulate(setup, there_and_back(), HOME, 0.5)
+    with pytest.raises(DivergenceError) as one_by_one:
+        step_by_step(setup, 0.5, 0, 1)
+    assert str(caught.value) == str(one_by_one.value)
+
+
+def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
+    """A motion beyond the amplifiers counts as many ticks as the controller limits when stepped one by one."""
+    weak = dataclasses.replace(shipped.drives, peak_current=shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
+    setup = dataclasses.replace(shipped, drives=weak)
+    result = simulate(setup, there_and_back(), HOME, 0.6, record_fast=True)
+    assert result.fast is not None
+    at_peak = np.abs(result.fast.motor_commands) > 0.999 * weak.peak_torque
+    assert result.saturated[1] > 20
+    assert result.saturated[1] == pytest.approx(np.count_nonzero(at_peak[:, 1]), rel=0.2)
+    assert result.saturated[3:].tolist() == [0, 0, 0]
+
+
+def test_a_setup_is_frozen(shipped: Setup) -> None:
+    """The parameters of a run cannot be changed behind its back."""
+    changed: Any = shipped
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        changed.rates = Rates()

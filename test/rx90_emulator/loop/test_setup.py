@@ -1,0 +1,65 @@
+"""Everything a run needs, read from files of the user's own or from the shipped ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
+from rx90_emulator.loop.setup import Setup, SetupFiles
+
+Edit = Callable[..., Path]
+
+
+def test_the_shipped_files_make_a_setup(shipped: Setup) -> None:
+    """The shipped files load, at 4 kHz and 1 kHz, with six joints and seven friction elements."""
+    assert (shipped.rates.base_hz, shipped.rates.position_hz) == (4000, 1000)
+    assert len(shipped.robot.joint_names) == 6
+    assert len(shipped.friction.elements) == 7
+
+
+def test_every_file_can_be_the_user_s_own(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+    """A changed value in any of the files reaches the setup; the other files stay the shipped ones."""
+    drives = edited_yaml(shipped_files.drives, ("spring", "torque"), 99.0)
+    assert Setup.load(SetupFiles(drives=drives)).drives.spring_torque == 99.0
+    friction = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", "c2"), 0.7)
+    assert Setup.load(SetupFiles(friction=friction)).friction.elements[6].c2 == 0.7
+    controller = edited_yaml(shipped_files.controller, ("current_loop", "bandwidth"), 555.0)
+    assert Setup.load(SetupFiles(controller=controller)).controller.current_bandwidth == 555.0
+    tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
+    lighter = Setup.load(SetupFiles(tool=tool))
+    assert lighter.robot.chain.mass[5] == pytest.approx(1.45)
+    assert Setup.load(SetupFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["urdf", "tool", "drives", "friction", "controller"])
+def test_a_missing_file_is_refused_by_its_path(name: str, tmp_path: Path) -> None:
+    """Each file that does not exist is refused in one line with its path."""
+    path = tmp_path / "nowhere.yaml"
+    with pytest.raises(ConfigError) as caught:
+        Setup.load(SetupFiles(**{name: path}))
+    assert str(caught.value).startswith(f"{path}: cannot be read")
+    assert "\n" not in str(caught.value)
+
+
+def test_plants_and_controllers_do_not_share_state(shipped: Setup) -> None:
+    """Two plants of one setup are two robots, and two controllers two cabinets."""
+    first, second = shipped.plant(), shipped.plant()
+    first.step(np.full(6, 0.3))
+    assert second.tick == 0
+    assert not second.joint_states()[1].any()
+    one, other = shipped.cs7b(), shipped.cs7b()
+    one.step(np.full(6, 0.3), np.zeros(6))
+    assert other.tick == 0
+    assert not other.state["command"][0].any()
+
+
+def test_rates_reach_plant_and_controller(shipped: Setup) -> None:
+    """Other rates change the tick of both sides alike."""
+    setup = Setup(shipped.robot, shipped.drives, shipped.friction, shipped.controller, Rates(8000, 2000))
+    assert setup.plant().constants["period"][0] == 1 / 8000
+    assert setup.cs7b().rates.ratio == 4

@@ -1,0 +1,103 @@
+"""What the nodes do in a tick is compiled before, and looking up set-points ahead changes nothing of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rx90_controller.law import cs7b
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.setup import Setup
+
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+REST = np.zeros(6)
+
+_WARM = """
+import gc
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.setup import Setup
+
+def compiled():
+    found = set()
+    for each in gc.get_objects():
+        try:
+            if isinstance(each, Dispatcher):
+                found |= {(each.py_func.__qualname__, id(each), signature) for signature in each.overloads}
+        except ReferenceError:  # a proxy of something gone
+            pass
+    return found
+
+setup = Setup.load()
+plant, controller = setup.plant(), setup.cs7b()
+plant.warm_up()
+controller.warm_up()
+plant.reset(np.zeros(6))
+before = compiled()
+assert before
+names, rest = controller.joint_names, np.zeros(6)
+controller.reset(plant.motor_states()[0])
+for velocity, acceleration in ((False, False), (True, False), (True, True)):
+    here = controller.trajectory.setpoints(controller.position_tick)[0, 0]
+    rows = [here + 1e-3, here + 2e-3]
+    points = TrajectoryPoints.create(
+        names, names, [0.1, 0.2], rows, [rest if velocity else []] * 2, [rest if acceleration else []] * 2
+    )
+    controller.trajectory.accept(points, controller.position_tick, None)
+    for tick in range(1000):
+        position, velocities, _ = plant.motor_states()
+        plant.step(controller.step(position, velocities))
+        plant.joint_states(), plant.friction_states(), controller.reference(), controller.tracking_error()
+    controller.skip(3)
+plant.step(None)
+plant.reset(rest)
+print(sorted(name for name, _, _ in compiled() - before))
+"""
+
+
+def test_everything_is_compiled_before_the_first_tick() -> None:
+    """After the warm-up of plant and controller, motions of all kinds, reset and brakes compile and load nothing."""
+    run = subprocess.run([sys.executable, "-c", _WARM], capture_output=True, text=True, timeout=300, check=False)
+    assert (run.stdout, run.stderr) == ("[]\n", "")
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.data())
+def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> None:
+    """Whatever comes between two ticks, commands and set-points are those of a controller that samples each tick."""
+    several, single = shipped.cs7b(), shipped.cs7b()
+    both = (several, single)
+    home = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
+    rest = np.zeros(6)
+    motor = home * shipped.drives.gear
+    for each in both:
+        each.reset(motor)
+    for _ in range(data.draw(st.integers(1, 10))):
+        what = data.draw(st.sampled_from(["run", "run", "accept", "skip", "reset"]))
+        count = data.draw(st.integers(1, 400))
+        if what == "accept":
+            start = several.position_tick + data.draw(st.integers(0, 150))
+            to = several.trajectory.setpoints(several.position_tick)[0, 0] + 1e-4 * count
+            points = TrajectoryPoints.create(NAMES, NAMES, [0.1 + 1e-3 * count], [to], [REST], [REST])
+            for each in both:
+                each.trajectory.accept(points, each.position_tick, start)
+        elif what == "skip":
+            for each in both:
+                each.skip(count)
+        elif what == "reset":
+            for each in both:
+                each.reset(motor, count)
+        else:
+            for _ in range(count):
+                commands = [several.step(motor, rest).copy()]
+                with pytest.MonkeyPatch.context() as patch:
+                    patch.setattr(cs7b, "_LOOKAHEAD", 1)
+                    commands.append(single.step(motor, rest).copy())
+                assert np.array_equal(*commands)
+                assert all(np.array_equal(a, b) for a, b in zip(several.reference(), single.reference(), strict=True))

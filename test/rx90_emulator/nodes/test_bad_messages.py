@@ -1,0 +1,78 @@
+"""What somebody else sends on the tick topics, and nodes that do not fit each other."""
+
+from __future__ import annotations
+
+import struct
+from itertools import cycle
+
+import pytest
+from processes import Processes
+from ros_client import Client, seconds
+from sensor_msgs.msg import JointState
+
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.topics import MOTOR_NAMES
+
+MODES = ("real_time_factor:=1.0", "time_mode:=free_running")
+GARBAGE = (
+    b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40,
+    b"\x00\x01\x00\x00",
+    JointStateCodec(["elbow"]).encode(250_000),
+    JointStateCodec(MOTOR_NAMES).encode(500_000),
+    JointStateCodec(MOTOR_NAMES[:5]).encode(750_000),
+)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("mode", MODES)
+def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, client: Client, mode: str) -> None:
+    """Wrong names, sizes and bytes are told in one line; the controller lives and a trajectory goes on to its end."""
+    processes.start("rx90_sim", "--ros-args", "-p", mode)
+    controller = processes.start("rx90_controller")
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference), "the controller to hold")
+    client.send([(0.4, [0.02] * 6)])
+    controller.wait_for("trajectory accepted")
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
+    client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller's ears")
+    garbage = cycle(GARBAGE)
+    # In free-running time only the newest of several messages is looked at.
+    client.spin_until(lambda: publisher.publish(next(garbage)) or "ignored" in controller.output, "the complaint")
+    for raw in GARBAGE:
+        publisher.publish(raw)
+    begun = seconds(reference[-1])
+    client.spin_until(lambda: seconds(reference[-1]) > begun + 0.5, "the end of the motion")
+    assert list(reference[-1].position) == pytest.approx([0.02] * 6, abs=1e-12)
+    assert sum("ignored" in line for line in controller.lines) <= 3
+    assert controller.returncode is None
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("rate", "told"),
+    [
+        ("position_rate:=500", r"rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation"),
+        ("base_rate:=2000", r"rx90_controller: base_rate is 2000 Hz here and 4000 Hz in the simulation"),
+    ],
+)
+def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, rate: str, told: str) -> None:
+    """A controller whose rates are not the simulation's ends with one line that names both values."""
+    processes.start("rx90_sim", "--ros-args", "-p", mode)
+    controller = processes.start("rx90_controller", "--ros-args", "-p", rate)
+    controller.wait_for(told)
+    assert controller.wait() == 1
+    assert "Traceback" not in controller.output
+
+
+@pytest.mark.ros
+def test_a_second_publisher_of_commands_in_free_running_is_told(processes: Processes, client: Client) -> None:
+    """Commands of somebody else between those of the controller are told once, and the brakes close."""
+    simulation = processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
+    processes.start("rx90_controller")
+    simulation.wait_for("the brakes open")
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
+    raw = JointStateCodec(MOTOR_NAMES).encode(0)
+    client.spin_until(lambda: publisher.publish(raw) or "two controllers" in simulation.output, "the report")
+    assert simulation.output.count("two controllers") == 1

@@ -1,0 +1,248 @@
+"""The perturbation method gives what the full simulation gives, in whatever company a run is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
+from rx90_common.base.rates import Rates
+from rx90_common.friction import FrictionSet
+from rx90_controller.law.parameters import CS7BParameters, FeedForward
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.perturbation.agreement import agreement
+from rx90_emulator.perturbation.model import PerturbationModel, prepare
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
+REST = np.zeros(6)
+
+
+def there_and_back(size: float = 0.15) -> TrajectoryPoints:
+    """Return a motion with reversals in all joints."""
+    rows = [HOME, HOME + size * np.array([1, -1, 1, -1, 1, -1]), HOME]
+    return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3, 0.6], rows, [REST] * 3, [REST] * 3)
+
+
+def stay() -> TrajectoryPoints:
+    """Return a rest at HOME."""
+    return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.1], [HOME, HOME], [REST] * 2, [REST] * 2)
+
+
+def with_friction(friction: FrictionSet, scale: float, delta: float = 1.0) -> FrictionSet:
+    """Return a friction set with other torques and another Stribeck exponent."""
+    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    return FrictionSet(
+        friction.names,
+        tuple(
+            dataclasses.replace(e, delta=delta, **{name: scale * getattr(e, name) for name in names})
+            for e in friction.elements
+        ),
+    )
+
+
+def weightless(setup: Setup, controller: CS7BParameters) -> Setup:
+    """Return an arm without gravity, spring and noticeable friction or encoder counts."""
+    model = setup.robot.model.copy()
+    model.gravity.linear = np.zeros(3)
+    robot = dataclasses.replace(setup.robot, model=model, chain=setup.robot.chain._replace(gravity=np.zeros(3)))
+    drives = dataclasses.replace(setup.drives, spring_torque=0.0, encoder_counts=np.full(6, 2.0**30))
+    return dataclasses.replace(
+        setup, robot=robot, drives=drives, friction=with_friction(setup.friction, 1e-9), controller=controller
+    )
+
+
+def soft(controller: CS7BParameters) -> CS7BParameters:
+    """Return gains that leave large deviations and no saturation."""
+    return dataclasses.replace(
+        controller,
+        kp=0.03 * controller.kp,
+        kv=0.1 * controller.kv,
+        ki=0.0 * controller.ki,
+        feed_forward=FeedForward.off(),
+        start_tolerance=0.5,
+    )
+
+
+@pytest.fixture(scope="module")
+def model(shipped: Setup) -> PerturbationModel:
+    """Return the prepared motion."""
+    return prepare(shipped, there_and_back(), HOME, 0.4)
+
+
+@pytest.fixture(scope="module")
+def variants(shipped: Setup) -> tuple[list[FrictionSet], list[CS7BParameters]]:
+    """Return 21 pairs of friction and controller, so that two widths of groups have idle lanes."""
+    frictions = [with_friction(shipped.friction, 0.5 + 0.1 * n, (1.0, 2.0, 1.5)[n % 3]) for n in range(21)]
+    plain = dataclasses.replace(shipped.controller, feed_forward=FeedForward.off())
+    return frictions, [(shipped.controller, plain, soft(shipped.controller))[n // 3 % 3] for n in range(21)]
+
+
+CASES = {
+    "as shipped": (Rates(), 0.0),
+    "later start": (Rates(), 0.037),
+    "other rates": (Rates(8000, 500), 0.0),
+    "one rate": (Rates(2000, 2000), 0.01),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_short_task_agrees_with_the_full_simulation(shipped: Setup, case: str) -> None:
+    """Worst and RMS tip deviation differ by less than 1 %, and so do the tips at every time."""
+    rates, start = CASES[case]
+    setup = dataclasses.replace(shipped, rates=rates)
+    full = simulate(setup, there_and_back(), HOME, 0.7, start)
+    result = prepare(setup, there_and_back(), HOME, 0.7, start).run_one()
+    compared = agreement(full, result)
+    assert compared.worst[0] > 1e-4
+    assert max(compared.relative_worst, compared.relative_rms) < 0.01
+    assert compared.relative_difference < 0.02
+    reach = np.abs(full.slow.friction_states[:, 0]).max(axis=0)
+    assert (np.abs(result.bristles[0] - full.slow.friction_states[:, 0]) < 0.05 * reach).all()
+
+
+def test_a_run_begins_as_the_full_simulation_does(shipped: Setup) -> None:
+    """From rest with brakes just opened, the first milliseconds of sagging are the same within 0.1 %."""
+    full = simulate(shipped, stay(), HOME, 0.005)
+    result = prepare(shipped, stay(), HOME, 0.005).run_one()
+    np.testing.assert_allclose(result.joint_position(0)[0], HOME, rtol=0, atol=1e-15)
+    sag = full.slow.joint_states[:, 0] - HOME
+    assert np.abs(sag).max() > 1e-6
+    assert (np.abs(result.joint_position(0) - HOME - sag) <= 1e-3 * np.abs(sag).max(axis=0) + 1e-15).all()
+
+
+def test_the_error_is_quadratic_in_the_deviation(shipped: Setup) -> None:
+    """Half the initial deviation leaves a quarter of the difference to the full simulation."""
+    setup = weightless(shipped, soft(shipped.controller))
+    errors = []
+    for size in (0.02, 0.01, 0.005):
+        begin = HOME + size * np.array([1, -1, 1, 1, -1, 1])
+        full = simulate(setup, stay(), begin, 0.1)
+        result = prepare(setup, stay(), begin, 0.1).run_one()
+        assert np.abs(result.joint_deviation).max() >= size
+        errors.append(np.abs(full.slow.joint_states[:, 0] - result.joint_position(0)).max())
+    ratios = np.array(errors[:-1]) / errors[1:]
+    assert (ratios > 3.6).all(), errors
+    assert (ratios < 4.4).all(), errors
+
+
+def test_exact_feed_forward_without_friction_leaves_no_deviation(shipped: Setup) -> None:
+    """If the drives give tau0 in every step, and nothing else, the arm stays on the nominal motion."""
+    none = np.zeros(6)
+    controller = dataclasses.replace(
+        shipped.controller,
+        kp=none,
+        kv=none,
+        ki=none,
+        feed_forward=FeedForward(acceleration=True, coulomb=False, viscous=False),
+        current_bandwidth=1e9,
+        current_slew=np.full(6, 1e12),
+    )
+    setup = dataclasses.replace(weightless(shipped, controller), rates=Rates(4000, 4000))
+    moving = prepare(setup, there_and_back(), HOME, 0.6)
+    acceleration = moving.tables.reference[:, 2] / setup.drives.gear  # of the motors, seen from the joints
+    torque = acceleration * controller.inertia
+    torque[:, 4] += torque[:, 5]  # motor 6 turns with joints 5 and 6
+    ideal = dataclasses.replace(moving, tables=moving.tables._replace(torque=torque))
+    assert np.abs(moving.run_one().joint_deviation).max() > 1e-3
+    # What is left: steps of constant acceleration do not quite end at the set-points.
+    assert np.abs(ideal.run_one().joint_deviation).max() < 2e-7
+
+
+def test_saturation_is_counted_as_in_the_full_simulation(shipped: Setup) -> None:
+    """A motion too fast for weak amplifiers saturates them for as many ticks in both methods."""
+    setup = dataclasses.replace(
+        shipped, drives=dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
+    )
+    full = simulate(setup, there_and_back(0.4), HOME, 0.7)
+    result = prepare(setup, there_and_back(0.4), HOME, 0.7).run_one()
+    assert full.saturated.max() > 20
+    assert np.abs(result.saturated[0] - full.saturated).max() <= 0.05 * full.saturated.max()
+
+
+def test_a_run_of_a_batch_equals_the_run_alone(
+    model: PerturbationModel, variants: tuple[list[FrictionSet], list[CS7BParameters]]
+) -> None:
+    """In groups of many and of few lanes, every bit is that of a single run."""
+    frictions, controllers = variants
+    many = model.run(frictions, controllers)
+    few = model.run(frictions[:6], controllers[:6])
+    for run in range(len(frictions)):
+        alone = model.run_one(frictions[run], controllers[run])
+        for batch in (many, few) if run < 6 else (many,):
+            for name in ("joint_deviation", "bristles", "tip_deviation", "saturated"):
+                assert getattr(batch, name)[run].tobytes() == getattr(alone, name)[0].tobytes(), (run, name)
+
+
+def test_the_order_of_the_runs_does_not_matter(
+    model: PerturbationModel, variants: tuple[list[FrictionSet], list[CS7BParameters]]
+) -> None:
+    """A shuffled batch gives the shuffled results, bit for bit."""
+    frictions, controllers = variants
+    order = np.random.default_rng(1).permutation(len(frictions))
+    straight = model.run(frictions, controllers)
+    shuffled = model.run([frictions[n] for n in order], [controllers[n] for n in order])
+    assert shuffled.tip_deviation.tobytes() == straight.tip_deviation[order].tobytes()
+    assert len({tip.tobytes() for tip in straight.tip_deviation}) == len(frictions)
+
+
+def test_a_lost_run_is_named_and_harms_no_other(shipped: Setup, model: PerturbationModel) -> None:
+    """Viscous friction too stiff for the tick, on which the full simulation diverges, loses its own run alone."""
+    friction = shipped.friction
+    stiff = dataclasses.replace(friction.elements[2], c2=1e6)
+    wild = FrictionSet(friction.names, (*friction.elements[:2], stiff, *friction.elements[3:]))
+    with pytest.raises(DivergenceError):
+        simulate(dataclasses.replace(shipped, friction=wild), there_and_back(), HOME, 0.4)
+    result = model.run([friction, wild, friction])
+    alone = model.run_one()
+    assert result.lost.tolist() == [False, True, False]
+    for run in (0, 2):
+        assert result.tip_deviation[run].tobytes() == alone.tip_deviation[0].tobytes()
+
+
+def test_coarse_points_are_close_enough(shipped: Setup) -> None:
+    """Coefficients interpolated over 20 ms change the tip by less than 1 % against coefficients in every tick."""
+    tips = [prepare(shipped, there_and_back(), HOME, 0.6, spacing=s).run_one().tip_deviation for s in (0.00025, 0.02)]
+    assert 0 < np.abs(tips[0] - tips[1]).max() < 0.01 * np.abs(tips[0]).max()
+
+
+def test_the_tip_deviation_is_the_change_of_the_forward_kinematics(model: PerturbationModel) -> None:
+    """J(q0) dq is the difference of the tip's positions by Pinocchio, to second order."""
+    robot = model.setup.robot
+    data = robot.model.createData()
+    frame = robot.model.getFrameId(robot.tcp_frame)
+    result = model.run_one()
+    for row in (0, 100, 250, 399):
+        pin.framesForwardKinematics(robot.model, data, result.joint_position(0)[row])
+        np.testing.assert_allclose(result.tip_position(0)[row], data.oMf[frame].translation, atol=1e-7)
+
+
+def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: PerturbationModel) -> None:
+    """Every refusal names the value and what is accepted."""
+    calls = {
+        "a batch of 0 runs": lambda: model.run([]),
+        "1 controllers for 2 friction sets": lambda: model.run([shipped.friction] * 2, [shipped.controller]),
+        "duration is 0.0 s": lambda: prepare(shipped, stay(), HOME, 0.0),
+        "spacing is 0.0001 s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=1e-4),
+        "spacing is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=float("nan")),
+        "spacing is inf s": lambda: prepare(shipped, stay(), HOME, 0.1, spacing=float("inf")),
+        "duration is 1e-09 s": lambda: prepare(shipped, stay(), HOME, 1e-9),
+        "duration is inf s": lambda: prepare(shipped, stay(), HOME, float("inf")),
+        "start time is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, float("nan")),
+        "initial position of joint_2 is 9.0 rad": lambda: prepare(shipped, stay(), [0, 9, 0, 0, 0, 0], 0.1),
+    }
+    for text, call in calls.items():
+        with pytest.raises(ConfigError) as refusal:
+            call()
+        assert text in str(refusal.value)
+        assert "accepted" in str(refusal.value)
+        assert "\n" not in str(refusal.value)
+    with pytest.raises(TrajectoryError, match="accepted"):
+        prepare(shipped, stay(), HOME + 0.01, 0.1)

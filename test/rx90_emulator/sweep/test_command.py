@@ -1,0 +1,171 @@
+"""`rx90_sweep` as a person uses it, in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from rx90_emulator.cli.sweep import main
+from rx90_emulator.sweep.plan_file import load_plan
+from rx90_emulator.sweep.store import parts_folder, read_results
+from rx90_emulator.sweep.sweep import Sweep
+
+ROOT = Path(__file__).resolve().parents[3]
+ENDLESS = """
+seed: 3
+base: {{task: {task}}}
+blocks:
+  many:
+    random:
+      friction.*.c0: {{factor: {{uniform: [0.5, 2.0]}}}}
+    draws: 1000000
+"""
+
+
+@pytest.fixture
+def plan_file(tmp_path: Path, task_file: Path, sweep: Sweep) -> Path:
+    """Return a plan that takes hours; the kernels are compiled."""
+    del sweep
+    file = tmp_path / "plan.yaml"
+    file.write_text(ENDLESS.format(task=task_file), encoding="utf-8")
+    return file
+
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Return a function that starts the command in a session of its own; what is left of it is ended."""
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(*arguments: str | Path) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rx90_emulator.cli.sweep", *map(str, arguments)],
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        with contextlib.suppress(ProcessLookupError):  # nothing of its session is left
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate(timeout=30)
+
+
+def until(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
+    """Wait until a condition holds; fail if it does not within two minutes, or the process ends before."""
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert time.monotonic() < deadline
+        assert process is None or process.poll() is None, process.communicate()
+        time.sleep(0.01)
+
+
+def parts(output: Path) -> list[Path]:
+    """Return the parts that an unfinished sweep has written."""
+    return list(parts_folder(output).glob("part-*.parquet"))
+
+
+def alive(pid: int) -> bool:
+    """Return whether a process runs; one that ended and was not waited for does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def assert_true_rows(output: Path, plan_file: Path) -> int:
+    """Check the first and the last kept run against a run of it alone; return how many are kept."""
+    table, sweep = read_results(output), Sweep(load_plan(plan_file))
+    for row in (0, len(table) - 1):
+        kept = table.slice(row, 1).to_pylist()[0]
+        outcome = sweep.run(kept["index"])
+        assert outcome.metrics == tuple(kept[metric.name] for metric in sweep.metrics)
+    return len(table)
+
+
+def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, start: Start) -> None:
+    """Ctrl-C exits 130, says how to go on and leaves one readable file; a resumed sweep that is killed adds to it.
+
+    No process is left behind by either.
+    """
+    output = tmp_path / "out.parquet"
+    first = start("run", plan_file, "--output", output, "--workers", "2")
+    until(lambda: parts(output), first)
+    os.killpg(first.pid, signal.SIGINT)
+    _, error = first.communicate(timeout=60)
+    assert first.returncode == 130
+    assert error.splitlines() == [
+        "rx90_sweep: interrupted; what is done is kept; go on with: "
+        f"rx90_sweep run {plan_file} --output {output} --resume"
+    ]
+    assert not parts_folder(output).exists()
+    kept = assert_true_rows(output, plan_file)
+
+    second = start("run", plan_file, "--output", output, "--workers", "2", "--resume")
+    until(lambda: parts(output), second)
+    workers = [int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text().split()]
+    second.send_signal(signal.SIGKILL)
+    second.wait(timeout=30)
+    assert len(workers) == 2
+    until(lambda: not any(alive(pid) for pid in workers))
+    assert assert_true_rows(output, plan_file) > kept
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "none.yaml", "--output", "out.parquet"], "no file 'none.yaml'"),
+        (["run", "bad.yaml", "--output", "out.parquet"], "'sped' is unknown"),
+        (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "cannot be written"),
+        (["run", "sweep/reference_1000.yaml", "--output", "out.parquet", "--workers", "0"], "workers is 0"),
+        (["info", "none.parquet"], "none.parquet does not exist"),
+        (["info", "bad.yaml"], "cannot be read as Parquet"),
+    ],
+)
+def test_mistakes_get_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    said: str,
+) -> None:
+    """A mistake exits 1 with one line on stderr, and leaves no file behind."""
+    monkeypatch.chdir(tmp_path)
+    Path("bad.yaml").write_text("blocks: {a: {grid: {task.sped: {value: [1]}}}}", encoding="utf-8")
+    assert main(arguments) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("rx90_sweep: ")
+    assert said in line
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
+
+
+def test_run_and_info(tmp_path: Path, task_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A plan runs to its end, is not run over again without need, and info shows what came of it."""
+    plan, output = tmp_path / "plan.yaml", tmp_path / "out.parquet"
+    plan.write_text(
+        f"base: {{task: {task_file}}}\nblocks: {{a: {{grid: {{task.speed: {{value: [0.05, -1, 0.1]}}}}}}}}",
+        encoding="utf-8",
+    )
+    assert main(["run", str(plan), "--output", str(output)]) == 0
+    assert "3 of 3 runs" in capsys.readouterr().out
+    assert main(["run", str(plan), "--output", str(output), "--resume"]) == 0
+    assert "has all 3 runs" in capsys.readouterr().out
+    assert main(["info", str(output)]) == 0
+    shown = capsys.readouterr().out
+    assert "1 runs failed (LineError 1)" in shown
+    assert "path_error_worst" in shown

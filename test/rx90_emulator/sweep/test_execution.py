@@ -1,0 +1,172 @@
+"""The same results wherever and in whatever order the runs are computed."""
+
+from __future__ import annotations
+
+import os
+import signal
+from multiprocessing import active_children
+from pathlib import Path
+
+import distributed
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_emulator.sweep import execution
+from rx90_emulator.sweep.errors import SweepError
+from rx90_emulator.sweep.execution import dask_pool, local_pool
+from rx90_emulator.sweep.plan import Block, Parameter, SweepBase, SweepPlan
+from rx90_emulator.sweep.running import run_sweep
+from rx90_emulator.sweep.spaces import Values
+from rx90_emulator.sweep.store import read_results
+from rx90_emulator.sweep.sweep import RunOutcome, Sweep
+from rx90_emulator.sweep.table import schema_of, table_of
+
+
+@pytest.fixture(scope="module")
+def expected(sweep: Sweep, outcomes: list[RunOutcome]) -> pa.Table:
+    """Return the table of the runs computed one after the other in this process."""
+    return table_of(sweep, schema_of(sweep), outcomes)
+
+
+def assert_same(table: pa.Table, expected: pa.Table) -> None:
+    """Check that two tables are equal to the last bit, metadata included."""
+    assert table.schema.equals(expected.schema, check_metadata=True)
+    assert table.equals(expected)
+
+
+def test_workers_change_nothing(tmp_path: Path, sweep: Sweep, expected: pa.Table) -> None:
+    """One worker, two and three write the same file, byte for byte, with the results of runs in this process."""
+    for workers in (1, 2, 3):
+        counts = run_sweep(sweep, tmp_path / f"{workers}.parquet", workers=workers, quiet=True)
+        assert counts == (len(sweep), 4)
+    assert_same(read_results(tmp_path / "1.parquet"), expected)
+    assert len({file.read_bytes() for file in tmp_path.iterdir()}) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["1.parquet", "2.parquet", "3.parquet"]
+
+
+def test_order_changes_nothing(sweep: Sweep, outcomes: list[RunOutcome]) -> None:
+    """A run gives the same after any other runs, failed ones included, by another object of the same plan."""
+    other = Sweep(sweep.plan)
+    for index in np.random.default_rng(0).permutation(len(sweep)).tolist():
+        assert other.run(index) == outcomes[index]
+
+
+def test_cluster_changes_nothing(
+    tmp_path: Path, sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two processes of a Dask cluster give the same table, and a scheduler without workers is refused."""
+    # The cluster's processes find the rooms as these tests do.
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
+    output = tmp_path / "out.parquet"
+    with distributed.LocalCluster(
+        n_workers=0, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(SweepError, match="has no workers"):
+            run_sweep(sweep, output, scheduler=address, quiet=True)
+        assert not list(tmp_path.iterdir())
+        cluster.scale(2)
+        cluster.wait_for_workers(2, timeout=60)
+        run_sweep(sweep, output, scheduler=address, quiet=True)
+    assert_same(read_results(output), expected)
+
+
+def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address where nobody answers, or that is none, is refused in one line and leaves nothing behind."""
+    monkeypatch.setattr(execution, "_CONNECT_TIMEOUT", 0.2)
+    for address in ("tcp://127.0.0.1:1", "nonsense://x"):
+        with pytest.raises(SweepError, match=f"no Dask scheduler answers at {address}") as error:
+            run_sweep(sweep, tmp_path / "out.parquet", scheduler=address, quiet=True)
+        assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_resuming_completes(tmp_path: Path, sweep: Sweep, expected: pa.Table) -> None:
+    """A result that lacks runs is completed to the same table, computing those alone."""
+    output = tmp_path / "out.parquet"
+    pq.write_table(expected.take([0, 3, 4, 17, 39]), output)
+    counts = run_sweep(sweep, output, workers=2, resume=True, quiet=True)
+    assert counts.computed == len(sweep) - 5
+    assert_same(read_results(output), expected)
+    before = output.read_bytes()
+    assert run_sweep(sweep, output, workers=2, resume=True, quiet=True).computed == 0
+    assert output.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("path", "factor", "values", "said"),
+    [
+        ("friction.*.c1", True, (1.0, 1e7), "DivergenceError: the state of joint_"),
+        ("friction.joint_1.tau_c", True, (1.0, 2.0), "ConfigError: friction.joint_1: tau_s_positive is 32.0"),
+        ("task.end[0]", False, (0.604, 3.0), "LineError: the line cannot be travelled at"),
+        ("controller.start_tolerance", False, (1e-3, 0.0), "TrajectoryError: point 0"),
+        ("task.speed", False, (0.1, 1e-12), "LineError: the line takes 2.00112e+10 s"),
+        ("task.end[0]", False, (0.604, 1e30), "LineError: the line's length is 1e+30 m"),
+    ],
+)
+def test_a_failing_run_is_a_row(
+    tmp_path: Path, task_file: Path, path: str, factor: bool, values: tuple[float, ...], said: str
+) -> None:
+    """Divergence, a bad value, a line out of reach and a refused trajectory end their own run alone."""
+    swept = Parameter("swept", (path,), factor, Values(values))
+    sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(task=task_file)))
+    assert run_sweep(sweep, tmp_path / "out.parquet", workers=1, quiet=True) == (2, 1)
+    good, bad = read_results(tmp_path / "out.parquet").to_pylist()
+    assert good["error"] is None
+    assert 0 < good["path_error_worst"] < 1e-3
+    assert bad["error"].startswith(said)
+    assert all(bad[metric.name] is None for metric in sweep.metrics)
+    assert bad["swept"] == values[1]
+
+
+def test_an_error_that_nobody_thought_of_is_a_row(sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever a run raises becomes one line of its own row."""
+
+    def fail(*_: object) -> None:
+        raise MemoryError("no room for\n7 TiB")
+
+    monkeypatch.setattr("rx90_emulator.sweep.sweep.measure", fail)
+    outcome = sweep.run(0)
+    assert outcome.metrics is None
+    assert outcome.error == "MemoryError: no room for 7 TiB"
+
+
+def test_a_cluster_that_loses_a_process_goes_on(
+    sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process of the cluster that is killed with work in hand costs no run: another one takes it over."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        victim = next(iter(cluster.workers.values())).process.pid
+        with dask_pool(sweep, cluster.scheduler_address) as pool:
+            chunks = [[index] for index in range(len(sweep))]
+            futures = [pool.submit(chunk) for chunk in chunks]
+            os.kill(victim, signal.SIGKILL)
+            outcomes = [outcome for future in futures for outcome in future.result(timeout=120)]
+    assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
+
+
+def test_a_lost_worker_is_said(sweep: Sweep) -> None:
+    """A worker process that is killed ends the sweep with an error instead of a wait without end."""
+
+    def lose() -> None:
+        before = active_children()
+        with local_pool(sweep, 1) as pool:
+            (worker,) = set(active_children()) - set(before)
+            worker.kill()
+            pool.submit([0]).result(timeout=60)
+
+    with pytest.raises(SweepError, match="a worker process died"):
+        lose()
+
+
+@pytest.mark.parametrize("workers", [0, -2])
+def test_workers_are_positive(tmp_path: Path, sweep: Sweep, workers: int) -> None:
+    """A number of workers that makes no sense is refused."""
+    with pytest.raises(ConfigError, match=f"workers is {workers}"):
+        run_sweep(sweep, tmp_path / "out.parquet", workers=workers)

@@ -1,0 +1,131 @@
+"""Plans as YAML files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import config_path
+from rx90_emulator.sweep.plan import plan_hash
+from rx90_emulator.sweep.plan_file import load_plan
+from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
+from rx90_emulator.sweep.sweep import Sweep
+
+FULL = """
+seed: 5
+base: {task: line.yaml, substeps: 2, base_rate: 8000}
+blocks:
+  both:
+    grid:
+      friction.*.c0: {factor: {geomspace: [0.5, 2.0, 3]}}
+      task.speed: {value: {linspace: [0.1, 0.2, 2]}}
+      switches: {paths: ["controller.feed_forward.*"], value: [true, false]}
+    random:
+      friction.*.c2: {factor: {uniform: [0.5, 2.0]}, each: true}
+      drives.rotor_inertia[1]: {value: {loguniform: [1.0, 5.0]}}
+      controller.kp[*]: {factor: {normal: {mean: 1.0, deviation: 0.1, low: 0.5}}}
+    draws: 20
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    """Write a plan, and the line it may name beside it."""
+    shipped = config_path("task/reference_line.yaml").read_text(encoding="utf-8")
+    (folder / "line.yaml").write_text(shipped, encoding="utf-8")
+    file = folder / "plan.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_everything_is_read(tmp_path: Path) -> None:
+    """Each form of values and distributions, the base and the seed arrive in the plan."""
+    plan = load_plan(written(tmp_path, FULL))
+    (block,) = plan.blocks
+    assert (plan.seed, plan.base.substeps, plan.base.rates.base_hz) == (5, 2, 8000)
+    assert plan.base.task == tmp_path / "line.yaml"
+    assert [p.space for p in block.grid] == [
+        Values.geomspace(0.5, 2.0, 3),
+        Values((0.1, 0.2)),
+        Values((True, False)),
+    ]
+    assert [p.space for p in block.random] == [
+        Uniform(0.5, 2.0),
+        LogUniform(1.0, 5.0),
+        Normal(1.0, 0.1, low=0.5),
+    ]
+    assert [p.each for p in block.random] == [True, False, False]
+    assert block.grid[2].paths == ("controller.feed_forward.*",)
+    assert plan.runs == 3 * 2 * 2 * 20
+
+
+def test_hash_is_of_the_content(tmp_path: Path) -> None:
+    """The hash stays when the files move, and changes with any number of the plan or of a file it names."""
+    hashes = []
+    for folder, text in (("a", FULL), ("b", FULL), ("c", FULL.replace("seed: 5", "seed: 6"))):
+        (tmp_path / folder).mkdir()
+        hashes.append(plan_hash(load_plan(written(tmp_path / folder, text)).description()))
+    task = tmp_path / "b" / "line.yaml"
+    task.write_text(task.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    hashes.append(plan_hash(load_plan(tmp_path / "b" / "plan.yaml").description()))
+    assert hashes[0] == hashes[1]
+    assert len(set(hashes)) == 3
+
+
+@pytest.mark.parametrize("name", sorted(p.name for p in config_path("sweep").glob("*.yaml")))
+def test_shipped_plans_fit(name: str) -> None:
+    """Every shipped plan is readable and names what there is."""
+    assert len(Sweep(load_plan(config_path(f"sweep/{name}")))) > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("blocks: {}", "blocks is {}; accepted: at least one block"),
+        ("blocks: {a: {}}", "blocks.a is {}; accepted: a block with grid, random or both"),
+        ("blocks: {a: {grid: {}}}", "blocks.a.grid is {}; accepted: at least one parameter"),
+        ("blocks: {a: {grid: {task.speed: {value: []}}}}", "the list of values is empty"),
+        ("blocks: {a: {grid: {task.speed: {value: 0.1}}}}", "value is 0.1; accepted: [v1, v2, ...]"),
+        ("blocks: {a: {grid: {task.speed: {value: [fast]}}}}", "is 'fast'; accepted: finite numbers"),
+        ("blocks: {a: {grid: {task.speed: {value: [true]}}}}", "a value is True; accepted: numbers"),
+        ("blocks: {a: {grid: {task.speed: {value: [0.1, 0.1]}}}}", "0.1 stands twice"),
+        ("blocks: {a: {grid: {task.speed: {value: [1], factor: [1]}}}}", "one of value and factor"),
+        ("blocks: {a: {grid: {task.speed: {}}}}", "one of value and factor"),
+        ("blocks: {a: {grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}}", "count of values is -3"),
+        ("blocks: {a: {grid: {task.speed: {value: {linspace: [1, 2]}}}}}", "accepted: 3 numbers"),
+        ("blocks: {a: {grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}}", "is 'logspace'"),
+        ("blocks: {a: {grid: {task.speed: {value: [1], each: true}}}}", "in random draws only"),
+        ("blocks: {a: {grid: {task.sped: {value: [1]}}}}", "'sped' is unknown; accepted there: accel"),
+        ("blocks: {a: {grid: {task.speed: {value: [1]}, task.speed: {value: [2]}}}}", "stands twice"),
+        (
+            "blocks: {a: {grid: {friction.*.c0: {factor: [1]}, friction.joint_2.c0: {factor: [1]}}}}",
+            "both set friction.joint_2.c0",
+        ),
+        (
+            "blocks: {a: {random: {x: {paths: [friction.*.c0, friction.joint_1.c0], each: true, "
+            "factor: {uniform: [1, 2]}}}, draws: 1}}",
+            "both set friction.joint_1.c0",
+        ),
+        ("blocks: {a: {grid: {x: {paths: [task.speed, task.speed], value: [1]}}}}", "set a value twice"),
+        ("blocks: {a: {grid: {x: {paths: [], value: [1]}}}}", "has no paths"),
+        ("blocks: {a: {grid: {seed: {paths: [task.speed], value: [1]}}}}", "the name 'seed' of a result"),
+        ("blocks: {a: {grid: {controller.feed_forward.coulomb: {factor: [2]}}}}", "accepted: value"),
+        ("blocks: {a: {grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}}", "different units"),
+        ("blocks: {a: {random: {task.speed: {value: {uniform: [1, 2]}}}}}", "draws is missing"),
+        ("blocks: {a: {random: {task.speed: {value: {uniform: [1, 2]}}}, draws: -1}}", "draws is -1"),
+        ("blocks: {a: {random: {task.speed: {value: {uniform: [2, 1]}}}, draws: 1}}", "bounds are 2 and 1"),
+        ("blocks: {a: {random: {task.speed: {value: [1, 2]}}, draws: 1}}", "accepted: {uniform"),
+        ("blocks: {a: {grid: {task.speed: {value: [1]}}, draws: 4}}", "without random parameters"),
+        ("seed: -1\nblocks: {a: {grid: {task.speed: {value: [1]}}}}", "seed is -1"),
+        ("sed: 1\nblocks: {a: {grid: {task.speed: {value: [1]}}}}", "sed is not a known key"),
+        ("base: {task: none.yaml}\nblocks: {a: {grid: {task.speed: {value: [1]}}}}", "no file 'none.yaml'"),
+        ("base: {base_rate: 3000}\nblocks: {a: {grid: {task.speed: {value: [1]}}}}", "base_rate is 3000 Hz"),
+    ],
+)
+def test_bad_plans_get_one_line(tmp_path: Path, text: str, said: str) -> None:
+    """A mistake in a plan is refused in one line that names the place, the value and what is accepted."""
+    with pytest.raises(ConfigError) as error:
+        Sweep(load_plan(written(tmp_path, text)))
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,172 @@
+"""The files of results."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from rx90_emulator.sweep import store
+from rx90_emulator.sweep.errors import SweepError
+from rx90_emulator.sweep.info import summary
+from rx90_emulator.sweep.store import ResultStore, parts_folder, read_results
+from rx90_emulator.sweep.sweep import RunOutcome, Sweep
+from rx90_emulator.sweep.table import KEY
+
+
+@pytest.fixture
+def output(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> Path:
+    """Return the file of a finished sweep."""
+    file = tmp_path / "out.parquet"
+    with ResultStore(file, sweep) as kept:
+        kept.add(reversed(outcomes))
+    return file
+
+
+def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
+    """PyArrow and pandas find the unit of every number, and the metadata hold plan, seed, files and versions."""
+    schema = pq.read_schema(output)
+    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
+    assert units["path_error_worst"] == "m"
+    assert units["friction_work_joint_5_6"] == "J"
+    assert units["arm.link_3.mass"] == "kg"
+    assert units["friction.*.c0"] == "1"
+    assert schema.field("viscous").type == pa.bool_()
+    frame = pd.read_parquet(output)
+    assert frame.attrs["units"] == units
+    assert frame["index"].tolist() == list(range(len(sweep)))
+    assert frame["path_error_worst"].isna().equals(frame["error"].notna())
+    about = json.loads(schema.metadata[KEY])
+    assert (about["seed"], about["runs"]) == (7, 40)
+    assert about["plan"]["files"]["friction"]["name"] == "friction.yaml"
+    assert len(about["plan"]["files"]["task"]["sha256"]) == 64
+    assert about["versions"]["numpy"]
+
+
+def test_parts_are_readable_before_the_end(
+    tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While a sweep runs, pandas reads what is done out of its folder, and a torn file there is overlooked."""
+    monkeypatch.setattr(store, "_FLUSH_AFTER", 0.0)
+    monkeypatch.setattr(store, "_FLUSH_SHARE", 0.0)
+    file = tmp_path / "out.parquet"
+    with ResultStore(file, sweep) as kept:
+        for first in (0, 4, 8):
+            kept.add(outcomes[first : first + 4])
+        (parts_folder(file) / ".part-000009.parquet").write_bytes(b"PAR1 torn")
+        assert pd.read_parquet(parts_folder(file))["index"].tolist() == list(range(12))
+        assert len(read_results(file)) == 12
+        assert "12 of 40 runs; go on with --resume" in summary(file)[0]
+        with pytest.raises(SweepError, match=r"out\.parquet\.parts exists; accepted: another output"):
+            ResultStore(file, sweep)
+    assert len(read_results(file)) == 12
+    assert not parts_folder(file).exists()
+
+
+def test_runs_are_there_once(output: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
+    """A kill between gathering the parts and removing them leaves no run twice."""
+    whole = output.read_bytes()
+    kept = ResultStore(output, sweep, resume=True)
+    kept.add(outcomes[:5])
+    kept.flush()
+    assert len(read_results(output)) == len(sweep)
+    with kept:
+        pass
+    assert output.read_bytes() == whole
+
+
+def test_existing_results_are_safe(output: Path, sweep: Sweep) -> None:
+    """Without resume nothing is overwritten, with it no other plan is taken up; the message says so."""
+    before = output.read_bytes()
+    with pytest.raises(SweepError, match=r"exists; accepted: another output, or resume"):
+        ResultStore(output, sweep)
+    other = Sweep(replace(sweep.plan, seed=8))
+    with pytest.raises(SweepError, match="has another plan"):
+        ResultStore(output, other, resume=True)
+    changed = Sweep(sweep.plan)
+    changed.versions = {**changed.versions, "numba": "0.1"}
+    with pytest.raises(SweepError, match=r"another set of versions \(numba .* instead of 0.1\)"):
+        ResultStore(output, changed, resume=True)
+    assert output.read_bytes() == before
+
+
+def test_one_sweep_at_a_time(tmp_path: Path, sweep: Sweep) -> None:
+    """A second sweep that resumes the same output is turned away while the first one runs."""
+    file = tmp_path / "out.parquet"
+    with ResultStore(file, sweep), pytest.raises(SweepError, match="another sweep is writing"):
+        ResultStore(file, sweep, resume=True)
+
+
+def test_foreign_files_are_refused(tmp_path: Path, sweep: Sweep) -> None:
+    """A folder, a text, a torn file and somebody else's Parquet are refused in one line, and stay as they are."""
+    text, foreign = tmp_path / "text.parquet", tmp_path / "foreign.parquet"
+    text.write_text("index,error\n", encoding="utf-8")
+    pq.write_table(pa.table({"index": [1, 2]}), foreign)
+    torn = tmp_path / "torn.parquet"
+    torn.write_bytes(foreign.read_bytes()[:-20])
+    for file, said in (
+        (tmp_path, "is a folder"),
+        (text, "cannot be read as Parquet"),
+        (torn, "cannot be read as Parquet"),
+        (foreign, "is not a result of rx90_sweep"),
+    ):
+        with pytest.raises(SweepError, match=said) as error:
+            ResultStore(file, sweep, resume=True)
+        assert "\n" not in str(error.value)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_damaged_part_is_named(tmp_path: Path, sweep: Sweep, outcomes: list[RunOutcome]) -> None:
+    """A part with one flipped bit in its data is refused with what to do about it, and doing that goes on."""
+    file = tmp_path / "out.parquet"
+    store_of_killed = ResultStore(file, sweep)
+    for first in (0, 20):
+        store_of_killed.add(outcomes[first : first + 20])
+        store_of_killed.flush()
+    os.close(store_of_killed._lock)  # as the end of a killed process does
+    part = parts_folder(file) / "part-000001.parquet"
+    data = bytearray(part.read_bytes())
+    data[100] ^= 1
+    part.write_bytes(data)
+    with pytest.raises(SweepError, match=r"part-000001.* cannot be read .*; accepted: remove this part") as error:
+        ResultStore(file, sweep, resume=True)
+    assert "\n" not in str(error.value)
+    part.unlink()
+    with ResultStore(file, sweep, resume=True) as kept:
+        assert kept.done.sum() == 20
+
+
+def test_a_lock_that_went_with_its_folder_locks_nothing(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sweep that starts while another one takes its folder away is turned away, not left without a lock."""
+    file = tmp_path / "out.parquet"
+
+    def remove_then_lock(*_: object) -> None:
+        shutil.rmtree(parts_folder(file))
+
+    monkeypatch.setattr(store.fcntl, "flock", remove_then_lock)
+    with pytest.raises(SweepError, match="another sweep is writing"):
+        ResultStore(file, sweep)
+
+
+def test_no_place_to_write(tmp_path: Path, sweep: Sweep) -> None:
+    """An output in a folder that does not exist is refused before any run."""
+    with pytest.raises(SweepError, match="cannot be written"):
+        ResultStore(tmp_path / "no" / "out.parquet", sweep)
+
+
+def test_summary(output: Path) -> None:
+    """The summary tells state, failures and each column's unit and range."""
+    lines = summary(output)
+    assert lines[0].endswith("all 40 runs")
+    assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
+    mass = next(line for line in lines if line.startswith("arm.link_3.mass"))
+    assert mass.split() == ["arm.link_3.mass", "kg", "-1", "12", "20"]

@@ -1,0 +1,239 @@
+"""Plays a conformance transcript on any board: one specification for every target of the firmware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+
+from friction_bench.protocol.codec import Frame, FrameDecoder, encode
+from friction_bench.protocol.messages import (
+    Command,
+    HelloReply,
+    Report,
+    Result,
+    limits_payload,
+    parse_hello,
+    parse_report,
+    ramp_payload,
+    torque_payload,
+)
+from friction_bench.rig.emulated import Board
+
+TRANSCRIPTS = sorted((Path(__file__).parents[1] / "friction_bench" / "transcripts").glob("*.yaml"))
+TORQUE_LIMIT_CODE = 229
+
+
+class ResettableBoard(Board, Protocol):
+    """A board whose reset the test can pull."""
+
+    def restart(self) -> None:
+        """Reset the board."""
+
+
+class MismatchError(AssertionError):
+    """The board does not do what the transcript says."""
+
+
+def payload_of(command: dict[str, Any] | str) -> tuple[Command, bytes]:
+    """Return type and payload of a command as transcripts write it."""
+    if isinstance(command, str):
+        return Command[command.upper()], b""
+    ((name, value),) = command.items()
+    kind = Command[name.upper()]
+    if kind == Command.RAMP:
+        return kind, ramp_payload(*value)
+    if kind == Command.LIMITS:
+        return kind, limits_payload(*value)
+    return kind, torque_payload(value)  # HELLO has one byte too
+
+
+class Player:
+    """One board and what it has said."""
+
+    def __init__(self, board: ResettableBoard) -> None:
+        self.board = board
+        self.decoder = FrameDecoder()
+        self.sequence = 0
+        self.message = b""
+        self.adc = 0
+        self.edges = 0
+        self.clock = 0
+        self.beat_at = 0
+        self.reports: list[Report] = []
+        self.hello: HelloReply | None = None
+        self.forgotten = 0
+
+    def play(self, path: Path) -> None:
+        """Play a transcript.
+
+        Raises:
+            MismatchError: naming file, step and difference.
+        """
+        script = yaml.safe_load(path.read_text())
+        for number, step in enumerate(script["steps"], 1):
+            name, value = (step, None) if isinstance(step, str) else next(iter(step.items()))
+            try:
+                getattr(self, f"do_{name}")(value)
+            except MismatchError as error:
+                raise MismatchError(f"{path.name}, step {number} ({step}): {error}") from None
+
+    def millisecond(self) -> None:
+        """Let a millisecond pass, and hold the board to what must be true at every instant."""
+        self.board.run(1000, self.edges, self.adc)
+        self.clock += 1
+        if self.board.stage_on and self.board.dac > TORQUE_LIMIT_CODE:
+            raise MismatchError(f"the DAC shows {self.board.dac} with the stage on")
+        for frame in self.decoder.feed(self.board.read()):
+            report = parse_report(frame)
+            if report is not None:
+                self.reports.append(report)
+            self.hello = parse_hello(frame) or self.hello
+
+    def transmit(self, frame: Frame) -> bytes:
+        """Send a frame; return its bytes."""
+        self.message = encode(frame)
+        self.board.write(self.message)
+        return self.message
+
+    def next_frame(self, command: dict[str, Any] | str) -> Frame:
+        """Return the frame of a command with the next sequence number."""
+        self.sequence = (self.sequence + 1) & 0xFF
+        kind, payload = payload_of(command)
+        return Frame(kind, self.sequence, payload)
+
+    def do_send(self, command: dict[str, Any] | str) -> None:
+        """Send a command."""
+        self.transmit(self.next_frame(command))
+
+    def do_raw(self, value: dict[str, Any]) -> None:
+        """Send a frame of any type and length."""
+        self.transmit(Frame(value["type"], value["sequence"], bytes.fromhex(value.get("payload", ""))))
+
+    def do_bytes(self, value: str) -> None:
+        """Put bytes on the line."""
+        self.board.write(bytes.fromhex(value))
+
+    def do_again(self, _: None) -> None:
+        """Repeat the last frame."""
+        self.board.write(self.message)
+
+    def do_damaged(self, value: dict[str, Any]) -> None:
+        """Send a command with one byte flipped, lost or doubled, or a wrong checksum."""
+        message = bytearray(encode(self.next_frame(value["command"])))
+        self.sequence -= 1  # the rig must not have seen it
+        middle = len(message) // 2
+        if value["how"] == "flip":
+            message[middle] ^= 0x10
+        elif value["how"] == "lose":
+            del message[middle]
+        elif value["how"] == "double":
+            message.insert(middle, message[middle])
+        else:
+            at = -3 if value["how"] == "checksum_low" else -2
+            message[at] = message[at] ^ 1 or 2
+        self.board.write(bytes(message))
+
+    def do_greet(self, _: None) -> None:
+        """Greet the board a few milliseconds after power-up."""
+        self.do_run(5)
+        self.do_send({"hello": 1})
+        self.do_run(60)
+        self.do_expect({"greeted": True, "result": "OK"})
+
+    def do_run(self, milliseconds: int) -> None:
+        """Let time pass without a sign of life."""
+        for _ in range(milliseconds):
+            self.millisecond()
+
+    def do_beat(self, milliseconds: int) -> None:
+        """Let time pass with heartbeats."""
+        for _ in range(milliseconds):
+            if self.clock - self.beat_at >= 20:
+                self.beat_at = self.clock
+                self.board.write(encode(Frame(Command.BEAT, 0, b"")))
+            self.millisecond()
+
+    def do_tick(self, _: None) -> None:
+        """Wait for a report: the tick was about 10 ms ago."""
+        known = len(self.reports)
+        while len(self.reports) == known:
+            self.do_beat(1)
+
+    def do_adc(self, code: int) -> None:
+        """Set the ADC code from now on."""
+        self.adc = code
+
+    def do_edges(self, per_millisecond: int) -> None:
+        """Set the encoder edges per millisecond from now on."""
+        self.edges = per_millisecond
+
+    def do_reset(self, _: None) -> None:
+        """Reset the board."""
+        self.board.restart()
+
+    def do_forget(self, _: None) -> None:
+        """Look at reports from now on only."""
+        self.forgotten = len(self.reports)
+
+    def do_silence(self, limits: list[int]) -> None:
+        """Fall silent; the stage must go off between these limits, ms."""
+        self.board.write(encode(Frame(Command.BEAT, 0, b"")))
+        start = self.clock
+        while self.board.stage_on and self.clock - start < 1000:
+            self.millisecond()
+        took = self.clock - start
+        if not limits[0] <= took <= limits[1] or self.board.dac:
+            raise MismatchError(f"the stage went off after {took} ms, DAC {self.board.dac}")
+
+    def do_staircase(self, codes: list[int]) -> None:
+        """The reports must show these DAC codes in a row."""
+        shown = [report.dac for report in self.reports[self.forgotten :]]
+        for at in range(len(shown)):
+            if shown[at : at + len(codes)] == codes:
+                return
+        raise MismatchError(f"reported {shown}")
+
+    def do_pins(self, value: dict[str, Any]) -> None:
+        """The pins must show this."""
+        found = {"dac": self.board.dac, "stage": self.board.stage_on}
+        if found != value:
+            raise MismatchError(f"pins {found}")
+
+    def do_expect(self, value: dict[str, Any]) -> None:
+        """The last report, and the pins with it, must show this."""
+        if not self.reports:
+            raise MismatchError("the board has not reported")
+        found = self.observed(self.reports[-1])
+        wrong = {key: found[key] for key, wanted in value.items() if found[key] != wanted}
+        if wrong:
+            raise MismatchError(f"found {wrong}")
+        if found["state"] == "RAMPING":
+            return  # the pins are ahead of the report
+        if found["dac"] != self.board.dac or found["stage"] != self.board.stage_on:
+            raise MismatchError(f"reported {found}, pins {self.board.dac} {self.board.stage_on}")
+
+    def observed(self, report: Report) -> dict[str, Any]:
+        """Return what a transcript can expect."""
+        hello = self.hello
+        return {
+            "state": report.state.name,
+            "greeted": report.greeted,
+            "stage": report.stage_on,
+            "ramp_done": report.ramp_done,
+            "dac": report.dac,
+            "adc": report.adc,
+            "tick": report.tick,
+            "counts": report.counts,
+            "fault": int(report.fault),
+            "result": Result(report.result).name,
+            "ack": report.ack_sequence,
+            "answered": report.ack_sequence == self.sequence,
+            "bad_frames": report.bad_frames,
+            "hello_version": hello and hello.version,
+            "counts_per_revolution": hello and hello.counts_per_revolution,
+            "tick_us": hello and hello.tick_us,
+            "torque_limit_code": hello and hello.torque_limit_code,
+            "watchdog_ticks": hello and hello.watchdog_ticks,
+        }
