@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 import yaml
 
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.loop.setup import Setup
 
 pytest_plugins = ["processes"]
 
@@ -22,9 +23,9 @@ def shipped() -> Setup:
 
 
 @pytest.fixture(scope="session")
-def shipped_files() -> SetupFiles:
+def shipped_files() -> RobotFiles:
     """Return the paths of the shipped files."""
-    return SetupFiles()
+    return RobotFiles()
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
-from friction_bench.protocol.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 
 Array = NDArray[np.float64]
 

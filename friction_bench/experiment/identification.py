@@ -18,7 +18,7 @@ from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, fit_asymptote
 from friction_bench.experiment.record import RampRecord
-from friction_bench.protocol.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 
 Array = NDArray[np.float64]
 LEVEL = 0.95

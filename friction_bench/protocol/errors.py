@@ -27,7 +27,3 @@ class RigFaultError(RigError):
 
 class RecordError(Rx90Error):
     """A file does not hold a ramp test that can be read."""
-
-
-class IdentificationError(Rx90Error):
-    """The data do not carry an estimate; a refusal is the answer, never a number."""

@@ -1,17 +1,36 @@
-"""The errors a user can meet; each message names the offending value and what is accepted."""
+"""The errors a user can meet, and the exit codes of the commands; each text is one line with the offending value."""
 
 from __future__ import annotations
+
+from typing import ClassVar
+
+DONE = 0
+VERDICT_NO = 1
+"""Done, and the verdict is no: differs, not confirmed, lost messages."""
+REFUSED = 2
+"""Wrong usage or bad input; nothing was written."""
+FAILED = 3
+"""Could not be carried out: nodes gone, disk full."""
+INTERRUPTED = 130
 
 
 class Rx90Error(Exception):
     """Root of all errors of this project; its text is one line meant for the user."""
+
+    exit_code: ClassVar[int] = REFUSED
+
+
+class FailureError(Rx90Error):
+    """What was asked for is acceptable and could not be carried out."""
+
+    exit_code = FAILED
 
 
 class ConfigError(Rx90Error):
     """A parameter or a configuration file is not acceptable."""
 
 
-class DivergenceError(Rx90Error):
+class DivergenceError(FailureError):
     """The plant's state left the range in which the model means anything."""
 
 
@@ -23,13 +42,29 @@ class LineError(Rx90Error):
     """A Cartesian line cannot be travelled; the text says where on the line."""
 
 
-class ExchangeError(Rx90Error):
-    """Two nodes do not speak the same exchange (names, sizes, rates)."""
+class ExchangeError(FailureError):
+    """Two nodes do not speak the same exchange (names, sizes, rates), or one of them does not answer."""
 
 
 class MessageError(ExchangeError):
     """One message cannot be used; the next one may be."""
 
 
+class ProcessError(FailureError):
+    """A child process ended early or did not say what was expected."""
+
+
+class OutputError(FailureError):
+    """Standard output cannot be written."""
+
+
 class BagError(Rx90Error):
     """A bag cannot be written, read or compared."""
+
+
+class IdentificationError(Rx90Error):
+    """The data do not carry an estimate; a refusal is the answer, never a number."""
+
+
+class SweepError(Rx90Error):
+    """A sweep's plan or its file of results is not acceptable."""

@@ -12,12 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import ProcessError
 from rx90_common.process.interrupts import interrupts_later
-
-
-class ProcessError(Rx90Error):
-    """A process ended early or did not say what was expected."""
 
 
 class ManagedProcess:

@@ -8,14 +8,10 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import OutputError
 
 READER_GONE = 141  # as a shell tells the end by SIGPIPE
 _STDOUT = 1
-
-
-class OutputError(Rx90Error):
-    """Standard output cannot be written."""
 
 
 class _Output(io.FileIO):

@@ -11,7 +11,8 @@ from rx90_common.bags.comparison import BagComparison, Scope, Verdict, compare_b
 from rx90_common.bags.comparison_report import as_text
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.process.children import ManagedProcess, ProcessError, ProcessGroup
+from rx90_common.base.errors import ProcessError
+from rx90_common.process.children import ManagedProcess, ProcessGroup
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.demo.analysis import analyse

@@ -16,8 +16,9 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
+from rx90_common.base.errors import ProcessError
 from rx90_common.exchange.ros_start import start_ros
-from rx90_common.process.children import ManagedProcess, ProcessError
+from rx90_common.process.children import ManagedProcess
 from rx90_common.process.interrupts import interrupts_later
 
 _SERVICE_TIMEOUT = 60.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.estimate import PARAMETERS, PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records.record import JointRecord

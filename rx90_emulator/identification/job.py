@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from rx90_emulator.identification.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.folder import Bags, read_index
 from rx90_emulator.identification.identify import Identification, identify
 from rx90_emulator.identification.output.friction_file import friction_text

@@ -13,12 +13,13 @@ import numpy as np
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
+from rx90_common.description.robot_files import SHIPPED, RobotFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.arrays import save_arrays
 from rx90_emulator.loop.closed_loop import RunResult, simulate
 from rx90_emulator.loop.run_bag import write_run
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.task_run import SETTLING, path_accuracy, run_task
 from rx90_emulator.loop.trajectory_file import load_trajectory
 
@@ -35,12 +36,8 @@ def run(options: argparse.Namespace) -> None:
         raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
     if options.arrays is not None and options.arrays.exists():
         raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
-    files = {
-        key: resolve_config(getattr(options, key))
-        for key in ("urdf", "tool", "drives", "friction", "controller")
-        if getattr(options, key) is not None
-    }
-    setup = Setup.load(SetupFiles(**files), Rates(options.base_rate, options.position_rate))
+    files = RobotFiles.named(**{key: getattr(options, key) for key in SHIPPED})
+    setup = Setup.load(files, Rates(options.base_rate, options.position_rate))
     if options.no_feed_forward:
         controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
         setup = dataclasses.replace(setup, controller=controller)

@@ -16,7 +16,7 @@ from functools import lru_cache
 from multiprocessing.connection import wait as wait_for_any
 from typing import Any, NamedTuple
 
-from rx90_emulator.sweep.errors import SweepError
+from rx90_common.base.errors import SweepError
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8

@@ -12,7 +12,7 @@ from typing import Any
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import config_path
-from rx90_emulator.loop.setup import SetupFiles
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.sweep.spaces import Distribution, Values
 
 MOST_RUNS = 10_000_000
@@ -101,7 +101,7 @@ class SweepBase:
         substeps: plant steps in a tick.
     """
 
-    files: SetupFiles = field(default_factory=SetupFiles)
+    files: RobotFiles = field(default_factory=RobotFiles)
     task: Path = field(default_factory=lambda: config_path("task/reference_line.yaml"))
     rates: Rates = field(default_factory=Rates)
     substeps: int = 1

@@ -30,7 +30,7 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
-from rx90_emulator.loop.setup import SetupFiles
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.sweep.catalogue import Value
 from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, Parameter, SweepBase, SweepPlan
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
@@ -89,7 +89,7 @@ def _base(section: _PlanSection) -> SweepBase:
     substeps = section.integer("substeps", 1, 1000) if "substeps" in section else 1
     rates = _built(section, "base_rate", lambda: Rates(base_hz, position_hz))
     section.finish()
-    return SweepBase(SetupFiles(**files), rates=rates, substeps=substeps, **task)
+    return SweepBase(RobotFiles(**files), rates=rates, substeps=substeps, **task)
 
 
 def _file(section: _PlanSection, role: str) -> Path:

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rx90_emulator.sweep.errors import SweepError
+from rx90_common.base.errors import SweepError
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 from rx90_emulator.sweep.table import about, read_table, schema_of, table_of
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -17,7 +17,6 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.task_run import line_points
 from rx90_emulator.sweep.application import apply
 from rx90_emulator.sweep.catalogue import Catalogue, Value
-from rx90_emulator.sweep.errors import SweepError
 from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.provenance import run_hash, versions

@@ -17,11 +17,12 @@ from friction_bench.experiment.identification import Identification, identify, j
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord, read_csv, read_text, write_csv
-from friction_bench.protocol.errors import IdentificationError, RecordError
+from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import JointFriction
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.errors import IdentificationError
 
 TICK = 0.02
 STEP = math.tau / 504

@@ -14,8 +14,9 @@ import yaml
 from refusals import refusal_by
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import CS7BParameters, load_controller
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
 POSITIVE_SIX = [("servo", "inertia"), ("current_loop", "slew_rate")]
@@ -38,7 +39,7 @@ def refusal(path: Path) -> str:
     return refusal_by(load_controller, path)
 
 
-def test_these_are_all_keys(shipped_files: SetupFiles) -> None:
+def test_these_are_all_keys(shipped_files: RobotFiles) -> None:
     """The lists above name every key of the shipped file, so that none goes untested."""
     data = yaml.safe_load(shipped_files.controller.read_text())
     keys = [(block, key) for block in data for key in data[block] if key not in {"source", "provenance"}]
@@ -48,7 +49,7 @@ def test_these_are_all_keys(shipped_files: SetupFiles) -> None:
 @pytest.mark.parametrize("place", SIX, ids=".".join)
 @pytest.mark.parametrize("value", [-1.5, math.nan, math.inf, "strong", None, True])
 def test_a_bad_value_in_a_list_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """One bad number of six is refused by file, key, index and value."""
     assert f"{'.'.join(place)}[5] is {value!r};" in refusal(edited_yaml(shipped_files.controller, (*place, 5), value))
@@ -56,7 +57,7 @@ def test_a_bad_value_in_a_list_is_refused(
 
 @pytest.mark.parametrize("place", SIX, ids=".".join)
 def test_a_list_that_is_not_six_numbers_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str]
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
 ) -> None:
     """A list of another length, a single number or a text is refused with what was given."""
     for value in ([1.0] * 5, [1.0] * 7, 3.0, "1 2 3 4 5 6", None):
@@ -67,7 +68,7 @@ def test_a_list_that_is_not_six_numbers_is_refused(
 @pytest.mark.parametrize("place", ONE, ids=".".join)
 @pytest.mark.parametrize("value", [-1.5, math.nan, math.inf, "strong", None, True, [1.0]])
 def test_a_bad_single_value_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """A single value out of its range is refused by file, key and value."""
     assert f"{'.'.join(place)} is {value!r};" in refusal(edited_yaml(shipped_files.controller, place, value))
@@ -75,7 +76,7 @@ def test_a_bad_single_value_is_refused(
 
 @pytest.mark.parametrize("place", POSITIVE_SIX + POSITIVE_ONE, ids=".".join)
 def test_zero_is_refused_where_it_means_nothing(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str]
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
 ) -> None:
     """Zero is refused for what is divided by or would stop the amplifier."""
     where = (*place, 0) if place in POSITIVE_SIX else place
@@ -85,7 +86,7 @@ def test_zero_is_refused_where_it_means_nothing(
 @pytest.mark.parametrize("place", SWITCHES, ids=".".join)
 @pytest.mark.parametrize("value", [1, 0.0, "maybe", None])
 def test_a_switch_is_true_or_false(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """A switch that is neither true nor false is refused."""
     said = refusal(edited_yaml(shipped_files.controller, place, value))
@@ -93,14 +94,14 @@ def test_a_switch_is_true_or_false(
 
 
 @pytest.mark.parametrize("place", SIX + ONE + SWITCHES, ids=".".join)
-def test_a_missing_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
+def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
     """Without one of its keys the file is refused by that key."""
     said = refusal(edited_yaml(shipped_files.controller, place, None, remove=True))
     assert f"{'.'.join(place)} is missing" in said
 
 
 @pytest.mark.parametrize("block", ["servo", "feed_forward", "current_loop", "trajectory"])
-def test_a_block_is_checked(shipped_files: SetupFiles, edited_yaml: Edit, block: str) -> None:
+def test_a_block_is_checked(shipped_files: RobotFiles, edited_yaml: Edit, block: str) -> None:
     """A missing block, a block that is no mapping and an unknown key in it are refused by name."""
     source = shipped_files.controller
     assert f"{block} is missing" in refusal(edited_yaml(source, (block,), None, remove=True))
@@ -109,7 +110,7 @@ def test_a_block_is_checked(shipped_files: SetupFiles, edited_yaml: Edit, block:
     assert "servos is not a known key" in refusal(edited_yaml(source, ("servos",), {}))
 
 
-def test_a_key_that_stands_twice_is_refused(shipped_files: SetupFiles, tmp_path: Path) -> None:
+def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """A repeated key is refused: its first value would be lost silently."""
     path = tmp_path / "cs7b.yaml"
     path.write_text(shipped_files.controller.read_text() + "\ntrajectory:\n  start_tolerance: 2.0\n")
@@ -126,7 +127,7 @@ def test_parameters_built_in_python_are_checked(shipped: Setup, name: str, bad: 
         dataclasses.replace(shipped.controller, **{name: value})
 
 
-def test_the_shipped_values_say_that_they_are_assumed(shipped_files: SetupFiles) -> None:
+def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:
     """The blocks with values carry their provenance; none of them is called published."""
     data = yaml.safe_load(shipped_files.controller.read_text())
     for block in ("servo", "feed_forward", "current_loop"):

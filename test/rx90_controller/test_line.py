@@ -15,10 +15,11 @@ from rx90_common.description.branch import BRANCHES, Branch
 from rx90_common.description.inverse import SphericalWristArm
 from rx90_common.description.kinematics import forward, jacobian, path_error
 from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.plan import LinePlan, approach_time, plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
     start=(0.5, -0.2, 0.4),
@@ -241,7 +242,7 @@ def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipp
 
 
 def test_an_arm_without_spherical_wrist_follows_the_line(
-    shipped_files: SetupFiles, task: LineTask, tmp_path: Path
+    shipped_files: RobotFiles, task: LineTask, tmp_path: Path
 ) -> None:
     """With axis 6 moved 30 mm aside there is no closed form, and the tip still keeps to the line."""
     text = shipped_files.urdf.read_text(encoding="utf-8")

@@ -15,7 +15,8 @@ from refusals import refusal_by
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import DriveParameters, load_drives
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
 SIX = [
@@ -45,7 +46,7 @@ def refusal(path: Path) -> str:
     return refusal_by(load_drives, path)
 
 
-def test_these_are_all_keys(shipped_files: SetupFiles) -> None:
+def test_these_are_all_keys(shipped_files: RobotFiles) -> None:
     """The lists above name every key of the shipped file, so that none goes untested."""
     data = yaml.safe_load(shipped_files.drives.read_text())
     keys = [(block, key) for block in data for key in data[block] if key not in {"source", "provenance"}]
@@ -55,7 +56,7 @@ def test_these_are_all_keys(shipped_files: SetupFiles) -> None:
 @pytest.mark.parametrize("place", SIX, ids=".".join)
 @pytest.mark.parametrize("value", WRONG)
 def test_a_bad_value_in_a_list_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """One bad number of six is refused by file, key, index and value."""
     path = edited_yaml(shipped_files.drives, (*place, 4), value)
@@ -65,7 +66,7 @@ def test_a_bad_value_in_a_list_is_refused(
 
 @pytest.mark.parametrize("place", SIX, ids=".".join)
 def test_zero_is_refused_where_it_means_nothing(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str]
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
 ) -> None:
     """Zero is accepted for what may be absent and refused for what is divided by."""
     path = edited_yaml(shipped_files.drives, (*place, 0), 0.0)
@@ -78,7 +79,7 @@ def test_zero_is_refused_where_it_means_nothing(
 @pytest.mark.parametrize("place", SIX, ids=".".join)
 @pytest.mark.parametrize("value", [[1.0] * 5, [1.0] * 7, 3.0, "1 2 3 4 5 6", None, {"joint_1": 1.0}])
 def test_a_list_that_is_not_six_numbers_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """A list of another length, a single number or a text is refused with what was given."""
     path = edited_yaml(shipped_files.drives, place, value)
@@ -88,7 +89,7 @@ def test_a_list_that_is_not_six_numbers_is_refused(
 @pytest.mark.parametrize("place", ONE, ids=".".join)
 @pytest.mark.parametrize("value", [*WRONG, [1.0], 0.0])
 def test_a_bad_single_value_is_refused(
-    shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
 ) -> None:
     """A single value out of its range is refused by file, key and value."""
     path = edited_yaml(shipped_files.drives, place, value)
@@ -100,7 +101,7 @@ def test_a_bad_single_value_is_refused(
 
 @pytest.mark.parametrize("counts", [15, 65536.0, 2**31])
 def test_encoder_counts_are_a_whole_number_in_range(
-    shipped_files: SetupFiles, edited_yaml: Edit, counts: float
+    shipped_files: RobotFiles, edited_yaml: Edit, counts: float
 ) -> None:
     """Encoder counts that are not an integer in the accepted range are refused."""
     path = edited_yaml(shipped_files.drives, ("encoder", "counts_per_revolution"), counts)
@@ -108,14 +109,14 @@ def test_encoder_counts_are_a_whole_number_in_range(
 
 
 @pytest.mark.parametrize("place", SIX + ONE, ids=".".join)
-def test_a_missing_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
+def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]) -> None:
     """Without one of its keys the file is refused by that key."""
     path = edited_yaml(shipped_files.drives, place, None, remove=True)
     assert f"{'.'.join(place)} is missing" in refusal(path)
 
 
 @pytest.mark.parametrize("block", ["transmission", "motor", "encoder", "brake", "spring", "end_stops"])
-def test_a_block_is_checked(shipped_files: SetupFiles, edited_yaml: Edit, block: str) -> None:
+def test_a_block_is_checked(shipped_files: RobotFiles, edited_yaml: Edit, block: str) -> None:
     """A missing block, a block that is no mapping and an unknown key in it are refused by name."""
     assert f"{block} is missing" in refusal(edited_yaml(shipped_files.drives, (block,), None, remove=True))
     assert f"{block} is 3; accepted: a mapping" in refusal(edited_yaml(shipped_files.drives, (block,), 3))
@@ -125,7 +126,7 @@ def test_a_block_is_checked(shipped_files: SetupFiles, edited_yaml: Edit, block:
     )
 
 
-def test_an_unknown_block_is_refused(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+def test_an_unknown_block_is_refused(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A block that nothing reads is refused."""
     assert "motors is not a known key" in refusal(edited_yaml(shipped_files.drives, ("motors",), {}))
 

@@ -13,8 +13,9 @@ import pytest
 from refusals import refusal_by
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionSet, LuGreElement, load_friction
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
@@ -30,7 +31,7 @@ def refusal(path: Path) -> str:
 
 @pytest.mark.parametrize("key", KEYS)
 @pytest.mark.parametrize("value", [-1.5, 0.0, math.nan, math.inf, -math.inf, "soft", None, True, [1.0], {}])
-def test_a_bad_value_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, key: str, value: Any) -> None:
+def test_a_bad_value_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str, value: Any) -> None:
     """Each key of an element refuses what is not in its range, naming file, element, key and value."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_3", key), value)
     if value == 0.0 and key in MAY_BE_ZERO:
@@ -44,14 +45,14 @@ def test_a_bad_value_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, ke
 
 
 @pytest.mark.parametrize("name", ELEMENTS)
-def test_a_missing_element_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, name: str) -> None:
+def test_a_missing_element_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, name: str) -> None:
     """Without one of the seven elements the file is refused by the missing element's name."""
     path = edited_yaml(shipped_files.friction, ("elements", name), None, remove=True)
     assert f"elements.{name} is missing" in refusal(path)
 
 
 @pytest.mark.parametrize("key", [k for k in KEYS if k != "omega_d"])
-def test_a_missing_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, key: str) -> None:
+def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
     """An element that lacks a value is refused by element and key."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", key), None, remove=True)
     assert f"elements.joint_5_6.{key} is missing" in refusal(path)
@@ -62,13 +63,13 @@ def test_a_missing_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, 
     [("tau_z",), ("elements", "joint_7"), ("elements", "joint_1", "tauc")],
     ids=["file", "elements", "element"],
 )
-def test_an_unknown_key_is_refused(shipped_files: SetupFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
+def test_an_unknown_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
     """A misspelt key is refused at every level instead of being ignored."""
     path = edited_yaml(shipped_files.friction, place, 1.0)
     assert f"{'.'.join(place)} is not a known key" in refusal(path)
 
 
-def test_a_key_that_stands_twice_is_refused(shipped_files: SetupFiles, tmp_path: Path) -> None:
+def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """A repeated key is refused: its first value would be lost silently."""
     text = shipped_files.friction.read_text().replace("delta: 1.0,", "delta: 1.0, delta: 2.0,", 1)
     path = tmp_path / "friction.yaml"
@@ -80,7 +81,7 @@ def test_a_key_that_stands_twice_is_refused(shipped_files: SetupFiles, tmp_path:
     assert "\n" not in str(caught.value)
 
 
-def test_static_below_coulomb_torque_is_refused(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+def test_static_below_coulomb_torque_is_refused(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """tau_s < tau_c is refused with both values, also when only one sign of the velocity has it."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "tau_s"), 24.5)
     assert "elements.joint_1: tau_s_positive is 24.5; accepted: a number >= tau_c_positive = 25.0" in refusal(path)
@@ -99,14 +100,14 @@ def test_static_below_coulomb_torque_is_refused(shipped_files: SetupFiles, edite
     ],
 )
 def test_one_sided_torques_are_checked_too(
-    shipped_files: SetupFiles, edited_yaml: Edit, value: Any, words: str
+    shipped_files: RobotFiles, edited_yaml: Edit, value: Any, words: str
 ) -> None:
     """A pair of torques needs both signs, no others, and positive numbers."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_2", "tau_c"), value)
     assert words in refusal(path)
 
 
-def test_each_sign_gets_its_own_torques(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
     element = load_friction(path, NAMES).elements[3]
@@ -116,7 +117,7 @@ def test_each_sign_gets_its_own_torques(shipped_files: SetupFiles, edited_yaml: 
     assert compiled["tau_c"].tolist() == [7.0, 6.0]
 
 
-def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: SetupFiles) -> None:
+def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: RobotFiles) -> None:
     """The shipped set carries its provenance and gives no passivity warning at any joint speed."""
     assert "provenance: assumed" in shipped_files.friction.read_text()
     assert shipped.friction.names == ELEMENTS
@@ -124,7 +125,7 @@ def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup,
 
 
 def test_a_damping_that_is_not_passive_is_warned_of(
-    shipped: Setup, shipped_files: SetupFiles, edited_yaml: Edit
+    shipped: Setup, shipped_files: RobotFiles, edited_yaml: Edit
 ) -> None:
     """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)

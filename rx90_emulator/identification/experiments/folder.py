@@ -9,7 +9,7 @@ from pathlib import Path
 import yaml
 
 from rx90_common.base.config import load_yaml
-from rx90_emulator.identification.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
 INDEX = "experiments.yaml"

@@ -10,11 +10,12 @@ import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.plan import Experiment, PlanOptions, make_plan
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 _QUICK = PlanOptions(
     speeds=8,
@@ -28,8 +29,8 @@ _QUICK = PlanOptions(
 
 def _setup(options: argparse.Namespace) -> Setup:
     return Setup.load(
-        SetupFiles.named(
-            options.tool,
+        RobotFiles.named(
+            tool=options.tool,
             urdf=options.urdf,
             drives=options.drives,
             friction=options.friction,

@@ -8,13 +8,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.wrist import coupled_inertia
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.experiments.plan import Experiment
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS

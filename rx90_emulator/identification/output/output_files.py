@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.process.interrupts import interrupts_later
-from rx90_emulator.identification.errors import IdentificationError
 
 
 def check_targets(files: Sequence[Path], *, force: bool) -> None:

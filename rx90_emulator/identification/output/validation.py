@@ -10,11 +10,11 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.identify import Identification
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.records.tolerances import Tolerances

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
 from rx90_emulator.identification.presliding.bristle_path import thinned
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_telling

@@ -13,7 +13,7 @@ from typing import Any
 
 import pinocchio as pin
 
-from rx90_emulator.identification.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 
 _TURNING = ("revolute", "continuous")
 _STDERR = 2

@@ -17,9 +17,9 @@ from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.errors import IdentificationError
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.records.spikes import spikes
 from rx90_emulator.loop.setup import Setup

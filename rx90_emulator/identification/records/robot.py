@@ -11,14 +11,15 @@ import numpy as np
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import absolute
 from rx90_common.base.config import load_yaml
+from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_set import load_element
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.records.reading import BagLayout
 from rx90_emulator.identification.rigid_arm import RigidArm
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,7 @@ def _own(options: argparse.Namespace) -> Robot:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
             )
-    setup = Setup.load(SetupFiles.named(options.tool, drives=options.drives))
+    setup = Setup.load(RobotFiles.named(tool=options.tool, drives=options.drives))
     arm = RigidArm.from_setup(setup)
     name = options.fallback or "robot/friction.yaml"
     return Robot(arm, setup, None, *_fallback(name, arm), record_time=options.record_time)

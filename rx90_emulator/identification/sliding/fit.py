@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_emulator.identification.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.estimate import ElementEstimate, Source
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.rigid_arm import RigidArm

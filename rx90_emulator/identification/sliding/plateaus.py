@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.records.record import JointRecord
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RigidChain, RobotModel, load_robot
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.loop.setup import Setup
 
 
 def _links(chain: RigidChain, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -68,7 +69,7 @@ def test_chain_of_the_rx90_is_the_urdf_seen_by_pinocchio(shipped: Setup) -> None
 
 @pytest.mark.parametrize("seed", range(4))
 def test_chain_of_any_serial_arm_is_the_urdf_seen_by_pinocchio(
-    random_arm: Callable[[int], Path], shipped_files: SetupFiles, seed: int
+    random_arm: Callable[[int], Path], shipped_files: RobotFiles, seed: int
 ) -> None:
     """Arms with arbitrary frames, axes and a side branch become the same mechanism with parallel frames."""
     robot = load_robot(random_arm(seed), shipped_files.tool)
@@ -94,7 +95,7 @@ def test_constants_are_arrays_that_compiled_code_takes(shipped: Setup) -> None:
     assert all(array.dtype == np.float64 and array.flags.c_contiguous for array in shipped.robot.chain)
 
 
-def test_masses_with_and_without_tool(shipped_files: SetupFiles) -> None:
+def test_masses_with_and_without_tool(shipped_files: RobotFiles) -> None:
     """The arm weighs 111 kg; the tool adds 3.5 kg to the last link and moves its centre of mass."""
     bare, tooled = load_robot(shipped_files.urdf), load_robot(shipped_files.urdf, shipped_files.tool)
     base = 22.5
@@ -114,7 +115,7 @@ def test_published_limits(shipped: Setup) -> None:
     np.testing.assert_allclose(np.degrees(robot.max_velocity), [236, 200, 286, 401, 320, 580], rtol=1e-14)
 
 
-def test_published_dimensions(shipped_files: SetupFiles) -> None:
+def test_published_dimensions(shipped_files: RobotFiles) -> None:
     """Straight up the flange is 0.42 + 0.985 m high; the arm reaches 0.985 m from axis 2 to any side."""
     chain = load_robot(shipped_files.urdf).chain
     np.testing.assert_allclose(forward(chain, np.zeros(6)).position, [0, 0, 1.405], atol=1e-15)
@@ -144,7 +145,7 @@ def _khalil_kleinfinger(theta: np.ndarray) -> np.ndarray:
     return transform
 
 
-def test_angle_map_to_the_published_convention(shipped_files: SetupFiles) -> None:
+def test_angle_map_to_the_published_convention(shipped_files: RobotFiles) -> None:
     """With theta = (q1, pi/2-q2, -pi/2-q3, q4, -q5, q6) the published table gives the same wrist pose."""
     robot = load_robot(shipped_files.urdf)
     rng = np.random.default_rng(5)
@@ -171,7 +172,7 @@ def test_robot_description_holds_tool_and_spot(shipped: Setup) -> None:
     assert model.inertias[6].mass == pytest.approx(3.7)
 
 
-def test_a_missing_mesh_does_not_matter(shipped_files: SetupFiles, tmp_path: Path) -> None:
+def test_a_missing_mesh_does_not_matter(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """A URDF whose mesh file is not there loads: looks are not needed to move."""
     text = shipped_files.urdf.read_text(encoding="utf-8")
     box = '<box size="0.100 0.160 0.120"/>'
@@ -181,7 +182,7 @@ def test_a_missing_mesh_does_not_matter(shipped_files: SetupFiles, tmp_path: Pat
     np.testing.assert_array_equal(load_robot(file).chain.mass, load_robot(shipped_files.urdf).chain.mass)
 
 
-def test_loading_twice_gives_the_same_bits(shipped_files: SetupFiles) -> None:
+def test_loading_twice_gives_the_same_bits(shipped_files: RobotFiles) -> None:
     """The constants and the merged text do not depend on anything but the files."""
     first, second = (load_robot(shipped_files.urdf, shipped_files.tool) for _ in range(2))
     assert first.urdf == second.urdf

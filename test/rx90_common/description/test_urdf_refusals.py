@@ -11,7 +11,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot import load_robot
-from rx90_emulator.loop.setup import SetupFiles
+from rx90_common.description.robot_files import RobotFiles
 
 LINK_5 = '<mass value="1.2"/>'
 INERTIA_5 = 'ixx="0.0022" ixy="0" ixz="0" iyy="0.0023" iyz="0" izz="0.0008"'
@@ -59,7 +59,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_bad_urdf_is_refused_naming_file_element_and_value(
-    case: str, shipped_files: SetupFiles, tmp_path: Path
+    case: str, shipped_files: RobotFiles, tmp_path: Path
 ) -> None:
     """One fault in the URDF gives one line with the file, the element, the value and what is accepted."""
     old, new, expected = CASES[case]
@@ -75,7 +75,7 @@ def test_bad_urdf_is_refused_naming_file_element_and_value(
     assert "\n" not in message
 
 
-def test_a_link_without_any_mass_is_refused(shipped_files: SetupFiles, tmp_path: Path) -> None:
+def test_a_link_without_any_mass_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """A moving link with no inertial element, nor anything heavy fixed to it, is named."""
     text = shipped_files.urdf.read_text(encoding="utf-8")
     bare = re.sub(r'(<link name="link_3">)\s*<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
@@ -109,7 +109,7 @@ TOOL_CASES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
 
 @pytest.mark.parametrize("case", TOOL_CASES)
 def test_bad_tool_is_refused_naming_key_and_value(
-    case: str, shipped_files: SetupFiles, edited_yaml: Callable[..., Path]
+    case: str, shipped_files: RobotFiles, edited_yaml: Callable[..., Path]
 ) -> None:
     """One fault in the tool file gives one line with the file, the key and the value."""
     path, value, expected = TOOL_CASES[case]
@@ -119,7 +119,7 @@ def test_bad_tool_is_refused_naming_key_and_value(
     assert "tool_laser_head.yaml" in str(refusal.value)
 
 
-def test_a_tool_needs_a_place_of_its_own(shipped_files: SetupFiles, tmp_path: Path) -> None:
+def test_a_tool_needs_a_place_of_its_own(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """Without a link tool0, or with a link tool already there, the tool is refused."""
     text = shipped_files.urdf.read_text(encoding="utf-8")
     file = tmp_path / "other.urdf"

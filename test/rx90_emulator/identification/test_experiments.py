@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.cli import experiment as command
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion

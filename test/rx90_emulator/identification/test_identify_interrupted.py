@@ -14,9 +14,9 @@ import pinocchio as pin
 import pytest
 from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
 
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.cli import identify as command
 from rx90_emulator.identification import job as identify_job
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.output.output_files import write_all
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)

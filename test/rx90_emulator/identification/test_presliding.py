@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from benchmarks.presliding_runs import outcomes, random_bristles, recorded, run_presliding, sliding_covariance
 from benchmarks.synthetic_sweeps import Noise
+from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import config_path
-from rx90_emulator.identification.errors import IdentificationError
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding, joint_groups
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.rigid_arm import RigidArm
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 
@@ -224,7 +225,7 @@ def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Pa
     tool["inertial"]["center_of_mass"] = [0.00667, -0.00444, 0.11111]
     tool["inertial"]["inertia"] = [0.01226, 0.01264, 0.00601, 0.00047, -0.00117, 0.00078]
     file.write_text(yaml.safe_dump(tool), encoding="utf-8")
-    loaded = Setup.load(SetupFiles(tool=file))
+    loaded = Setup.load(RobotFiles(tool=file))
     (records,) = micro_records(loaded, WRIST, 0.5, 0)
     fit = fitted(shipped, records)
     found = outcomes(fit.estimates[4:], shipped.friction.elements[4:])

@@ -12,9 +12,8 @@ import pytest
 from bag_making import ROS1, joint_state, write_ros1, write_ros2
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.records.reading import BagLayout, read_record
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.closed_loop import simulate

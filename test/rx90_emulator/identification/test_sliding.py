@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic_sweeps import Noise
+from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_emulator.identification.errors import IdentificationError
 from rx90_emulator.identification.estimate import SLIDING, ElementEstimate
 from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding

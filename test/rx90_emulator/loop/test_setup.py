@@ -10,7 +10,8 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
 
@@ -22,18 +23,18 @@ def test_the_shipped_files_make_a_setup(shipped: Setup) -> None:
     assert len(shipped.friction.elements) == 7
 
 
-def test_every_file_can_be_the_user_s_own(shipped_files: SetupFiles, edited_yaml: Edit) -> None:
+def test_every_file_can_be_the_user_s_own(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A changed value in any of the files reaches the setup; the other files stay the shipped ones."""
     drives = edited_yaml(shipped_files.drives, ("spring", "torque"), 99.0)
-    assert Setup.load(SetupFiles(drives=drives)).drives.spring_torque == 99.0
+    assert Setup.load(RobotFiles(drives=drives)).drives.spring_torque == 99.0
     friction = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", "c2"), 0.7)
-    assert Setup.load(SetupFiles(friction=friction)).friction.elements[6].c2 == 0.7
+    assert Setup.load(RobotFiles(friction=friction)).friction.elements[6].c2 == 0.7
     controller = edited_yaml(shipped_files.controller, ("current_loop", "bandwidth"), 555.0)
-    assert Setup.load(SetupFiles(controller=controller)).controller.current_bandwidth == 555.0
+    assert Setup.load(RobotFiles(controller=controller)).controller.current_bandwidth == 555.0
     tool = edited_yaml(shipped_files.tool or Path(), ("inertial", "mass"), 1.25)
-    lighter = Setup.load(SetupFiles(tool=tool))
+    lighter = Setup.load(RobotFiles(tool=tool))
     assert lighter.robot.chain.mass[5] == pytest.approx(1.45)
-    assert Setup.load(SetupFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
+    assert Setup.load(RobotFiles(tool=None)).robot.chain.mass[5] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("name", ["urdf", "tool", "drives", "friction", "controller"])
@@ -41,7 +42,7 @@ def test_a_missing_file_is_refused_by_its_path(name: str, tmp_path: Path) -> Non
     """Each file that does not exist is refused in one line with its path."""
     path = tmp_path / "nowhere.yaml"
     with pytest.raises(ConfigError) as caught:
-        Setup.load(SetupFiles(**{name: path}))
+        Setup.load(RobotFiles(**{name: path}))
     assert str(caught.value).startswith(f"{path}: cannot be read")
     assert "\n" not in str(caught.value)
 

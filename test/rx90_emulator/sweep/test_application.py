@@ -11,8 +11,9 @@ import pytest
 
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.description.robot import rigid_chain
+from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.setup import Setup, SetupFiles
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.sweep.application import apply
 from rx90_emulator.sweep.catalogue import Catalogue, Target, Value
 
@@ -44,7 +45,7 @@ def test_a_path_does_what_an_edited_file_does(
     shipped: Setup,
     task: LineTask,
     catalogue: Catalogue,
-    shipped_files: SetupFiles,
+    shipped_files: RobotFiles,
     edited_yaml: Callable[..., Path],
     path: str,
     value: Value,

@@ -13,9 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep import execution
-from rx90_emulator.sweep.errors import SweepError
 from rx90_emulator.sweep.execution import dask_pool, local_pool
 from rx90_emulator.sweep.plan import Block, Parameter, SweepBase, SweepPlan
 from rx90_emulator.sweep.running import run_sweep

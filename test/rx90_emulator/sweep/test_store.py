@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from rx90_common.base.errors import SweepError
 from rx90_emulator.sweep import store
-from rx90_emulator.sweep.errors import SweepError
 from rx90_emulator.sweep.info import summary
 from rx90_emulator.sweep.store import ResultStore, parts_folder, read_results
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
