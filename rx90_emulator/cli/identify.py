@@ -10,7 +10,7 @@ from pathlib import Path
 from rx90_common.base.errors import Rx90Error
 from rx90_common.process.interrupts import terminations_as_interrupts
 from rx90_emulator.cli.robot_options import add_robot_arguments, number
-from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
 CONFIRMED, NOT_CONFIRMED, REFUSED, INTERRUPTED = 0, 1, 3, 130
 _USAGE = """\
@@ -52,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
     result.add_argument("--output", type=Path, required=True, metavar="FILE", help="friction file to write (.yaml)")
     result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html)")
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits = Tolerances()
+    limits = ValidationTolerances()
     share = number("a positive number", lambda value: value > 0.0)
     result.add_argument("--torque-tolerance", type=share, default=limits.torque, metavar="SHARE",
                         help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
@@ -69,9 +69,22 @@ def main(args: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(args)
     try:
         with terminations_as_interrupts():
-            from rx90_emulator.identification.job import run  # here, because --help must not wait for it
+            # Here, because --help must not wait for it.
+            from rx90_emulator.identification.experiments.folder import Bags
+            from rx90_emulator.identification.job import IdentificationJob, run
 
-            if run(options):
+            robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+            limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
+            job = IdentificationJob(
+                options.folder,
+                Bags(tuple(options.sliding), tuple(options.presliding), tuple(options.validation)),
+                robot,
+                ValidationTolerances(*limits),
+                options.output,
+                options.report,
+                options.force,
+            )
+            if run(job):
                 return CONFIRMED
     except KeyboardInterrupt:
         print("\nrx90_identify: interrupted; nothing was written", file=sys.stderr)

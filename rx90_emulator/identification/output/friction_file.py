@@ -11,8 +11,9 @@ from typing import Any
 import yaml
 
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.estimate import PARAMETERS, Estimate, Source
-from rx90_emulator.identification.identify import Identification, IdentifiedElement
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 
 _HEAD = """\
 # LuGre friction, joint side, SI units (equations 17 to 19), identified from recorded bags.
@@ -22,16 +23,16 @@ _HEAD = """\
 """
 
 
-def friction_text(result: Identification, fallback_name: str | None, now: datetime | None = None) -> str:
+def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
     """Return the file's text.
 
     Args:
         result: what was identified.
-        fallback_name: file of the values that the data do not tell.
         now: date of the identification; by default the present.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    sources: dict[Source, str] = {}
+    fallback_name = result.fallback_name
+    sources: dict[BagSource, str] = {}
     for one in result.elements:
         for bags in one.sources.values():
             for bag in bags:
@@ -86,7 +87,7 @@ def _values(element: LuGreElement) -> dict[str, Any]:
 
 
 def _provenance(
-    one: IdentifiedElement, labels: dict[Source, str], date: str, fallback_name: str | None
+    one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     return {
         name: _parameter(
@@ -98,7 +99,7 @@ def _provenance(
 
 
 def _parameter(
-    value: float, estimate: Estimate, bags: Sequence[str], date: str, fallback_name: str | None
+    value: float, estimate: ParameterEstimate, bags: Sequence[str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     if not estimate.identifiable:
         return {

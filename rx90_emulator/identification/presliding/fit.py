@@ -11,12 +11,12 @@ from scipy.linalg import block_diag
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
+from rx90_emulator.identification.model.estimates import PRESLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.bristle_path import thinned
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_telling
 from rx90_emulator.identification.presliding.solver import GroupSolution, solve_group
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 
 Array = NDArray[np.float64]
 
@@ -96,11 +96,7 @@ def identify_presliding(
             "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
         )
     unknown = "no micro-oscillation of its joints in the bags"
-    nothing = np.full((2, 2), np.nan)
-    estimates = [
-        ElementEstimate(name, dict.fromkeys(PRESLIDING, Estimate.unknown(unknown)), nothing, ())
-        for name in arm.element_names
-    ]
+    estimates = [ElementEstimate.unknown(name, PRESLIDING, unknown) for name in arm.element_names]
     loops: list[HysteresisLoop] = []
     used = 0
     for group in groups:
@@ -158,15 +154,14 @@ def _estimate(
     parameters = {}
     for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
         if doubt:
-            parameters[key] = Estimate.unknown(doubt)
+            parameters[key] = ParameterEstimate.unknown(doubt)
         elif not deviation < _UNTOLD:
-            parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
+            parameters[key] = ParameterEstimate.unknown(
+                f"relative standard deviation {deviation:.2g} at a value of {value:.3g}"
+            )
         else:
-            parameters[key] = Estimate(float(value), float(value * deviation))
-    known = np.array([parameters[key].identifiable for key in PRESLIDING])
-    scale = np.where(known & (relative > 0.0), relative, np.nan)
-    sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
-    return ElementEstimate(name, parameters, block / np.outer(scale, scale), sources)
+            parameters[key] = ParameterEstimate(float(value), float(value * deviation))
+    return ElementEstimate.of(name, parameters, block, tuple(dict.fromkeys(motion.record.bag for motion in motions)))
 
 
 def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[str]) -> str:

@@ -11,9 +11,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.records.spikes import spikes
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord, spikes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

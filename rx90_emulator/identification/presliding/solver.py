@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.signal.windows import tukey
 
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.estimate import SLIDING
+from rx90_emulator.identification.model.estimates import SLIDING
 from rx90_emulator.identification.presliding.bristle_path import THIN, slide, thinned
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 

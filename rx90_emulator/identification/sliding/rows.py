@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.plateaus import Blocks
 
 Array = NDArray[np.float64]

@@ -93,7 +93,7 @@ class Weights:
         return csr_array(diags_array(self.factor) @ less)
 
 
-def shared_by_speed(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
+def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
     """Return by how much the errors of plateaus at one speed, whatever pose and direction, add to the variance.
 
     Ripple depends on the speed and turns its sign with it, so plateaus at one speed do not err apart. The variance of

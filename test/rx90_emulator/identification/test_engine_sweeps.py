@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rx90_common.bags.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.records.reading import BagLayout, read_record
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.run_bag import run_series

@@ -17,9 +17,9 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.plan import PlanOptions
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding, joint_groups
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import pytest
 from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_emulator.identification.estimate import SLIDING, ElementEstimate
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
@@ -48,7 +48,7 @@ def test_wrist_joints_moved_one_at_a_time_leave_element_seven_untold(sweeps: Any
         coulomb = fit.estimates[e].parameters["tau_c_positive"]
         assert not coulomb.identifiable
         assert math.isnan(coulomb.value)
-        assert "cannot be told from" in coulomb.reason
+        assert "not separable from" in coulomb.reason
 
 
 def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
