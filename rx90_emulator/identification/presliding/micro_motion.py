@@ -100,7 +100,7 @@ def find_micro_motions(
     return found
 
 
-def most_telling(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
+def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
     """Return the motions that bend the bristles well without breaking away, at most three of each bag.
 
     Args:

@@ -18,7 +18,8 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding, joint_groups
+from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.presliding.group_model import joint_groups
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.setup import Setup
 
@@ -255,4 +256,5 @@ def test_a_slow_record_is_refused(shipped: Setup) -> None:
 
 def test_joints_that_share_an_element_are_fitted_together(shipped: Setup) -> None:
     """Joints 5 and 6 form one group, every other joint its own."""
-    assert joint_groups(RigidArm.from_setup(shipped)) == [(0,), (1,), (2,), (3,), (4, 5)]
+    groups = joint_groups(RigidArm.from_setup(shipped))
+    assert [group.joints for group in groups] == [(0,), (1,), (2,), (3,), (4, 5)]
