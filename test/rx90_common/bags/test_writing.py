@@ -151,7 +151,7 @@ except BagError as error:
         capture_output=True,
         text=True,
         check=True,
-        env={"PYTHONPATH": f"{tests}:{tests.parent}"},
+        env={"PYTHONPATH": f"{tests}:{tests.parents[1]}"},
     )
     assert done.stdout.startswith(f"{tmp_path / 'bag'}: cannot be written (")
     assert done.stdout.count("\n") == 1
