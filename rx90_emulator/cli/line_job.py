@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
@@ -120,7 +120,7 @@ def write_message(plan: LinePlan, file: Path) -> None:
     ]
     message = {"joint_names": list(plan.joint_names), "points": points}
     try:
-        file.write_text(yaml.safe_dump(message, sort_keys=False, default_flow_style=None), encoding="utf-8")
+        file.write_text(yaml_text(message), encoding="utf-8")
     except OSError as error:
         raise Rx90Error(f"{file}: cannot be written ({error.strerror})") from error
 

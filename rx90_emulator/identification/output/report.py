@@ -9,14 +9,13 @@ from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_emulator.identification.estimate import PARAMETERS
 from rx90_emulator.identification.identify import Identification
 from rx90_emulator.identification.output.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
 from rx90_emulator.identification.output.validation import Validation
 from rx90_emulator.identification.output.wording import value_and_deviation
 from rx90_emulator.identification.records.record import JointRecord
-
-_UNITS = dict(zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True))
 
 
 def report_page(
@@ -53,7 +52,7 @@ def report_page(
     return environment.get_template("identification.html.j2").render(
         elements=named,
         parameters=PARAMETERS,
-        units=_UNITS,
+        units=FRICTION_UNITS,
         text=value_and_deviation,
         untold=untold,
         fallback=fallback_name,
