@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lane_bits import WHOLE, is_odd, negate_in_second_half, times_power_of_two
-from rx90_common.kernels.lanes import Lanes, absolute, any_lane, fma, lane, replace_lane, select, width_of
+from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, lane, replace_lane, select, width_of
 
 _LOG2_E = 1.4426950408889634
 # ln 2 and pi/2 in parts that leave room for an integer factor: the products are exact.
@@ -48,7 +48,7 @@ _C = (
 
 
 @inlined
-def exponential(x: Lanes) -> Lanes:
+def exponential(x: Number) -> Number:
     """Return exp(x) for x up to 708; below -708 it is 0."""
     floored = select(x < _LEAST_EXPONENT, _LEAST_EXPONENT, x)
     whole = fma(floored, _LOG2_E, WHOLE)
@@ -63,7 +63,7 @@ def exponential(x: Lanes) -> Lanes:
 
 
 @inlined
-def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
+def sine_cosine(x: Number) -> tuple[Number, Number]:
     """Return sin(x) and cos(x) for angles of up to a million radians."""
     whole = fma(x, 2.0 / 3.141592653589793, WHOLE)
     k = whole - WHOLE
@@ -82,7 +82,7 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 
 @inlined
-def power(base: Lanes, exponent: Lanes) -> Lanes:
+def power(base: Number, exponent: Number) -> Number:
     """Return base^exponent for base >= 0; exponents 1 and 2, exact and in all lanes at once, are the fast ones."""
     result = select(exponent == 2.0, base * base, base)
     if any_lane(absolute((exponent - 1.0) * (exponent - 2.0)) > 0.0):
