@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from friction_bench.experiment.four_way import SMOOTHING
 from friction_bench.experiment.identification import Estimate, Friction
@@ -14,6 +13,7 @@ from friction_bench.experiment.plots import comparison_plot, load_plot, velocity
 from friction_bench.experiment.series import Result
 from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.rig_file import Rig
+from rx90_common.report.page import render_page
 
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
@@ -63,10 +63,9 @@ def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
         plots["load"] = load_plot(result)
     if result.comparison is not None:
         plots["comparison"] = comparison_plot(result.comparison)
-    environment = Environment(
-        loader=PackageLoader("friction_bench.experiment"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("friction_report.html.j2").render(
+    page = render_page(
+        "friction_bench.experiment",
+        "friction_report.html.j2",
         result=result,
         rig=rig,
         origin=origin,

@@ -55,7 +55,7 @@ class ProcessError(FailureError):
 
 
 class OutputError(FailureError):
-    """Standard output cannot be written."""
+    """Standard output or a file cannot be written."""
 
 
 class BagError(Rx90Error):
