@@ -59,7 +59,11 @@ class OutputError(FailureError):
 
 
 class BagError(Rx90Error):
-    """A bag cannot be written, read or compared."""
+    """A bag cannot be made, read or compared."""
+
+
+class BagWriteError(FailureError, BagError):
+    """A bag that was begun cannot be written on; what was written stays."""
 
 
 class IdentificationError(Rx90Error):
