@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from friction_bench.experiment.four_way import SMOOTHING
 from friction_bench.experiment.identification import Estimate, Friction
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
@@ -16,6 +14,7 @@ from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.report.page import render_page
 
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
@@ -65,10 +64,9 @@ def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
         plots["load"] = load_plot(result)
     if result.comparison is not None:
         plots["comparison"] = comparison_plot(result.comparison)
-    environment = Environment(
-        loader=PackageLoader("friction_bench.experiment"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("friction_report.html.j2").render(
+    page = render_page(
+        "friction_bench.experiment",
+        "friction_report.html.j2",
         result=result,
         rig=rig,
         origin=origin,
