@@ -16,8 +16,8 @@ from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import SHIPPED, RobotFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import load_task
-from rx90_emulator.loop.arrays import save_arrays
 from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.result import save_arrays
 from rx90_emulator.loop.run_bag import write_run
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.task_run import SETTLING, path_accuracy, run_task
