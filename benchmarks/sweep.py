@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.report import ROOT, merge, print_table
 from rx90_common.base.share import config_path
-from rx90_emulator.loop.task_run import run_task
+from rx90_emulator.loop.line import run_line
 from rx90_emulator.sweep.info import summary
 from rx90_emulator.sweep.plan_file import load_plan
 from rx90_emulator.sweep.sweep import Sweep
@@ -56,7 +56,7 @@ def measure() -> SweepFigures:
         began = time.perf_counter()
         sweep.run(index)
         between = time.perf_counter()
-        run_task(sweep.setup, sweep.task)
+        run_line(sweep.setup, sweep.task)
         single.append(between - began)
         loop.append(time.perf_counter() - between)
     return SweepFigures(elapsed, cores, float(np.median(single)), float(np.median(loop)))

@@ -22,6 +22,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
 Array = NDArray[np.float64]
@@ -67,6 +68,12 @@ class LinePlan:
         """Return the joint angles (6,) at which the trajectory begins, rad."""
         start: Array = self.position[0]
         return start
+
+    @property
+    def points(self) -> TrajectoryPoints:
+        """Return the points of the trajectory, as the controller takes them."""
+        motion = (self.position.tolist(), self.velocity.tolist(), self.acceleration.tolist())
+        return TrajectoryPoints.create(self.joint_names, self.joint_names, self.times.tolist(), *motion)
 
     @property
     def duration(self) -> float:

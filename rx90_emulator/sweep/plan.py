@@ -25,7 +25,7 @@ class Parameter:
 
     Attributes:
         name: of its column.
-        paths: what it sets (see `rx90_emulator.sweep.catalogue`); all of them to the same value.
+        paths: what it sets (see `rx90_emulator.loop.catalogue`); all of them to the same value.
         factor: whether the value multiplies what the files have, or replaces it.
         space: where its values come from: a list in a grid, a distribution in random draws.
         each: whether every place that a `*` stands for is a parameter of its own, drawn on its own.

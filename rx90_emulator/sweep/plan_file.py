@@ -8,7 +8,7 @@ base:                            what every run starts from; the shipped files i
 blocks:                          their runs follow each other
   any_name:
     grid:                        all combinations, and each with all the draws
-      friction.*.c0:                 a path of rx90_emulator.sweep.catalogue, or a name with paths: [...]
+      friction.*.c0:                 a path of rx90_emulator.loop.catalogue, or a name with paths: [...]
         factor: [0.5, 1.0, 2.0]          factor times the file's number, or value instead of it; also
                                          {linspace: [start, stop, count]}, {geomspace: ...}
     random:
@@ -31,7 +31,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.sweep.catalogue import Value
+from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, Parameter, SweepBase, SweepPlan
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
 

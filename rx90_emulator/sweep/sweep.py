@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
-from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.application import apply
+from rx90_emulator.loop.catalogue import Catalogue, Value
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import line_points
-from rx90_emulator.sweep.application import apply
-from rx90_emulator.sweep.catalogue import Catalogue, Value
 from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
 from rx90_emulator.sweep.provenance import run_hash, versions
@@ -33,12 +33,6 @@ class RunOutcome(NamedTuple):
     run: RunDescription
     metrics: tuple[float | int, ...] | None
     error: str | None
-
-
-class _Motion(NamedTuple):
-    points: TrajectoryPoints
-    start_pose: np.ndarray[Any, Any]
-    duration: float
 
 
 class Sweep:
@@ -93,13 +87,10 @@ class Sweep:
         self._prepare()
 
     def _prepare(self) -> None:
-        robot, period = self.setup.robot, self.setup.rates.position_period
-
         # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
         @lru_cache(maxsize=PLANNED_LINES)
-        def motion(task: LineTask) -> _Motion:
-            plan = plan_line(robot, task, period)
-            return _Motion(line_points(plan), plan.start_pose, plan.duration)
+        def motion(task: LineTask) -> TrajectoryPoints:
+            return plan_line(self.setup, task).points
 
         self._motion = motion
 
@@ -109,9 +100,8 @@ class Sweep:
         Raises:
             LineError: if the arm cannot travel the line of the plan's own task.
         """
-        motion = self._motion(self.task)
         period = self.setup.rates.position_period
-        simulate(self.setup, motion.points, motion.start_pose, period, substeps=self.plan.base.substeps)
+        simulate(self.setup, self._motion(self.task), duration=period, substeps=self.plan.base.substeps)
 
     def simulate(self, run: RunDescription) -> RunResult:
         """Run one run through the closed loop and return all of it.
@@ -123,9 +113,7 @@ class Sweep:
 
     def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
         setup, task = apply(self.setup, self.task, self.runs.changes(run))
-        motion = self._motion(task)
-        substeps = self.plan.base.substeps
-        return task, simulate(setup, motion.points, motion.start_pose, motion.duration, substeps=substeps)
+        return task, simulate(setup, self._motion(task), substeps=self.plan.base.substeps)
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rx90_common.base.errors import SweepError
-from rx90_emulator.sweep.catalogue import SWITCH
+from rx90_emulator.loop.catalogue import SWITCH
 from rx90_emulator.sweep.runs import Column
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.sweep.catalogue import Catalogue
+from rx90_emulator.loop.catalogue import Catalogue
 from rx90_emulator.sweep.plan import Block, Parameter, SweepPlan
 from rx90_emulator.sweep.runs import RunDescription, RunList
 from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
@@ -82,7 +82,7 @@ def test_factor_and_value(catalogue: Catalogue) -> None:
     plan = SweepPlan((Block("a", (parameter("friction.*.c0", 2.0), parameter("drives.gear[*]", 50.0, factor=False))),))
     runs = RunList(plan, catalogue)
     changes = runs.changes(runs.describe(0))
-    friction = [value for target, value in changes.items() if target.key[0] == "friction"]
+    friction = [value for leaf, value in changes.items() if leaf.key[0] == "friction"]
     assert friction == [2.0e5, 2.2e5, 1.4e5, 3.0e4, 2.0e4, 1.0e4, 8.0e3]
     assert [v for t, v in changes.items() if t.key[0] == "drives"] == [50.0] * 6
     assert runs.columns[0].unit == "1"
