@@ -13,7 +13,7 @@ import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.catalogue import SWITCH, Catalogue, Leaf, Value
-from rx90_emulator.sweep.plan import Block, Parameter, SweepPlan
+from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Values
 
 
@@ -55,7 +55,7 @@ class Column:
 class _Bound:
     """A parameter and the leaves that it sets."""
 
-    parameter: Parameter
+    parameter: SweptParameter
     leaves: tuple[Leaf, ...]
     unit: str
 
@@ -154,12 +154,12 @@ class _BoundBlock:
                     )
 
 
-def _listed(parameter: Parameter) -> tuple[Value, ...]:
+def _listed(parameter: SweptParameter) -> tuple[Value, ...]:
     assert isinstance(parameter.space, Values)
     return parameter.space.values
 
 
-def _singles(block: Block, parameter: Parameter, catalogue: Catalogue) -> list[Parameter]:
+def _singles(block: Block, parameter: SweptParameter, catalogue: Catalogue) -> list[SweptParameter]:
     if not parameter.each:
         return [parameter]
     with _naming(block, parameter):
@@ -167,7 +167,7 @@ def _singles(block: Block, parameter: Parameter, catalogue: Catalogue) -> list[P
     return [replace(parameter, name=place.path, paths=(place.path,), each=False) for place in places]
 
 
-def _bind(block: Block, parameter: Parameter, catalogue: Catalogue) -> _Bound:
+def _bind(block: Block, parameter: SweptParameter, catalogue: Catalogue) -> _Bound:
     with _naming(block, parameter):
         places = [place for path in parameter.paths for place in catalogue.places(path)]
         units = sorted({place.unit for place in places})
@@ -190,7 +190,7 @@ def _bind(block: Block, parameter: Parameter, catalogue: Catalogue) -> _Bound:
 
 
 @contextmanager
-def _naming(block: Block, parameter: Parameter) -> Iterator[None]:
+def _naming(block: Block, parameter: SweptParameter) -> Iterator[None]:
     """Let a refusal name block and parameter."""
     try:
         yield

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import platform
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.sources import ROOT, sources_hash, with_imports
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import apply
@@ -19,12 +21,13 @@ from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
-from rx90_emulator.sweep.provenance import run_hash, versions
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
+
+_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
 
 
 class RunOutcome(NamedTuple):
@@ -138,3 +141,20 @@ class Sweep:
         here = run_hash()
         if here != self.sources:
             raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
+
+
+def run_hash() -> str:
+    """Return a hash of all sources that take part in a run."""
+    return sources_hash(with_imports([ROOT / "rx90_emulator/sweep/sweep.py"]))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the interpreter and of the libraries that decide the results."""
+    major, minor, _ = platform.python_version_tuple()
+    found = {"python": f"{major}.{minor}"}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rx90_emulator.sweep.plan import Block, Parameter, SweepBase, SweepPlan
+from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
@@ -14,10 +14,12 @@ from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 @pytest.fixture(scope="session")
 def plan(task_file: Path) -> SweepPlan:
     """Return 40 runs, four of which fail: a grid of two switches by ten draws, twenty draws of one robot."""
-    stiffness = Parameter("friction.*.c0", ("friction.*.c0",), True, LogUniform(0.5, 2.0))
-    inertia = Parameter("rotors", ("drives.rotor_inertia[*]",), True, Uniform(0.8, 1.2), each=True)
-    switch = Parameter("viscous", ("controller.feed_forward.viscous",), False, Values((True, False)))
-    masses = Parameter("arm.link_3.mass", ("arm.link_3.mass",), False, Values((8.0, 12.0, -1.0, 16.0, 20.0)))
+    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(0.5, 2.0))
+    inertia = SweptParameter(
+        "rotors", paths=("drives.rotor_inertia[*]",), factor=True, space=Uniform(0.8, 1.2), each=True
+    )
+    switch = SweptParameter("viscous", paths=("controller.feed_forward.viscous",), space=Values((True, False)))
+    masses = SweptParameter("arm.link_3.mass", space=Values((8.0, 12.0, -1.0, 16.0, 20.0)))
     return SweepPlan(
         (
             Block("scatter", (switch,), (stiffness, inertia), draws=10),
