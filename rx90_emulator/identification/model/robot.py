@@ -9,13 +9,12 @@ import numpy as np
 
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import absolute
-from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
-from rx90_common.friction.friction_set import load_element
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.layout import BagLayout
@@ -125,5 +124,4 @@ def _other(options: RobotOptions, urdf: Path) -> RecordedRobot:
 def _fallback(name: str, arm: RigidArm) -> tuple[tuple[LuGreElement, ...] | None, str | None]:
     if name == "none":
         return None, None
-    section = load_yaml(resolve_config(name)).section("elements")
-    return tuple(load_element(section.section(element)) for element in arm.element_names), name
+    return FrictionFile.read(resolve_config(name)).select(arm.element_names), name

@@ -6,13 +6,11 @@ import math
 from datetime import datetime, timezone
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from rx90_common.friction.parameters import FRICTION_UNITS
+from rx90_common.report.page import render_page
 from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.output.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
 from rx90_emulator.identification.result.identification import FrictionIdentification
-
-_UNITS = dict(zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True))
 
 
 def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
@@ -23,12 +21,6 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         friction_file: name of the file with the values.
         now: date of the identification; by default the present.
     """
-    environment = Environment(
-        loader=PackageLoader("rx90_emulator.identification.output"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
     named = list(zip(result.arm.element_names, result.elements, strict=True))
     unidentifiable = [
         (name, parameter, estimate.reason, getattr(one.element, parameter))
@@ -36,10 +28,12 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         for parameter, estimate in one.estimates.items()
         if not estimate.identifiable
     ]
-    return environment.get_template("identification.html.j2").render(
+    return render_page(
+        "rx90_emulator.identification.output",
+        "identification.html.j2",
         elements=named,
         parameters=PARAMETERS,
-        units=_UNITS,
+        units=FRICTION_UNITS,
         unidentifiable=unidentifiable,
         fallback=result.fallback_name,
         fading=[(name, one.element.omega_d) for name, one in named if math.isfinite(one.element.omega_d)],
