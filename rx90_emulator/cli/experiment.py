@@ -59,9 +59,20 @@ def main(args: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(args)
     try:
         with terminations_as_interrupts():
-            from rx90_emulator.identification.experiments.job import run  # here, because --help must not wait for it
+            # Here, because --help must not wait for it.
+            from rx90_common.description.robot_files import RobotFiles
+            from rx90_emulator.identification.experiments.job import ExperimentJob, run_experiments
 
-            run(options)
+            files = RobotFiles.named(
+                tool=options.tool,
+                urdf=options.urdf,
+                drives=options.drives,
+                friction=options.friction,
+                controller=options.controller_file,
+            )
+            names = ("output", "engine", "storage", "controller", "timeout") if options.verb == "run" else ()
+            where = {name: getattr(options, name) for name in names}
+            run_experiments(ExperimentJob(files, tuple(options.group), options.quick, options.speeds, **where))
     except KeyboardInterrupt:
         # A bar that was drawn ends without a line's end.
         print(f"{os.linesep}rx90_experiment: interrupted; complete bags stay", file=sys.stderr)

@@ -71,7 +71,7 @@ def main(args: Sequence[str] | None = None) -> int:
         with terminations_as_interrupts():
             # Here, because --help must not wait for it.
             from rx90_emulator.identification.experiments.folder import Bags
-            from rx90_emulator.identification.job import IdentificationJob, run
+            from rx90_emulator.identification.job import IdentificationJob, run_identification
 
             robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
             limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
@@ -84,7 +84,7 @@ def main(args: Sequence[str] | None = None) -> int:
                 options.report,
                 options.force,
             )
-            if run(job):
+            if run_identification(job):
                 return CONFIRMED
     except KeyboardInterrupt:
         print("\nrx90_identify: interrupted; nothing was written", file=sys.stderr)

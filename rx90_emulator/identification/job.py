@@ -73,7 +73,7 @@ def _targets(output: Path, report: Path | None, *, force: bool) -> tuple[Path, P
     return output, page
 
 
-def run(job: IdentificationJob) -> bool:
+def run_identification(job: IdentificationJob) -> bool:
     """Identify, write the files, print a summary, and return whether no validation bag disagrees.
 
     Raises:

@@ -17,10 +17,10 @@ TOPICS = {
     Kind.PRESLIDING: ("motor_states", "robot_description"),
     Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
 }
-"""What is recorded: the sweeps do not need the base rate, and bags stay small.
+"""What is recorded: sweeps do not need the base rate, which keeps their bags small.
 
 The validation does: each period of the set-points begins with a jump of torque that grows with the acceleration, and
-samples in step with it show that alone."""
+samples in step with the set-points always fall on that jump."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
-    """Say what the bags that are there are for; written after each experiment, so that a series may be cut short."""
+    """Write the uses of the bags recorded so far; after each experiment, so that a series may be cut short."""
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
     (folder / INDEX).write_text(yaml_text(content), encoding="utf-8")
 

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _MOST_POINTS = 3000
 _INTERVAL = 1.96  # standard deviations, 95 %
-_LOOPS = 20  # part of a micro-oscillation that is drawn: more loops cover each other
+_LOOPS = 20  # one part in so many of a micro-oscillation is drawn: more loops would cover each other
 _INK, _BAND = "#222222", "#888888"
 
 
@@ -53,7 +53,7 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
         color=colour,
         markersize=4,
         linewidth=0.6,
-        label="measured - identified, 95 % by the noise",
+        label="measured - identified, 95 % of the noise",
     )
     below.axhline(0.0, color=_INK, linewidth=0.6)
     speed = np.abs(curve.velocity)
@@ -75,13 +75,13 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
 
 
 def _margins(figure: Figure, **shares: float) -> None:
-    """Set the margins: to find them by the sizes of all texts takes as long as the drawing."""
+    """Set the margins: a layout engine takes as long as the drawing."""
     figure.set_layout_engine(None)
     figure.subplots_adjust(**shares)
 
 
 def hysteresis_plot(loop: HysteresisLoop) -> str:
-    """Return friction torque against position in the middle of one micro-motion, measured and simulated."""
+    """Return friction torque against position in the middle of one micro-motion, measured and simulated, as SVG."""
     figure, (axes,) = make_figure(1, 3.2)
     count = len(loop.position)
     part = slice((_LOOPS - 1) * count // (2 * _LOOPS), (_LOOPS + 1) * count // (2 * _LOOPS))

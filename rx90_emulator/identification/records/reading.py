@@ -1,4 +1,4 @@
-"""Read any robot's recorded joint states as a joint-side record; needs no ROS.
+"""Read the recorded joint states of any robot as a joint-side record; needs no ROS.
 
 record = read_record("bag", BagLayout.rx90_motors(setup))
 """
@@ -21,25 +21,25 @@ from rx90_emulator.identification.records.record import JointRecord, spikes
 
 Array = NDArray[np.float64]
 
-_BANDWIDTH = 40.0  # Hz of the velocity made from positions
-_FACTOR = 2.0  # between a velocity and the change of the position, beyond which they do not belong together
+_BANDWIDTH = 40.0  # Hz, of velocities differentiated from positions
+_FACTOR = 2.0  # largest ratio between a velocity and the change of its position
 _WINDOW = 0.1  # s, over which they are compared
-_STANDS = 1e-2  # rad/s, RMS, below which they are not
-_FEW_VALUES = 1000  # different velocities, below which they are taken as quantised
+_STANDS = 1e-2  # rad/s, RMS, below which they are not compared
+_QUANTISED = 1000  # distinct velocities, below which they count as quantised
 _STORAGE = (".mcap", ".db3", ".bag")
 
 
 def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
     """Read one bag.
 
-    Messages with a NaN and spikes of a single sample are left out and counted, as are messages that are missing
-    in a steady stream. Velocities come from the messages; where they carry none, or only a few different values,
-    from the positions by a zero-phase filter.
+    Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
+    stream are counted, too. Velocities come from the messages; where these carry none or quantised ones, positions are
+    differentiated by a zero-phase filter.
 
     Args:
         path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
         layout: what the messages hold.
-        rate: if given, means over as many samples as leave about this rate, Hz.
+        rate: if given, block means of as many samples as leave about this rate, Hz.
 
     Raises:
         BagError: if the bag cannot be read, is empty, or has no such topic or names.
@@ -48,7 +48,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     """
     path = Path(path)
     series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
-    position, effort = _wanted(path, series, "position"), _wanted(path, series, "effort")
+    position, effort = _required(path, series, "position"), _required(path, series, "effort")
     kept = _good_rows(path, series, position, effort)
     time = series.stamp_ns[kept] / 1e9
     missing = _missing(series.time)
@@ -59,14 +59,16 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if velocity is None:
         velocity = _velocity(time, position)
     else:
-        poor = [k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_FEW_VALUES, len(time) / 4)]
+        poor = [
+            k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_QUANTISED, len(time) / 4)
+        ]
         velocity[:, poor] = _velocity(time, position[:, poor])
         _check_velocity(path, layout, time, position, velocity)
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns)
         position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
     if rate is not None:
-        time, position, velocity, effort = _thinned(time, position, velocity, effort, rate)
+        time, position, velocity, effort = _block_means(time, position, velocity, effort, rate)
     outliers = len(series.stamp_ns) - len(kept)
     return JointRecord(layout.names, time, position, velocity, effort, path, digest(path), missing, outliers)
 
@@ -83,7 +85,7 @@ def digest(path: Path | str) -> str:
     return whole.hexdigest()
 
 
-def _wanted(path: Path, series: JointSeries, field: str) -> Array:
+def _required(path: Path, series: JointSeries, field: str) -> Array:
     values: Array | None = getattr(series, field)
     if values is None or np.isnan(values).all():
         raise IdentificationError(f"{path}: {series.topic} carries no {field}; accepted: position and effort")
@@ -124,12 +126,12 @@ def _missing(time: Array) -> int:
         return 0
     period = float(np.median(steps))
     in_gaps = float(np.sum(np.maximum(np.rint(steps / period) - 1.0, 0.0)))
-    # Jitter makes gaps without a loss, a median a little off makes losses without a gap.
+    # Jitter makes gaps without a loss; an error of the median period makes losses without a gap.
     return int(min(in_gaps, max(0.0, np.rint((time[-1] - time[0]) / period) - np.count_nonzero(steps))))
 
 
 def _velocity(time: Array, position: Array) -> Array:
-    """Return velocities by a filter without delay, shape (m, k)."""
+    """Return velocities by a zero-phase filter, shape (m, k)."""
     if len(time) < 2 or position.shape[1] == 0:
         return np.zeros_like(position)
     period = float(np.median(np.diff(time)))
@@ -142,7 +144,7 @@ def _velocity(time: Array, position: Array) -> Array:
 
 
 def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array, velocity: Array) -> None:
-    """Refuse velocities that are far from what positions travel over a window, in size or sign."""
+    """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
     size = max(1, round(_WINDOW * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
@@ -159,8 +161,8 @@ def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array,
             )
 
 
-def _thinned(time: Array, position: Array, velocity: Array, effort: Array, rate: float) -> tuple[Array, ...]:
-    """Return means over as many samples as leave about `rate`, Hz."""
+def _block_means(time: Array, position: Array, velocity: Array, effort: Array, rate: float) -> tuple[Array, ...]:
+    """Return block means of as many samples as leave about `rate`, Hz."""
     size = round((len(time) - 1) / (time[-1] - time[0]) / rate) if len(time) > 1 else 1
     if size <= 1:
         return time, position, velocity, effort

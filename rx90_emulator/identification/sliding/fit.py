@@ -21,24 +21,24 @@ from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_cur
 Array = NDArray[np.float64]
 
 LEAST_SPEEDS = 5
-"""Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
-_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
+"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom."""
+_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
 _LINE_POINTS = 100
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
 
 @dataclass(frozen=True, eq=False)
 class CurvePoints:
-    """Measured against fitted friction torque of one element, one point for each plateau.
+    """Measured against fitted friction torque of one element, one point for each of p plateaus.
 
     Attributes:
         velocity: rad/s, shape (p,).
-        torque: what is left for this element, Nm, shape (p,).
-        deviation: its standard deviation by the noise, Nm, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
         source: number of the record, shape (p,).
-        line: the identified curve over the speeds that there are, in either direction: velocity, torque and the
-            torque's standard deviation by that of the parameters, shape (3, k).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque that follows from that of the parameters, shape (3, k).
     """
 
     velocity: Array
@@ -56,9 +56,9 @@ class SlidingFit:
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in SLIDING.
         curves: for each element; empty where the element could not be identified.
-        inertial: error of the arm's inertial parameters as far as it shows, to be added to them, shape (10 n,):
+        inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
-        inertial_covariance: of it, what the sweeps say nothing of included, shape (10 n, 10 n).
+        inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
         plateaus: how many stretches of constant velocity were used.
     """
 
@@ -72,8 +72,8 @@ class SlidingFit:
 def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
 
-    An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
-    the friction. What the data cannot tell is reported as such in the estimates.
+    Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
+    that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
 
     Args:
         records: sweeps at constant velocity, both directions, several speeds.
@@ -81,8 +81,8 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         required: elements that must have sweeps at enough speeds; others may lack them.
 
     Raises:
-        IdentificationError: for other joints than the arm's, no sweep, and too few speeds or only one direction
-            of a required element or of all elements, and torques that drive where friction brakes.
+        IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
+            a required element, or of all elements; and for torques that do not oppose the motion.
     """
     for record in records:
         if record.names != arm.names:
@@ -130,7 +130,7 @@ def _inertial_covariance(solution: SlidingSolution, arm: RigidArm) -> Array:
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
-    """Return the blocks with elements that move too little marked as not sliding, and why by their names."""
+    """Mark elements with sweeps at too few speeds as not sliding, and return the blocks, and reasons by element."""
     velocity = blocks.velocity @ arm.element_matrix.T
     sliding = blocks.sliding.copy()
     lacking = {}
@@ -153,7 +153,7 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
 
 
 def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: SlidingSolution) -> None:
-    """Refuse friction that drives: all torques of an element lie at their bound, 0."""
+    """Refuse torques that do not oppose the motion: all torques of an element lie at their bound, 0."""
     none = (solution.at_bound[:, stribeck.LINEAR] & solution.free[:, stribeck.LINEAR]).all(axis=1)
     for e in np.flatnonzero(none).tolist():
         where = ", ".join(str(record.source) for record in records)
@@ -164,7 +164,7 @@ def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: Slidin
 
 
 def _speeds(speed: Array) -> int:
-    """Return how many speeds there are that differ."""
+    """Return how many distinct speeds there are."""
     count, least = 0, 0.0
     for value in np.sort(speed):
         if value > least:

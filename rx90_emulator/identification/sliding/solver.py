@@ -1,4 +1,4 @@
-"""The non-linear least-squares fit of all elements' curves: multi-start, bounds, weights, covariance."""
+"""The non-linear least-squares fit of all elements' curves: several starts, bounds, reweighting, covariance."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class SlidingSolution:
         nuisance: errors of the arm's weights along the directions of `rows`, shape (k,).
         nuisance_covariance: shape (k, k).
         covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
-        at_bound: parameters that lie on a bound, shape (n_el, 7).
-        noise: standard deviation of each row relative to what its scale says, shape (r,).
+        at_bound: free parameters that lie on a bound, shape (n_el, 7).
+        noise: standard deviation of each row over the one that it was scaled by, shape (r,).
         common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
     """
