@@ -70,14 +70,14 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         with terminations_as_interrupts():
             # Here, because --help must not wait for it.
-            from rx90_emulator.identification.experiments.folder import Bags
+            from rx90_emulator.identification.experiments.folder import IdentificationBags
             from rx90_emulator.identification.job import IdentificationJob, run_identification
 
             robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
             limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
             job = IdentificationJob(
                 options.folder,
-                Bags(tuple(options.sliding), tuple(options.presliding), tuple(options.validation)),
+                IdentificationBags.of(options.sliding, options.presliding, options.validation),
                 robot,
                 ValidationTolerances(*limits),
                 options.output,

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.experiments.folder import Bags, read_index
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.reading import read_record
@@ -25,7 +25,7 @@ _DEFAULT_TOLERANCES = ValidationTolerances()
 
 
 def identify_friction(
-    bags: Bags | Path | str,
+    bags: IdentificationBags | Path | str,
     robot: RobotOptions = _DEFAULT_ROBOT,
     tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
@@ -46,7 +46,7 @@ def identify_friction(
         BagError: for a bag that cannot be read.
         ConfigError: for a file of the robot that cannot be used.
     """
-    chosen = bags if isinstance(bags, Bags) else read_index(Path(bags))
+    chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
     _check_bags(chosen)
     source = RecordedRobot.load(robot)
     if not chosen.presliding and source.fallback is None:
@@ -64,7 +64,7 @@ def identify_friction(
     return replace(result, bags=used, validations=tuple(checks))
 
 
-def _check_bags(bags: Bags) -> None:
+def _check_bags(bags: IdentificationBags) -> None:
     if not bags.sliding:
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
     for use, paths in vars(bags).items():
@@ -74,7 +74,9 @@ def _check_bags(bags: Bags) -> None:
                 raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
 
 
-def _read(bags: Bags, robot: RecordedRobot, progress: Callable[[str], None]) -> dict[str, list[JointRecord]]:
+def _read(
+    bags: IdentificationBags, robot: RecordedRobot, progress: Callable[[str], None]
+) -> dict[str, list[JointRecord]]:
     """Return the records by use; all bags are read before anything is fitted, so that a bad one is refused soon."""
     everything = [(use, path) for use, paths in vars(bags).items() for path in paths]
     layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]

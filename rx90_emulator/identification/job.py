@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.experiments.folder import Bags, read_index
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.output.files import check_targets, write_all
@@ -38,7 +38,7 @@ class IdentificationJob:
     """
 
     folder: Path | None
-    bags: Bags
+    bags: IdentificationBags
     robot: RobotOptions
     tolerances: ValidationTolerances
     output: Path

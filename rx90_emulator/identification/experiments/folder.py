@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,12 +24,22 @@ samples in step with the set-points always fall on that jump."""
 
 
 @dataclass(frozen=True)
-class Bags:
-    """Bags by what they are for."""
+class IdentificationBags:
+    """Bags by use: sweeps, micro-oscillations, and runs that are not used but compared with."""
 
     sliding: tuple[Path, ...]
-    presliding: tuple[Path, ...]
-    validation: tuple[Path, ...]
+    presliding: tuple[Path, ...] = ()
+    validation: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        sliding: Iterable[Path | str],
+        presliding: Iterable[Path | str] = (),
+        validation: Iterable[Path | str] = (),
+    ) -> IdentificationBags:
+        """Return bags given by their names."""
+        return cls(*(tuple(Path(bag) for bag in bags) for bags in (sliding, presliding, validation)))
 
 
 def make_folder(folder: Path) -> None:
@@ -59,7 +69,7 @@ def _names(folder: Path) -> list[str]:
         return []
 
 
-def read_index(folder: Path) -> Bags:
+def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series.
 
     Raises:
@@ -78,4 +88,4 @@ def read_index(folder: Path) -> Bags:
                 raise IdentificationError(f"{folder / INDEX} names {bag.name}, which is not there")
         found[str(kind)] = bags
     root.finish()
-    return Bags(**found)
+    return IdentificationBags(**found)

@@ -33,7 +33,7 @@ class RobotOptions:
 
     tool: str | None = None
     drives: str | None = None
-    urdf: Path | None = None
+    urdf: Path | str | None = None
     topic: str | None = None
     joints: Sequence[str] | None = None
     names: Sequence[str] | None = None

@@ -52,7 +52,7 @@ class RecordedRobot:
             IdentificationError: if they do not fit each other.
             ConfigError: for a file that cannot be used.
         """
-        return _own(options) if options.urdf is None else _other(options, options.urdf)
+        return _own(options) if options.urdf is None else _other(options, Path(options.urdf))
 
     @property
     def plant_period(self) -> float | None:

@@ -59,9 +59,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if velocity is None:
         velocity = _velocity(time, position)
     else:
-        poor = [
-            k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_QUANTISED, len(time) / 4)
-        ]
+        poor = [k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_QUANTISED, len(time) / 4)]
         velocity[:, poor] = _velocity(time, position[:, poor])
         _check_velocity(path, layout, time, position, velocity)
     if layout.turns is not None:

@@ -98,22 +98,22 @@ def identify_records(
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
-    slid = identify_sliding(sliding, arm)
-    # The sliding regime of an element does not depend on its c0 and c1.
-    known = [_merged(estimate, {}, one, _ANY_BRISTLE) for estimate, one in zip(slid.estimates, fallback, strict=True)]
+    slides = identify_sliding(sliding, arm)
     progress("presliding regime")
     if presliding:
-        covariances = [estimate.covariance() for estimate in slid.estimates]
-        bent = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
+        # The sliding regime of an element does not depend on its c0 and c1.
+        known = [_merged(one, {}, other, _ANY_BRISTLE) for one, other in zip(slides.estimates, fallback, strict=True)]
+        covariances = [estimate.covariance() for estimate in slides.estimates]
+        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
     else:
         reason = "no bag with micro-oscillations was given"
-        bent = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
     elements = []
-    for first, second, one in zip(slid.estimates, bent.estimates, fallback, strict=True):
+    for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
         sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
         estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement(_merged(first, second.parameters, one, {}), estimates, sources))
-    return FrictionIdentification(arm, tuple(elements), slid, bent, robot.fallback_name)
+        elements.append(IdentifiedElement(_merged(first, second.parameters, other, {}), estimates, sources))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
 
 
 def _merged(

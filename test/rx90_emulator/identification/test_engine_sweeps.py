@@ -87,7 +87,7 @@ def swept(shipped: Setup) -> JointRecord:
     return JointRecord(shipped.robot.joint_names, time, position, velocity, torque, Path(sweep.name), "0")
 
 
-def test_the_shipped_plan_tells_gravity_from_coulomb_friction(
+def test_the_shipped_plan_separates_gravity_from_coulomb_friction(
     shipped: Setup, arm: RigidArm, swept: JointRecord
 ) -> None:
     """The plan's sweeps of joint 3 give its sliding parameters within 2 % and within 4 deviations, both directions."""
@@ -98,12 +98,12 @@ def test_the_shipped_plan_tells_gravity_from_coulomb_friction(
 
 
 def test_a_record_in_pieces_is_no_surer_than_it_is_right(shipped: Setup, arm: RigidArm, swept: JointRecord) -> None:
-    """With gaps that leave most plateaus one block of samples, what is told is within 3 deviations of the truth."""
+    """With gaps that leave most plateaus one block of samples, identifiable values are within 3 deviations."""
     kept = swept.time % 0.7 > 0.21
     fields = {name: getattr(swept, name)[kept] for name in ("time", "position", "velocity", "torque")}
     parameters = identify_sliding([replace(swept, **fields)], arm).estimates[2].parameters
-    told = {name: found for name, found in parameters.items() if found.identifiable}
-    assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(told)
-    for name, found in told.items():
+    known = {name: found for name, found in parameters.items() if found.identifiable}
+    assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(known)
+    for name, found in known.items():
         truth = getattr(shipped.friction.elements[2], name)
         assert abs(found.value - truth) < 3.0 * found.deviation, (name, found)
