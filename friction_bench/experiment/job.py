@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    out: Path = options.out
+    out: Path = options.output
     base = load_friction_document()
     _check(options, base)
     if options.no_load_file or options.loaded_file:
@@ -102,7 +102,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tu
     bag = out / "bag"
     for old in (bag, *sorted(out.glob("ramp_*.csv"))[:1]):
         if old.exists():
-            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --out {out}_2")
+            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --output {out}_2")
     _folder(out)
     port, couple, close = _open(options, rig)
     readings = Readings(rig)

@@ -2,7 +2,6 @@
 
 __all__ = [
     "channel",
-    "entry",
     "environment",
     "joint_state_cdr",
     "lockstep",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -24,8 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
-def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
-    """Print the summary; return 0.
+def main(args: argparse.Namespace) -> None:
+    """Print the summary.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -34,7 +33,6 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
 
     summary = summarise(args.bag)
     print(_as_json(summary) if args.json else _as_text(summary))
-    return 0
 
 
 def _as_json(summary: BagSummary) -> str:

@@ -33,7 +33,7 @@ _PLAIN_OPTIONS = (
 )
 
 
-def run(options: argparse.Namespace, argv: list[str]) -> None:
+def run(options: argparse.Namespace) -> None:
     """Plan the line, show it, and send it unless told otherwise.
 
     Raises:
@@ -47,7 +47,7 @@ def run(options: argparse.Namespace, argv: list[str]) -> None:
         write_message(plan, options.output)
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, options, argv)
+        _send(plan, options)
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -125,7 +125,7 @@ def write_message(plan: LinePlan, file: Path) -> None:
         raise Rx90Error(f"{file}: cannot be written ({error.strerror})") from error
 
 
-def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
+def _send(plan: LinePlan, options: argparse.Namespace) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
@@ -138,7 +138,7 @@ def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     delivery = Delivery(options.controller, options.start_time, options.timeout, approach)
     with interrupts_later() as check_interrupt:
-        start_ros(argv)
+        start_ros(options.ros_args)
         try:
             deliver(plan, delivery, _say, check_interrupt)
         finally:

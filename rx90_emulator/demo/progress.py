@@ -18,14 +18,14 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import ProcessError
 from rx90_common.exchange.ros_start import start_ros
-from rx90_common.process.children import ManagedProcess
+from rx90_common.process.children import ChildProcess
 from rx90_common.process.interrupts import interrupts_later
 
 _SERVICE_TIMEOUT = 60.0
 _SLICE = 0.1
 
 
-def follow_clock(simulation: ManagedProcess, duration: float) -> None:
+def follow_clock(simulation: ChildProcess, duration: float) -> None:
     """Let time run and draw a progress bar of simulated time until the simulation's process ends.
 
     Raises:
@@ -39,7 +39,7 @@ def follow_clock(simulation: ManagedProcess, duration: float) -> None:
         context.try_shutdown()
 
 
-def _follow(simulation: ManagedProcess, duration: float, context: Context) -> None:
+def _follow(simulation: ChildProcess, duration: float, context: Context) -> None:
     with interrupts_later() as check_interrupt:
         node = rclpy.create_node("rx90_demo", context=context)
         executor = SingleThreadedExecutor(context=context)
@@ -78,15 +78,15 @@ def _resume(node: Node, spin: Callable[[], None]) -> None:
         raise ProcessError("the simulation did not let time run")
 
 
-def _show(simulation: ManagedProcess, spin: Callable[[], None], now: list[float], duration: float) -> None:
+def _show(simulation: ChildProcess, spin: Callable[[], None], now: list[float], duration: float) -> None:
     layout = "{l_bar}{bar}| {n:.2f}/{total:.2f} s simulated [{elapsed}<{remaining}{postfix}]"
     began = time.monotonic()
     # In a log file a line every few seconds is enough.
     interval = 0.2 if sys.stderr.isatty() else 3.0
     with tqdm(total=duration, bar_format=layout, desc="reference task", mininterval=interval, miniters=0) as bar:
-        while simulation.process.poll() is None:
+        while simulation.returncode is None:
             spin()
             bar.set_postfix_str(f"{now[0] / (time.monotonic() - began):.2f} x real time", refresh=False)
             bar.update(min(now[0], duration) - bar.n)
-        if simulation.process.returncode == 0:
+        if simulation.returncode == 0:
             bar.update(duration - bar.n)

@@ -56,7 +56,7 @@ class Recorder:
 
     Args:
         topics: names, relative or absolute, each once.
-        ros_args: arguments after --ros-args (namespace, remappings).
+        ros_args: --ros-args and what follows it (namespace, remappings), or nothing.
         say: prints a line for the user.
         show: shows the progress, called some times per second.
 
@@ -108,7 +108,7 @@ class Recorder:
 
     def _make_node(self, context: Context) -> Node:
         try:
-            start_ros(["--ros-args", *self._ros_args] if self._ros_args else [], context)
+            start_ros(self._ros_args, context)
         except ConfigError as error:
             raise BagError(str(error)) from error
         node = rclpy.create_node(

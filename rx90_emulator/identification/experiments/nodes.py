@@ -26,7 +26,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel
-from rx90_common.process.children import ProcessGroup
+from rx90_common.process.children import ProcessGroup, executable
 from rx90_common.process.interrupts import interrupts_later
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.folder import TOPICS, write_index
@@ -127,12 +127,10 @@ class ExperimentRunner:
 
     def _record_once(
         self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]
-    ) -> tuple[int, Path]:
+    ) -> tuple[int, Path | None]:
         """Return the recorder's exit code, 1 where messages were lost, and its log."""
-        recorder = recorders.start(
-            experiment.name, "rx90_emulator.cli.bag", "record", "--output", str(folder / experiment.name),
-            *TOPICS[experiment.kind],
-        )  # fmt: skip
+        record = executable("rx90_bag", "record", "--output", folder / experiment.name, *TOPICS[experiment.kind])
+        recorder = recorders.start(experiment.name, record)
         recorder.wait_for("ready: all", self._timeout)
         done = bar.n
         self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))

@@ -101,7 +101,7 @@ def start(ros_domain: int) -> Iterator[Start]:  # noqa: ARG001
 
 def start_recorder(start: Start, output: Path, *arguments: str, **options: Any) -> Process:
     """Start `rx90_bag record`."""
-    return start("-m", "rx90_emulator.cli.bag", "record", "-o", str(output), *arguments, **options)
+    return start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
 
 
 def start_publisher(start: Start, depth: int = 20_000) -> Process:
@@ -263,7 +263,7 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     (place / "taken" / "notes.txt").write_text("mine")
     for name in ("taken", "new"):
         arguments = [argument.replace(name, str(place / name)) for argument in arguments]
-    code, out, err = start("-m", "rx90_emulator.cli.bag", "record", *arguments).finish()
+    code, out, err = start("-m", "rx90_emulator", "rx90_bag", "record", *arguments).finish()
     assert (code, out) == (2, "")
     assert complaint.replace("taken", str(place / "taken")) in err.splitlines()[-1]
     assert "Traceback" not in err
