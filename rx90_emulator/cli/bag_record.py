@@ -32,21 +32,21 @@ def main(args: argparse.Namespace) -> int:
     """Record until Ctrl-C or SIGTERM; return 0 when nothing was lost and 1 otherwise.
 
     Raises:
-        BagError: if the bag cannot be written or a topic cannot be recorded.
+        BagError: if the bag cannot be made or a topic cannot be recorded.
+        BagWriteError: if the bag cannot be written on.
     """
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
     stop = stop_request()
 
-    from rx90_common.bags.recorder.status import StatusLine
     from rx90_common.bags.writing import BagWriter
 
     prepare()
     try:
-        from rx90_common.bags.recorder.recording import Recorder
+        from rx90_common.bags.recorder.recording import Recorder, StatusLine
     except ImportError as error:
         raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
     with StatusLine() as status:
-        recorder = Recorder(args.topics, args.ros_args, status.say, status.show)
+        recorder = Recorder(args.topics, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
     return _report(counts, recorder.stalls, args.output)
 

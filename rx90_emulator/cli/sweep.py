@@ -43,8 +43,8 @@ def main(options: argparse.Namespace) -> None:
 
 def _run(options: argparse.Namespace) -> None:
     # What needs pyarrow is imported once it is known to be there.
+    from rx90_emulator.sweep.execution import run_sweep
     from rx90_emulator.sweep.plan_file import load_plan
-    from rx90_emulator.sweep.running import run_sweep
     from rx90_emulator.sweep.sweep import Sweep
 
     plan = load_plan(resolve_config(options.plan))
@@ -65,6 +65,6 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from rx90_emulator.sweep.info import summary
+    from rx90_emulator.sweep.info import describe_results
 
-    print("\n".join(summary(options.file)))
+    print("\n".join(describe_results(options.file)))

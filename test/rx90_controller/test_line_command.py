@@ -109,7 +109,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
         ("--from-file task/reference_line.yaml --start-time -1", 2, "start time is -1 s"),
         ("--from-file task/reference_line.yaml --timeout 0", 2, "timeout is 0 s"),
-        ("--from-file task/reference_line.yaml --controller bad/-name", 2, "--controller is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --controller bad/-name", 2, "name is 'bad/-name' ("),
         ("--from-file task/reference_line.yaml --ros-args -r", 2, "ROS arguments "),
         ("--from-file task/reference_line.yaml --ros-args -p foo", 2, "ROS arguments "),
     ],
