@@ -21,7 +21,7 @@ from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, write_error
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
@@ -74,7 +74,7 @@ def _folder(out: Path) -> None:
         with tempfile.TemporaryFile(dir=out):
             pass
     except OSError as error:
-        raise RecordError(f"{out}: cannot be written to ({error.strerror})") from error
+        raise write_error(out, error) from error
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> Plan:

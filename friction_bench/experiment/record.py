@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_bench.protocol.errors import RecordError
+from rx90_common.base.errors import write_error
 
 Array = NDArray[np.float64]
 
@@ -134,7 +135,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
     """Write a record so that `read_csv` gives it back.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     counts = np.rint(record.angle / record.angle_step).astype(int)
     torques = [column for column in (record.torque, record.measured_torque) if column is not None]
@@ -146,7 +147,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
             for i, time in enumerate(record.time):
                 writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:

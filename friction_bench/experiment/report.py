@@ -12,6 +12,7 @@ from friction_bench.experiment.series import Result
 from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import write_error
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.page import render_page
@@ -57,7 +58,7 @@ def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
     """Write the page; `origin` says in one line where the data came from.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     plots = {name: velocity_plot(part) for name, part in result.parts}
     if result.joint is not None:
@@ -82,7 +83,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def _interval(estimate: Estimate) -> dict[str, Any]:
@@ -121,7 +122,7 @@ def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: Frictio
         base: the friction file to put that element into.
 
     Raises:
-        RecordError: if the file cannot be written, or the joint's friction is not positive.
+        Rx90Error: if the file cannot be written, or the joint's friction is not positive.
     """
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
@@ -139,7 +140,7 @@ def write_estimates(path: Path, result: Result) -> None:
     """Write every estimate with its uncertainty as YAML.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
     for name, method, friction in friction_rows(result):

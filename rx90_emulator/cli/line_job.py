@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import write_error
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_common.description.robot import load_robot
@@ -124,7 +124,7 @@ def write_message(plan: LinePlan, file: Path) -> None:
     try:
         file.write_text(yaml_text(message), encoding="utf-8")
     except OSError as error:
-        raise Rx90Error(f"{file}: cannot be written ({error.strerror})") from error
+        raise write_error(file, error) from error
 
 
 def _send(plan: LinePlan, options: argparse.Namespace) -> None:

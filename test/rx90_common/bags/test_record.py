@@ -285,7 +285,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) ->
     recorder.wait_for("ready: all 1 topics")
     publisher.tell("20000 4000")
     code, _, err = recorder.finish()
-    assert (code, err.strip()) == (3, f"rx90_bag record: {tmp_path / 'bag'}: cannot be written (File too large)")
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large)")
     assert any((tmp_path / "bag").iterdir())
 
 
