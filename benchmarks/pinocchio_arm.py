@@ -39,8 +39,8 @@ class PinocchioArm:
         self._c0, self._c1, self._c2, self._omega_s, self._omega_d, self._delta = np.array(
             [(e.c0, e.c1, e.c2, e.omega_s, e.omega_d, e.delta) for e in elements]
         ).T
-        self._coulomb = np.array([(e.tau_c_negative, e.tau_c_positive) for e in elements]).T
-        self._static = np.array([(e.tau_s_negative, e.tau_s_positive) for e in elements]).T
+        self._coulomb = np.array([(e.tau_c_positive, e.tau_c_negative) for e in elements]).T
+        self._static = np.array([(e.tau_s_positive, e.tau_s_negative) for e in elements]).T
         self.q, self.v, self.z = np.array(position, dtype=np.float64), np.zeros(6), np.zeros(7)
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -61,8 +61,8 @@ class PinocchioArm:
     def _friction(self, velocity: Array) -> Array:
         """Advance the bristles; return equation 18, Nm, its mean over the step."""
         forward, speed = velocity >= 0, np.abs(velocity)
-        coulomb = np.where(forward, self._coulomb[1], self._coulomb[0])
-        static = np.where(forward, self._static[1], self._static[0])
+        coulomb = np.where(forward, self._coulomb[0], self._coulomb[1])
+        static = np.where(forward, self._static[0], self._static[1])
         sliding = coulomb + (static - coulomb) * np.exp(-((speed / self._omega_s) ** self._delta))
         x = self._c0 * speed / sliding * self._period + 1e-12  # kept from 0, where 0 / 0 would follow
         z_dot = velocity - self._c0 * speed / sliding * self.z
