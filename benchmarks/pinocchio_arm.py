@@ -10,7 +10,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
-from rx90_common.description.wrist import coupled_inertia
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -31,7 +30,7 @@ class PinocchioArm:
         self._model = setup.robot.model
         self._data = self._model.createData()
         # Rotor 6 couples joints 5 and 6, which Pinocchio's armature, a diagonal, and with it aba, cannot say.
-        self._rotor = coupled_inertia(setup.drives.rotor_inertia)
+        self._rotor = setup.drives.rotor_matrix
         self._spring = setup.drives.spring_torque
         self._to_joint = _ELEMENT_INPUT[[0, 1, 2, 3, 4, 6]].T * setup.drives.gear
         self._period = setup.rates.period

@@ -11,7 +11,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import coupled_inertia
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
 from rx90_common.friction.lugre import element_arrays, elements_dtype
 from rx90_sim.base_parameters import base_parameters
@@ -105,8 +104,8 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
         arm[name] = getattr(parameters, name).T
     arm["first_origin"] = parameters.first_origin
     arm["base_acceleration"] = -robot.chain.gravity
-    arm["rotor"] = coupled_inertia(drives.rotor_inertia)
-    arm["spring_torque"] = [0.0, drives.spring_torque, 0.0, 0.0, 0.0, 0.0]
+    arm["rotor"] = drives.rotor_matrix
+    arm["spring_torque"] = drives.spring
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
