@@ -16,8 +16,9 @@ from friction_bench.experiment.report import as_text, write_estimates, write_htm
 from friction_bench.experiment.series import Plan, Readings, evaluate, run_series
 from friction_bench.protocol.errors import RecordError
 from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import Port, RigClient
+from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.line import Port
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.bags.writing import write_joint_states

@@ -60,8 +60,10 @@ def run_ramp(
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
     except BaseException:  # Ctrl-C above all: never leave with the power stage on
         with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.urgent_stop()
-        client.permitted = client.stops  # this stop is the ramp's own: the next command is not overtaken by it
+            client.line.urgent_stop()
+        client.line.known_stops = (
+            client.line.stops
+        )  # this stop is the ramp's own: the next command is not overtaken by it
         raise
     return _record(samples, rig, rig.slope_of_step(step), loaded, label)
 

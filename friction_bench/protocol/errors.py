@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import REFUSED, FailureError, Rx90Error
 
 
-class RigError(Rx90Error):
+class RigError(FailureError):
     """The rig or the line to it does not do what it should."""
 
 
@@ -25,5 +25,11 @@ class RigFaultError(RigError):
     """The firmware latched a fault and took the torque away."""
 
 
+class RigInputError(RigError):
+    """A setting or a file asks for what this rig cannot do."""
+
+    exit_code = REFUSED
+
+
 class RecordError(Rx90Error):
-    """A file does not hold a ramp test that can be read."""
+    """A file does not hold a ramp test that can be used, or the folder does not take one."""

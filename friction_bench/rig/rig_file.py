@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from friction_bench.protocol.errors import RigError
+from friction_bench.protocol.errors import RigInputError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
 from rx90_common.base.config import Section, load_yaml
@@ -74,12 +74,12 @@ class Rig:
         """Return the firmware's ramp step nearest to `slope`, Nm/s.
 
         Raises:
-            RigError: if the firmware cannot run that slope.
+            RigInputError: if the firmware cannot run that slope.
         """
         unit = self.slope_of_step(1)
         step = round(slope / unit) if math.isfinite(slope) else 0
         if not 1 <= step <= MAX_RAMP_STEP:
-            raise RigError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
+            raise RigInputError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
         return step
 
     def slope_of_step(self, step: int) -> float:
@@ -96,7 +96,7 @@ class Rig:
         """Refuse a rig whose firmware was built for other figures than this file.
 
         Raises:
-            RigError: naming the figure that differs.
+            RigInputError: naming the figure that differs.
         """
         pairs = (
             ("counts_per_revolution", hello.counts_per_revolution, self.counts_per_revolution),
@@ -106,7 +106,7 @@ class Rig:
         )
         for name, firmware, expected in pairs:
             if firmware != expected:
-                raise RigError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
+                raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
 def _friction(section: Section) -> JointFriction | LuGreElement:
