@@ -1,8 +1,8 @@
-"""What can go wrong between a person, a rig and an estimate; each text is one line meant for the user."""
+"""What can go wrong with a rig and the line to it; each text is one line meant for the user."""
 
 from __future__ import annotations
 
-from rx90_common.base.errors import REFUSED, FailureError, Rx90Error
+from rx90_common.base.errors import REFUSED, FailureError
 
 
 class RigError(FailureError):
@@ -10,7 +10,7 @@ class RigError(FailureError):
 
 
 class RigLostError(RigError):
-    """The line is gone: unplugged, taken by another program, or silent."""
+    """The line is gone: unplugged, held by another program, or silent."""
 
 
 class RigResetError(RigError):
@@ -29,7 +29,3 @@ class RigInputError(RigError):
     """A setting or a file asks for what this rig cannot do."""
 
     exit_code = REFUSED
-
-
-class RecordError(Rx90Error):
-    """A file does not hold a ramp test that can be used, or the folder does not take one."""

@@ -23,12 +23,20 @@ TRAVEL_UNIT = 256
 
 @dataclass(frozen=True)
 class RampPlan:
-    """Default ramps: slopes Nm/s, end torques Nm (motor side), repeats of each slope."""
+    """Ramps to run: slopes Nm/s, end torques Nm (motor side), repeats of each slope."""
 
     slopes: tuple[float, ...]
     end_torque: float
     end_torque_loaded: float
     repeats: int
+
+    def end(self, loaded: bool) -> float:
+        """Return the end torque under this load, Nm."""
+        return self.end_torque_loaded if loaded else self.end_torque
+
+    def duration(self, loaded: bool) -> float:
+        """Return the time of all ramps under this load, s."""
+        return self.repeats * sum(self.end(loaded) / slope for slope in self.slopes)
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,8 @@ class Rig:
         efficiency_uncertainty: standard uncertainty of the gear's efficiency.
         scale_uncertainty: relative standard uncertainty of the torque scale.
         load_travel: turns of the load shaft that one arming allows.
+        ramps: those to run by default.
+        plant: of an emulated rig, None without one.
     """
 
     file: Path
