@@ -49,8 +49,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(options: argparse.Namespace) -> None:
     # What needs pyarrow is imported once it is known to be there.
+    from rx90_emulator.sweep.execution import run_sweep
     from rx90_emulator.sweep.plan_file import load_plan
-    from rx90_emulator.sweep.running import run_sweep
     from rx90_emulator.sweep.sweep import Sweep
 
     plan = load_plan(resolve_config(options.plan))
@@ -71,9 +71,9 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _info(options: argparse.Namespace) -> None:
-    from rx90_emulator.sweep.info import summary
+    from rx90_emulator.sweep.info import describe_results
 
-    print("\n".join(summary(options.file)))
+    print("\n".join(describe_results(options.file)))
 
 
 def _how_to_go_on(options: argparse.Namespace) -> str:

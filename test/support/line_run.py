@@ -13,9 +13,9 @@ from rx90_common.bags.comparison import BagComparison, Scope, compare_bags
 from rx90_common.bags.tolerance import Tolerances
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.loop.run_bag import write_run
+from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import run_task
 
 START = 0.1
 TASK = """
@@ -32,7 +32,7 @@ line:
 """
 
 
-def run_line(
+def run_both_ways(
     processes: Processes, client: Client, setup: Setup, folder: Path, around: Sequence[str] = ("/usr/bin/env",)
 ) -> BagComparison:
     """Run the line both ways and compare all that was recorded, bit by bit.
@@ -42,7 +42,7 @@ def run_line(
     file = folder / "task.yaml"
     file.write_text(TASK, encoding="utf-8")
     task = load_task(file)
-    write_run(run_task(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
+    write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     simulation = processes.start(

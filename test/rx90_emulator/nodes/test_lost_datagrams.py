@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from line_run import run_line
+from line_run import run_both_ways
 from processes import Processes
 from ros_client import Client
 
@@ -51,7 +51,7 @@ def test_lost_datagrams_cost_time_and_nothing_else(
         "LOSSY_SEED=1",
         f"LOSSY_COUNTS={counts}",
     )
-    comparison = run_line(processes, client, shipped, tmp_path, around)
+    comparison = run_both_ways(processes, client, shipped, tmp_path, around)
     sent, lost = struct.unpack("QQ", counts.read_bytes())
     print(f"{lost} of {sent} datagrams lost")
     assert lost > LEAST_LOST
