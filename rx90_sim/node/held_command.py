@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.lockstep import stamp_of
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class HeldCommand:
         newest = None
         while (raw := self._channel.receive(0.0)) is not None:
             newest = raw
-            stamp = stamp_of(raw)
+            stamp = cdr_stamp_ns(raw)
             if stamp < self._stamp:
                 self._note_backward()
             self._stamp = stamp

@@ -20,7 +20,7 @@ from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.qos import LATCHED_QOS, TICK_QOS
-from rx90_common.exchange.throttle import Occasionally
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.held_command import HeldCommand
@@ -57,7 +57,7 @@ class Simulation:
         self._published_tick = -1
         timeout = round(self._parameters.command_timeout * rates.base_hz)
         self._held = HeldCommand(self._channel, self._torques, timeout, self._log.info)
-        self._complaints = Occasionally(self._log.error)
+        self._complaints = ThrottledLog(self._log.error)
         self._latch(robot.urdf)
         self._offer_services()
         self._diagnostics = Diagnostics(self.node, self._status)
