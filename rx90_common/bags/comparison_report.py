@@ -20,7 +20,7 @@ _WORDS = {
 _HEADINGS = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond")
 
 
-def as_text(comparison: BagComparison) -> str:
+def comparison_text(comparison: BagComparison) -> str:
     """Return a table of the differences, topic by topic, and the verdict in the last line."""
     blocks = [_topic_text(topic) for topic in comparison.topics]
     if comparison.skipped:
@@ -29,7 +29,7 @@ def as_text(comparison: BagComparison) -> str:
     return "\n\n".join(blocks)
 
 
-def as_json(comparison: BagComparison) -> str:
+def comparison_json(comparison: BagComparison) -> str:
     """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
     content = {
         "a": str(comparison.path_a),

@@ -41,6 +41,16 @@ class FrictionSet:
                 f"accepted: {ELEMENT_COUNT} of each"
             )
 
+    def __getitem__(self, name: str) -> LuGreElement:
+        """Return the element of this name.
+
+        Raises:
+            ConfigError: if there is none.
+        """
+        if name not in self.names:
+            raise ConfigError(f"no friction element {name!r}; accepted: {', '.join(self.names)}")
+        return self.elements[self.names.index(name)]
+
     def records(self) -> np.ndarray[Any, Any]:
         """Return the elements for compiled code, shape (7,), dtype ELEMENT_DTYPE."""
         return np.array([element.record() for element in self.elements], dtype=ELEMENT_DTYPE)

@@ -50,7 +50,7 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
     """
     # Here, because --help must not wait for them.
     from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.comparison_report import as_json, as_text
+    from rx90_common.bags.comparison_report import comparison_json, comparison_text
 
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
@@ -62,7 +62,7 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
         same_range=args.same_range,
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
-    print(as_json(comparison) if args.json else as_text(comparison))
+    print(comparison_json(comparison) if args.json else comparison_text(comparison))
     return int(comparison.verdict)
 
 

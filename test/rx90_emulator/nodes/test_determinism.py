@@ -11,7 +11,7 @@ from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import Verdict
-from rx90_common.bags.comparison_report import as_text
+from rx90_common.bags.comparison_report import comparison_text
 from rx90_emulator.loop.setup import Setup
 
 
@@ -23,7 +23,7 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
     for _ in range(2):
         processes.start(sys.executable, "-c", "while True: pass")
     comparison = run_both_ways(processes, client, shipped, tmp_path)
-    assert comparison.verdict is Verdict.SAME, as_text(comparison)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == {
         "/friction_states",
         "/joint_states",

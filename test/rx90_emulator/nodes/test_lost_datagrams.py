@@ -14,7 +14,7 @@ from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import Verdict
-from rx90_common.bags.comparison_report import as_text
+from rx90_common.bags.comparison_report import comparison_text
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.02
@@ -56,4 +56,4 @@ def test_lost_datagrams_cost_time_and_nothing_else(
     print(f"{lost} of {sent} datagrams lost")
     assert lost > LEAST_LOST
     assert lost / sent == pytest.approx(SHARE, rel=0.5)
-    assert comparison.verdict is Verdict.SAME, as_text(comparison)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
