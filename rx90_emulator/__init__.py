@@ -39,9 +39,9 @@ if TYPE_CHECKING:
         compare_bags,
         compare_series,
     )
-    from rx90_common.bags.comparison_report import comparison_text
     from rx90_common.bags.joint_series import JointSeries
     from rx90_common.bags.reading import read_bag, read_joint_states
+    from rx90_common.bags.tables import comparison_text
     from rx90_common.bags.tolerance import Tolerances
     from rx90_common.bags.writing import write_joint_states
     from rx90_common.base.errors import Rx90Error
@@ -114,7 +114,7 @@ __all__ = [
 
 _HOMES = {
     "rx90_common.bags.comparison": "BagComparison Scope TopicComparison Verdict compare_bags compare_series",
-    "rx90_common.bags.comparison_report": "comparison_text",
+    "rx90_common.bags.tables": "comparison_text",
     "rx90_common.bags.joint_series": "JointSeries",
     "rx90_common.bags.reading": "read_bag read_joint_states",
     "rx90_common.bags.tolerance": "Tolerances",

@@ -291,6 +291,11 @@ def test_there_is_one_plant_step_and_one_law() -> None:
     }
 
 
+def test_one_module_reads_and_writes_yaml() -> None:
+    """Only the module of configuration files imports yaml, so that every file is read by the same rules."""
+    assert [name for name in MODULES if "yaml" in top_level(name)] == [f"{GROUND}.base.config"]
+
+
 def test_compiled_code_keeps_its_bits() -> None:
     """No kernel uses fastmath or threads: the same numbers must come out wherever it is inlined."""
     for name in MODULES:

@@ -101,7 +101,7 @@ def test_colcon_installs_every_module_and_template(prefix: Path) -> None:
     """Each Python file, type marker and template of the rooms is in the install space."""
     site = next((prefix / "lib").glob("python*/site-packages"))
     rooms = [path.parent for path in ROOT.glob("*/__init__.py") if path.parent.name not in {"test", "benchmarks"}]
-    assert {path.name for path in rooms} >= {"rx90_sim", "rx90_controller", "rx90_bag"}
+    assert {path.name for path in rooms} >= {"rx90_sim", "rx90_controller", "rx90_emulator"}
     for source in [path for room in rooms for path in room.rglob("*") if path.is_file()]:
         if source.suffix in {".py", ".j2"} or source.name == "py.typed":
             assert (site / source.relative_to(ROOT)).is_file(), source

@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-import yaml
 from tqdm import tqdm
 
 from friction_bench.experiment.record import RampRecord, read_csv, read_text, write_csv
@@ -24,6 +23,7 @@ from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path, resolve_config
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
 
 _LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     """
     rig = load_rig(resolve_config(options.rig))
     out: Path = options.out
-    base = load_friction_document()
+    base = FrictionFile.read(config_path("robot/friction.yaml"))
     _check(options, base)
     if options.no_load_file or options.loaded_file:
         _folder(out)
@@ -54,16 +54,10 @@ def run(options: argparse.Namespace) -> None:
     print(f"report: {out / 'report.html'}\nparameters for rx90_sim: {out / 'friction.yaml'}")
 
 
-def load_friction_document() -> dict[str, dict[str, object]]:
-    """Return the shipped friction file's elements, into which an identified one is put."""
-    document = yaml.safe_load(config_path("robot/friction.yaml").read_text(encoding="utf-8"))
-    return {"elements": document["elements"]}
-
-
-def _check(options: argparse.Namespace, base: dict[str, dict[str, object]]) -> None:
+def _check(options: argparse.Namespace, base: FrictionFile) -> None:
     """Refuse now what would otherwise be noticed after minutes of ramps."""
-    if options.element not in base["elements"]:
-        known = ", ".join(base["elements"])
+    if options.element not in base.elements:
+        known = ", ".join(base.elements)
         raise ConfigError(f"--element is '{options.element}'; accepted: {known}")
     for name, low, high in (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)):
         value = getattr(options, name)

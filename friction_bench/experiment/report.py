@@ -5,15 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from friction_bench.experiment.four_way import SMOOTHING
 from friction_bench.experiment.identification import Estimate, Friction
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
 from friction_bench.experiment.series import Result
 from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.config import yaml_text
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.report.page import render_page
 
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
@@ -63,10 +64,9 @@ def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
         plots["load"] = load_plot(result)
     if result.comparison is not None:
         plots["comparison"] = comparison_plot(result.comparison)
-    environment = Environment(
-        loader=PackageLoader("friction_bench.experiment"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("friction_report.html.j2").render(
+    page = render_page(
+        "friction_bench.experiment",
+        "friction_report.html.j2",
         result=result,
         rig=rig,
         origin=origin,
@@ -93,19 +93,13 @@ def _interval(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, static: float, viscous: float) -> dict[str, float]:
+def _lugre(coulomb: float, static: float, viscous: float) -> LuGreElement:
     """Return a LuGre element: c0 and c1 give a presliding of 0.1 mrad with critical-like damping, assumed."""
     stiffness = coulomb / STIFFNESS_SHARE
-    return {
-        "tau_c": float(f"{coulomb:.6g}"),
-        "tau_s": float(f"{static:.6g}"),
-        "omega_s": 0.05,
-        "delta": 1.0,
-        "c0": float(f"{stiffness:.6g}"),
-        "c1": float(f"{1e-3 * stiffness:.6g}"),
-        "c2": float(f"{max(viscous, 0.0):.6g}"),
-        "omega_d": 1.0,
-    }
+    tau_c, tau_s, c0, c1, c2 = (
+        float(f"{value:.6g}") for value in (coulomb, static, stiffness, 1e-3 * stiffness, max(viscous, 0.0))
+    )
+    return LuGreElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
 
 
 def _static_friction(result: Result, rig: Rig) -> float:
@@ -116,36 +110,29 @@ def _static_friction(result: Result, rig: Rig) -> float:
     return at_motor * rig.gear_ratio * rig.gear_efficiency
 
 
-def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: dict[str, Any] | None) -> None:
-    """Write the estimates, and friction parameters for rx90_sim.
+def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: FrictionFile) -> None:
+    """Write friction parameters for rx90_sim.
 
     Args:
         path: file to write.
         result: of the measurement.
         rig: for the gear.
         element: name of the friction element that the measured joint stands for.
-        base: a complete friction file's content to put that element into, None for the element alone.
+        base: the friction file to put that element into.
 
     Raises:
         RecordError: if the file cannot be written, or the joint's friction is not positive.
     """
-    document: dict[str, Any] = {
-        "provenance": "identified",
-        "source": "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed",
-    }
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
     else:
         best = result.parts[0][1].best
         coulomb, viscous = best.coulomb.value, best.viscous.value
-    static = max(coulomb, _static_friction(result, rig))
     if coulomb <= 0.0:
         raise RecordError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
-    elements = dict(base["elements"]) if base is not None else {}
-    elements[element] = _lugre(coulomb, static, viscous)
-    document["elements"] = elements
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
-    _write(path, text)
+    measured = _lugre(coulomb, max(coulomb, _static_friction(result, rig)), viscous)
+    source = "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed"
+    _write(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
 
 
 def write_estimates(path: Path, result: Result) -> None:
@@ -171,4 +158,4 @@ def write_estimates(path: Path, result: Result) -> None:
                 "viscous": _interval(result.joint.joint_side_viscous),
             },
         }
-    _write(path, yaml.safe_dump(document, sort_keys=False))
+    _write(path, yaml_text(document))

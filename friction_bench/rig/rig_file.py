@@ -10,7 +10,7 @@ from friction_bench.protocol.errors import RigError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
 from rx90_common.base.config import Section, load_yaml
-from rx90_common.friction.friction_set import load_element
+from rx90_common.friction.friction_file import read_element
 from rx90_common.friction.lugre import LuGreElement
 
 CODES = 255
@@ -111,7 +111,7 @@ class Rig:
 
 def _friction(section: Section) -> JointFriction | LuGreElement:
     if section.text("model", ("coulomb_viscous", "lugre")) == "lugre":
-        element = load_element(section.section("lugre"))
+        element = read_element(section.section("lugre"))
         section.finish()
         return element
     friction = JointFriction(section.number("coulomb", 0.0), section.number("viscous", 0.0))

@@ -55,11 +55,15 @@ class ProcessError(FailureError):
 
 
 class OutputError(FailureError):
-    """Standard output cannot be written."""
+    """Standard output or a file cannot be written."""
 
 
 class BagError(Rx90Error):
-    """A bag cannot be written, read or compared."""
+    """A bag cannot be made, read or compared."""
+
+
+class BagWriteError(FailureError, BagError):
+    """A bag that was begun cannot be written on; what was written stays."""
 
 
 class IdentificationError(Rx90Error):

@@ -2,6 +2,7 @@
 
 __all__ = [
     "channel",
+    "client_node",
     "entry",
     "environment",
     "joint_state_cdr",

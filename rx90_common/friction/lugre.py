@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS
 
 ELEMENT_DTYPE = np.dtype(
     [
@@ -39,10 +40,10 @@ class LuGreElement:
     c1 exp(-(v / omega_d)^2) (Olsson 1996, section 3.5); `omega_d` infinite is the paper's constant c1.
 
     Attributes:
-        tau_c_positive, tau_c_negative: Coulomb friction torque for v > 0 and v < 0, Nm.
-        tau_s_positive, tau_s_negative: static friction torque for v > 0 and v < 0, Nm.
+        tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.
+        tau_s_positive, tau_s_negative: static friction torque, Nm, the same.
         omega_s: Stribeck velocity, rad/s.
-        delta: Stribeck exponent.
+        delta: Stribeck exponent, 1.
         c0: bristle stiffness, Nm/rad.
         c1: micro-viscous damping at rest, Nm s/rad.
         c2: viscous friction, Nm s/rad.
@@ -64,16 +65,10 @@ class LuGreElement:
     omega_d: float = math.inf
 
     def __post_init__(self) -> None:
-        positive = {"tau_c_positive", "tau_c_negative", "omega_s", "delta", "c0", "omega_d"}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if math.isnan(value) or (math.isinf(value) and field.name != "omega_d"):
-                raise ConfigError(f"{field.name} is {value}; accepted: a finite number")
-            if field.name in positive and value <= 0:
-                raise ConfigError(f"{field.name} is {value}; accepted: a number > 0")
-            if value < 0:
-                raise ConfigError(f"{field.name} is {value}; accepted: a number >= 0")
-        for sign in ("positive", "negative"):
+        for parameter in FRICTION_PARAMETERS:
+            for name in parameter.attributes:
+                parameter.check(name, getattr(self, name))
+        for sign in SIGNS:
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
                 raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")

@@ -13,7 +13,7 @@ _VERBS = ("record", "compare", "info")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a verb and return its exit code; 2 with one line when it cannot be done."""
+    """Run a verb and return its exit code, the error's with one line when it cannot be done."""
     own, ros_args = _split(list(sys.argv[1:] if argv is None else argv))
     parser = argparse.ArgumentParser(prog="rx90_bag", description="Record, compare and summarise bags.")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
@@ -27,7 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return int(modules[args.verb].main(args, ros_args))
     except Rx90Error as error:
         print(f"rx90_bag {args.verb}: {error}", file=sys.stderr)
-        return 2
+        return error.exit_code
     except KeyboardInterrupt:
         return 130
 

@@ -50,7 +50,7 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
     """
     # Here, because --help must not wait for them.
     from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.comparison_report import comparison_json, comparison_text
+    from rx90_common.bags.tables import comparison_json, comparison_text
 
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]

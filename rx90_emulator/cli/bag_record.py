@@ -33,23 +33,23 @@ def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
     """Record until SIGINT or SIGTERM; return 0 when nothing was lost and 1 otherwise.
 
     Raises:
-        BagError: if the bag cannot be written or a topic cannot be recorded.
+        BagError: if the bag cannot be made or a topic cannot be recorded.
+        BagWriteError: if the bag cannot be written on.
     """
     stop = Event()
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
 
-    from rx90_common.bags.recorder.status import StatusLine
     from rx90_common.bags.writing import BagWriter
 
     prepare()
     try:
-        from rx90_common.bags.recorder.recording import Recorder
+        from rx90_common.bags.recorder.recording import Recorder, StatusLine
     except ImportError as error:
         raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
     with StatusLine() as status:
-        recorder = Recorder(args.topics, ros_args, status.say, status.show)
+        recorder = Recorder(args.topics, ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
     return _report(counts, recorder.stalls, args.output)
 

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
-from rx90_common.bags.comparison_report import comparison_text
 from rx90_common.bags.summary import summarise
+from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ProcessError
 from rx90_common.process.children import ManagedProcess, ProcessGroup
 from rx90_controller.lines.plan import LinePlan, plan_line

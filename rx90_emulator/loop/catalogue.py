@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 
@@ -24,18 +25,6 @@ Value = float | bool
 SWITCH = "switch"
 """Stands where the unit would, for values that are true or false."""
 
-FRICTION_UNITS = {
-    "tau_c_positive": "Nm",
-    "tau_c_negative": "Nm",
-    "tau_s_positive": "Nm",
-    "tau_s_negative": "Nm",
-    "omega_s": "rad/s",
-    "delta": "1",
-    "c0": "Nm/rad",
-    "c1": "Nm s/rad",
-    "c2": "Nm s/rad",
-    "omega_d": "rad/s",
-}
 DRIVES_UNITS = {
     "gear": "1",
     "rotor_inertia": "kg m^2",
@@ -77,7 +66,6 @@ TASK_UNITS = {
     "singularity_margin": "1",
 }
 
-_SIGNED = ("tau_c", "tau_s")
 _PATH = re.compile(r"(?P<names>[^\[\]]+)(?:\[(?P<index>\d+|\*)\])?")
 
 
@@ -147,10 +135,9 @@ class Catalogue:
                 self._units[key], self._values[key] = unit, getattr(chain, field)[i]
         self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
         for element_name in setup.friction.names:
-            for both in _SIGNED:
-                pair = (f"{both}_positive", f"{both}_negative")
-                keys = tuple(("friction", element_name, field) for field in pair)
-                self._names["friction", element_name, both] = keys
+            for parameter in FRICTION_PARAMETERS:
+                keys = tuple(("friction", element_name, field) for field in parameter.attributes)
+                self._names["friction", element_name, parameter.name] = keys
 
     def _add(self, prefix: Key, holder: object, units: dict[str, str]) -> None:
         for field, unit in units.items():

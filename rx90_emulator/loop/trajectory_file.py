@@ -7,8 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import yaml
-
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import points_from_message
@@ -27,14 +26,8 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
         TrajectoryError: naming file, joint, index of the point and reason.
     """
     file = Path(name)
-    try:
-        # `ros2 topic echo` ends each message with a line of dashes.
-        data = next(iter(yaml.safe_load_all(file.read_text(encoding="utf-8"))), None)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read ({error.strerror}); accepted: {_ACCEPTED}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{file}: is not YAML ({reason}); accepted: {_ACCEPTED}") from error
+    # `ros2 topic echo` ends each message with a line of dashes.
+    data = load_yaml(file, _ACCEPTED, first=True).content
     try:
         return points_from_message(robot_joints, _message(data))
     except TrajectoryError as error:
@@ -43,7 +36,7 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
         raise ConfigError(f"{file}: {error!r}; accepted: {_ACCEPTED}") from error
 
 
-def _message(data: Any) -> SimpleNamespace:
+def _message(data: dict[str, Any]) -> SimpleNamespace:
     points = [
         SimpleNamespace(
             time_from_start=SimpleNamespace(

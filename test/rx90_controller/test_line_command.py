@@ -108,7 +108,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 1, "cannot be written"),
         ("--from-file task/reference_line.yaml --start-time -1", 1, "start time is -1 s"),
         ("--from-file task/reference_line.yaml --timeout 0", 1, "timeout is 0 s"),
-        ("--from-file task/reference_line.yaml --controller bad/-name", 1, "--controller is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --controller bad/-name", 1, "name is 'bad/-name' ("),
         ("--from-file task/reference_line.yaml --ros-args -r", 1, "ROS arguments "),
         ("--from-file task/reference_line.yaml --ros-args -p foo", 1, "ROS arguments "),
     ],

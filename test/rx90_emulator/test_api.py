@@ -118,7 +118,7 @@ def test_the_documented_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_first_example_is_short_and_shows_an_effect() -> None:
-    """Changing tau_s, running the line and plotting the path error takes under 15 lines, and the plotted errors differ."""
+    """Changing tau_s, running the line, plotting the path error: under 15 lines, and the plotted errors differ."""
     import matplotlib.pyplot as plt
 
     lines = [line for line in EXAMPLES[0].splitlines() if line.strip()]

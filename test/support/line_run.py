@@ -55,7 +55,7 @@ def run_both_ways(
     line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
     recorder.wait_for("ready: all")
     assert line.wait() == 0
-    assert client.call("rx90_sim/pause", data=False).success
+    client.simulation.pause(False)
     assert simulation.wait() == 0
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0

@@ -22,7 +22,7 @@ Start = Callable[..., Running]
 def start(processes: Processes, monkeypatch: pytest.MonkeyPatch) -> Start:
     """Start a stand-in of exchange_peer.py by its role."""
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    monkeypatch.setenv("PYTHONPATH", str(PEER.parents[1]))
+    monkeypatch.setenv("PYTHONPATH", str(PEER.parents[2]))
     return lambda role, *arguments: processes.start(sys.executable, PEER, role, *arguments)
 
 

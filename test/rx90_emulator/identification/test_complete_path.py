@@ -107,10 +107,11 @@ import numpy as np
 from rx90_common.exchange.environment import prepare
 prepare()
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.nodes import ExperimentRunner
+from rx90_emulator.identification.experiments.nodes import run_on_nodes
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.loop.setup import Setup
-robot, fourth = Setup.load().robot, np.eye(6)[3]
+setup, fourth = Setup.load(), np.eye(6)[3]
+robot = setup.robot
 slide, bend = Motion(np.zeros(6)), Motion(np.zeros(6))
 for speed in np.geomspace(0.041, 1.63, 5):
     slide.sweep(fourth, speed, 0.5, 6.0)
@@ -123,7 +124,7 @@ plan = [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
         Experiment("bend", Kind.PRESLIDING, bend.points(robot.joint_names), 2)]
 folder = Path(sys.argv[1])
 folder.mkdir()
-ExperimentRunner(robot, "rx90_controller", 60.0).run(plan, folder, print)
+run_on_nodes(setup, plan, folder, "rx90_controller", 60.0, print)
 """
 """Much less than the command's --quick: one joint, five speeds, one micro-oscillation, 12 s of motion."""
 

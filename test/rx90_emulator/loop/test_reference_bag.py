@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rx90_common.bags.comparison import Scope, Verdict, compare_bags
-from rx90_common.bags.comparison_report import comparison_text
+from rx90_common.bags.tables import comparison_text
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import LineTask, load_task

@@ -55,7 +55,7 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
     [
         ("", "accepted: the YAML of a trajectory_msgs/JointTrajectory"),
         ("points: 3", "accepted: the YAML of a trajectory_msgs/JointTrajectory"),
-        ("a: [", "is not YAML"),
+        ("a: [", "not valid YAML"),
         (TRAJECTORY.replace("joint_6", "elbow"), "elbow"),
         (TRAJECTORY.replace("0.5, 0.0, 0.1", ".nan, 0.0, 0.1"), "joint_6"),
     ],

@@ -14,7 +14,7 @@ from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import Verdict
-from rx90_common.bags.comparison_report import comparison_text
+from rx90_common.bags.tables import comparison_text
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.02

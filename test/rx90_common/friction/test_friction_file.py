@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from refusals import refusal_by
 
+from rx90_common.base.config import PROVENANCE
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -65,7 +72,8 @@ def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, 
 )
 def test_an_unknown_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
     """A misspelt key is refused at every level instead of being ignored."""
-    path = edited_yaml(shipped_files.friction, place, 1.0)
+    other = dict.fromkeys((k for k in KEYS if k != "omega_d"), 1.0)
+    path = edited_yaml(shipped_files.friction, place, other if place[-1] == "joint_7" else 1.0)
     assert f"{'.'.join(place)} is not a known key" in refusal(path)
 
 
@@ -96,7 +104,7 @@ def test_static_below_coulomb_torque_is_refused(shipped_files: RobotFiles, edite
         ({"positive": 30.0}, "tau_c.negative is missing"),
         ({"positive": 30.0, "negative": 30.0, "up": 1}, "tau_c.up is not a known key"),
         ({"positive": 30.0, "negative": "x"}, "tau_c.negative is 'x'"),
-        ({"positive": 30.0, "negative": -30.0}, "tau_c_negative is -30.0"),
+        ({"positive": 30.0, "negative": -30.0}, "tau_c.negative is -30.0; accepted: a number > 0"),
     ],
 )
 def test_one_sided_torques_are_checked_too(
@@ -151,6 +159,81 @@ def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
     else:
         with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted"):
             dataclasses.replace(good, **{name: value})
+
+
+def test_the_range_stands_in_the_message_as_in_the_table() -> None:
+    """Each parameter refuses what its own words exclude, and takes what they include."""
+    for parameter in FRICTION_PARAMETERS:
+        if parameter.positive:
+            assert parameter.accepted.endswith("number > 0")
+            with pytest.raises(ConfigError, match=rf"x is 0\.0; accepted: {parameter.accepted}"):
+                parameter.check("x", 0.0)
+        else:
+            assert parameter.accepted.endswith("number >= 0")
+            parameter.check("x", 0.0)
+        parameter.check("x", 5e-324)
+        if parameter.optional:
+            parameter.check("x", math.inf)
+        else:
+            with pytest.raises(ConfigError, match="x is inf; accepted: a finite number"):
+                parameter.check("x", math.inf)
+
+
+def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles) -> None:
+    """Table, attributes, their description and the head of the shipped file name the same parameters and units."""
+    attributes = [name for parameter in FRICTION_PARAMETERS for name in parameter.attributes]
+    assert [field.name for field in dataclasses.fields(LuGreElement)] == attributes
+    for parameter in FRICTION_PARAMETERS:
+        assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(LuGreElement.__doc__)
+        assert f"{parameter.meaning}, {parameter.unit}" in str(LuGreElement.__doc__)
+    assert legend() in shipped_files.friction.read_text()
+
+
+POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+
+
+@st.composite
+def elements(draw: st.DrawFn) -> LuGreElement:
+    """Return any element at all, with equal or with different values for the signs."""
+    up = sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))
+    down = draw(st.sampled_from([up, sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))]))
+    omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
+    c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
+    return LuGreElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, draw(POSITIVE | st.just(math.inf)))
+
+
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
+    ["1e5", "010", "1:30", "yes", "no", "null", "~", "2001-01-01", "0x1F", "0o17", ".inf", "1_0", "<<", "=", "a: b"]
+)
+NUMBERS = st.floats(allow_nan=False) | st.integers(-(10**12), 10**12)
+REMARKS = st.recursive(
+    NUMBERS | WORDS | st.booleans() | st.none(), lambda x: st.lists(x) | st.dictionaries(WORDS, x), max_leaves=12
+)
+NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance", "note"})
+
+
+@given(
+    st.dictionaries(NAMES_OF_ELEMENTS, elements(), min_size=1, max_size=3),
+    st.sampled_from([None, *PROVENANCE]),
+    st.none() | WORDS,
+    st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
+)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_what_is_written_is_read_back(
+    content: dict[str, LuGreElement], provenance: str | None, source: str | None, identification: dict[str, Any] | None
+) -> None:
+    """Any file comes back to the same bits, and a reader of YAML 1.1 sees the same numbers and texts."""
+    file = FrictionFile(content, provenance, source, identification)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "friction.yaml"
+        path.write_text(file.text("# a remark\n"), encoding="utf-8")
+        again = FrictionFile.read(path)
+        assert again == file
+        assert repr(again.elements) == repr(file.elements)  # tells 0.0 from -0.0, which == does not
+        old = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert old.get("source") == source
+    assert old.get("identification") == identification
+    assert [values["c0"] for values in old["elements"].values()] == [element.c0 for element in content.values()]
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:
