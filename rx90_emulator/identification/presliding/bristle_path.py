@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction import LuGreElement
-from rx90_common.friction.bristle import damping, decay, sliding_torque
+from rx90_common.friction.bristle import damping, decay, one_element, sliding_torque
+from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.presliding.band import block_means
 
@@ -43,7 +44,7 @@ class BristlePath:
         """
         motion = np.empty((3, len(speed)))
         motion[0] = speed
-        _sliding_regime(np.array([element.record()]), motion)
+        _sliding_regime(element_arrays((replace(element, c1=1.0),)), motion)
         return cls(motion, block_means(element.c2 * speed), element.tau_c_positive, step)
 
     @property
@@ -64,9 +65,8 @@ class BristlePath:
 
 
 @kernel
-def _sliding_regime(elements: NDArray[Any], motion: Array) -> None:
-    element = elements[0]
-    element.c1 = 1.0
+def _sliding_regime(arrays: NDArray[Any], motion: Array) -> None:
+    element = one_element(arrays[0], 0)
     for row in range(motion.shape[1]):
         motion[1, row] = sliding_torque(element, motion[0, row])
         motion[2, row] = damping(element, motion[0, row])
