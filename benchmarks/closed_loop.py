@@ -28,12 +28,11 @@ from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge, print_table
 from rx90_common.base.share import config_path
-from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import line_points
 from rx90_sim.manipulator import mass_and_bias
 
 Array = NDArray[np.float64]
@@ -59,8 +58,8 @@ class Work(NamedTuple):
         """Read the shipped files and plan the line."""
         setup = Setup.load()
         task = load_task(config_path("task/reference_line.yaml"))
-        plan = plan_line(setup.robot, task, setup.rates.position_period)
-        return cls(setup, line_points(plan), plan.start_pose, plan.duration)
+        plan = plan_line(setup, task)
+        return cls(setup, plan.points, plan.start_pose, plan.duration)
 
     def setpoints(self, first: float, ticks: int) -> Array:
         """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""
