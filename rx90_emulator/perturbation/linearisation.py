@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Linearisation(NamedTuple):
-    """How the drive torque of the inverse dynamics M a + h answers to small deviations of a motion.
+    """Derivatives of the inverse dynamics M a + h along a motion.
 
     Attributes:
         mass: M0 = M(q0), rotors included, kg m^2, shape (n, 6, 6).

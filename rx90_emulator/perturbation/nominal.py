@@ -47,7 +47,7 @@ def nominal_motion(points: TrajectoryPoints, hold: Array, start: int, ticks: int
         rates: rates of the loops.
     """
     everywhere = np.full(6, np.inf)
-    # What the controller has accepted between its own ticks is not to be judged again.
+    # The controller has checked the trajectory; between its ticks no limits apply.
     limits = JointLimits(("",) * 6, -everywhere, everywhere, everywhere, start_tolerance=np.inf)
     generator = TrajectoryGenerator(limits, rates.period, hold)
     generator.accept(points, 0, start)
