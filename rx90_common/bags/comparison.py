@@ -16,6 +16,7 @@ from rx90_common.bags.storage import BagReader
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 
 
 class Verdict(IntEnum):
@@ -118,7 +119,7 @@ class Scope:
         if not self.fields:
             raise BagError(f"no fields to compare; accepted: {', '.join(FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
-            window = f"{self.start_ns / 1e9:g} s to {self.end_ns / 1e9:g} s"
+            window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
 
     def cut(self, series: JointSeries) -> JointSeries:
@@ -133,12 +134,21 @@ class Scope:
         return JointSeries(part.topic, part.names, part.stamp_ns, **fields)
 
 
-def compare_bags(path_a: Path | str, path_b: Path | str, tolerances: Tolerances, scope: Scope) -> BagComparison:
+def compare_bags(
+    path_a: Path | str, path_b: Path | str, tolerances: Tolerances | None = None, scope: Scope | None = None
+) -> BagComparison:
     """Compare the JointState topics of two bags.
+
+    Args:
+        path_a: a bag.
+        path_b: the other one.
+        tolerances: what values may differ by; by default nothing, not by a single bit.
+        scope: what is compared; by default everything.
 
     Raises:
         BagError: if a bag cannot be read, or there is nothing to compare, or a tolerance fits nothing.
     """
+    tolerances, scope = tolerances or Tolerances(), scope or Scope()
     paths = (Path(path_a), Path(path_b))
     topics_a, skipped_a = _joint_state_topics(paths[0])
     topics_b, skipped_b = _joint_state_topics(paths[1])
@@ -226,8 +236,11 @@ def _pair_up(
     return pairs
 
 
-def compare_series(a: JointSeries, b: JointSeries, tolerances: Tolerances, scope: Scope = Scope()) -> TopicComparison:
-    """Compare two series within the scope, aligned on stamps and joint names."""
+def compare_series(
+    a: JointSeries, b: JointSeries, tolerances: Tolerances | None = None, scope: Scope | None = None
+) -> TopicComparison:
+    """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
+    tolerances, scope = tolerances or Tolerances(), scope or Scope()
     a, b = scope.cut(a), scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
@@ -307,7 +320,7 @@ def _stamp_reasons(alignment: Alignment, scope: Scope) -> list[str]:
         if side.missing and side.first_missing_ns is not None:
             reasons.append(
                 f"only the {where} bag has {side.missing} messages of the common range, "
-                f"the first at t = {side.first_missing_ns / 1e9:.9f} s"
+                f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
             )
         if scope.same_range and side.outside:
             reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
@@ -322,4 +335,4 @@ def _span(series: JointSeries) -> str:
     stamps = series.stamp_ns
     if not len(stamps):
         return "none"
-    return f"{len(stamps)} from {stamps.min() / 1e9:.9f} to {stamps.max() / 1e9:.9f} s"
+    return f"{len(stamps)} from {stamps.min() / NANOSECONDS:.9f} to {stamps.max() / NANOSECONDS:.9f} s"

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.topics import FIELDS
+from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 
 Int64Array = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -56,9 +57,14 @@ class JointSeries:
         return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
 
     @property
+    def quantities(self) -> dict[str, str]:
+        """Return what each field holds, with its unit, such as `position [rad]`; for friction_states other names."""
+        return quantities(self.topic)
+
+    @property
     def time(self) -> FloatArray:
         """Return header.stamp in s, float64 of shape (n,)."""
-        return np.asarray(self.stamp_ns / 1e9, dtype=np.float64)
+        return np.asarray(self.stamp_ns / NANOSECONDS, dtype=np.float64)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> JointSeries:
         """Return the series of these messages (an index, a mask or a slice)."""

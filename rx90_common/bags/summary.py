@@ -12,6 +12,7 @@ from rx90_common.bags.ordering import stamp_ns
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 
 _GAP = 1.5  # times the usual distance of two messages
 _ENOUGH_FOR_GAPS = 3
@@ -88,7 +89,7 @@ def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
     if not bag.is_ros1:
         return stamp_ns(data)
     stamp = bag.deserialize(topic, data).header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
@@ -97,7 +98,7 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
     first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
     rate = None
     if first is not None and last is not None and last > first:
-        rate = (len(np.unique(times)) - 1) / ((last - first) / 1e9)
+        rate = (len(np.unique(times)) - 1) / ((last - first) / NANOSECONDS)
     gaps = np.zeros(0, dtype=np.intp)
     if len(forward) >= _ENOUGH_FOR_GAPS:
         gaps = np.flatnonzero(steps > _GAP * float(np.median(forward)))

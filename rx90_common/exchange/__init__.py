@@ -2,10 +2,11 @@
 
 __all__ = [
     "channel",
-    "entry",
+    "client_node",
     "environment",
     "joint_state_cdr",
     "lockstep",
+    "motor_messages",
     "node_tools",
     "pacing",
     "qos",

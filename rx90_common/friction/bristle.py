@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
-from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select
+from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
@@ -61,7 +61,7 @@ def one_element(arrays: Any, index: int) -> Elements:
 
 
 @kernel
-def sliding_torque(element: Elements, velocity: Lanes) -> Lanes:
+def sliding_torque(element: Any, velocity: Number) -> Number:
     """Return c0 g(v), equation 19, Nm."""
     forward = velocity >= 0.0
     coulomb = select(forward, element.tau_c[0], element.tau_c[1])
@@ -71,14 +71,14 @@ def sliding_torque(element: Elements, velocity: Lanes) -> Lanes:
 
 
 @kernel
-def damping(element: Elements, velocity: Lanes) -> Lanes:
+def damping(element: Any, velocity: Number) -> Number:
     """Return c1(v), Nm s/rad."""
     ratio = velocity * element.inverse_omega_d
     return element.c1 * exponential(-(ratio * ratio))
 
 
 @kernel
-def friction_torque(element: Elements, z: Lanes, velocity: Lanes) -> Lanes:
+def friction_torque(element: Any, z: Number, velocity: Number) -> Number:
     """Return the friction torque of equation 18 at one instant, Nm."""
     rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
     z_dot = velocity - rate * z
@@ -86,7 +86,7 @@ def friction_torque(element: Elements, z: Lanes, velocity: Lanes) -> Lanes:
 
 
 @kernel
-def bristle_step(element: Elements, z: Lanes, velocity: Lanes, step: float) -> tuple[Lanes, Lanes]:
+def bristle_step(element: Any, z: Number, velocity: Number, step: float) -> tuple[Number, Number]:
     """Advance the bristle deflection by `step` seconds at constant velocity, exactly.
 
     With x = |v| / g * step, equation 17 has the solution z1 = z + (v step - x z) phi(x),
@@ -107,7 +107,7 @@ def bristle_step(element: Elements, z: Lanes, velocity: Lanes, step: float) -> t
 
 
 @inlined
-def decay(x: Lanes) -> tuple[Lanes, Lanes]:
+def decay(x: Number) -> tuple[Number, Number]:
     """Return phi = (1 - exp(-x)) / x and psi = (1 - phi) / x for x >= 0."""
     inverse = 1.0 / x
     phi = (1.0 - exponential(-x)) * inverse

@@ -37,6 +37,16 @@ class FrictionSet:
                 f"accepted: {ELEMENT_COUNT} of each"
             )
 
+    def __getitem__(self, name: str) -> LuGreElement:
+        """Return the element of this name.
+
+        Raises:
+            ConfigError: if there is none.
+        """
+        if name not in self.names:
+            raise ConfigError(f"no friction element {name!r}; accepted: {', '.join(self.names)}")
+        return self.elements[self.names.index(name)]
+
     def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""
         reach = [*max_velocity, max_velocity[4] + max_velocity[5]]

@@ -11,17 +11,16 @@ between them is small enough.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import LineError
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
 Array = NDArray[np.float64]
@@ -69,6 +68,12 @@ class LinePlan:
         return start
 
     @property
+    def points(self) -> TrajectoryPoints:
+        """Return the points of the trajectory, as the controller takes them."""
+        motion = (self.position.tolist(), self.velocity.tolist(), self.acceleration.tolist())
+        return TrajectoryPoints.create(self.joint_names, self.joint_names, self.times.tolist(), *motion)
+
+    @property
     def duration(self) -> float:
         """Return the time of the last knot, rests included, s."""
         return float(self.times[-1])
@@ -90,25 +95,6 @@ class LinePlan:
         Shape (n, 3, 6).
         """
         return interpolate(self.times, self.position, self.velocity, self.acceleration).sample(times)
-
-
-class StampedPoint(NamedTuple):
-    """One point of a message: time from its start, whole seconds and nanoseconds, and six joints in SI."""
-
-    sec: int
-    nanosec: int
-    position: list[float]
-    velocity: list[float]
-    acceleration: list[float]
-
-
-def stamped_points(plan: LinePlan, delay: float = 0.0) -> list[StampedPoint]:
-    """Return the knots for a message, `delay` s later than in the plan."""
-    rows = zip(plan.times + delay, plan.position, plan.velocity, plan.acceleration, strict=True)
-    return [
-        StampedPoint(*divmod(round(float(t) * NANOSECONDS), NANOSECONDS), q.tolist(), qd.tolist(), qdd.tolist())
-        for t, q, qd, qdd in rows
-    ]
 
 
 def plan_line(robot: RobotModel, task: LineTask, period: float = 1e-3) -> LinePlan:

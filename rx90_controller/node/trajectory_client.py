@@ -1,32 +1,164 @@
-"""Hand a planned line to the controller: a JointTrajectory over DDS, delivered before the program ends."""
+"""Send trajectories to the controller node: they have arrived before the program ends."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-import rclpy
 from builtin_interfaces.msg import Duration, Time
 from numpy.typing import NDArray
 from rclpy.duration import Duration as RclpyDuration
-from rclpy.node import Node
-from rclpy.publisher import Publisher
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rx90_common.base.errors import ExchangeError, LineError
+from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.client_node import POLL, ClientNode
 from rx90_common.exchange.ros_start import reason
-from rx90_controller.lines.plan import LinePlan, approach_time, stamped_points
+from rx90_controller.lines.plan import LinePlan, approach_time
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.message import stamped_points
 
 Array = NDArray[np.float64]
 
-# The controller takes a first point at time 0 only this close to the position it holds.
-START_TOLERANCE = 1e-3
-_POLL = 0.05
+
+class NewestPositions:
+    """The newest positions of some joints on a JointState topic; `ClientNode.spin` brings them up to date.
+
+    Messages in which a joint is missing are left out.
+
+    Attributes:
+        position: rad, in the order of the names; None before the first message.
+        time: its stamp, s.
+    """
+
+    def __init__(self, client: ClientNode, topic: str, names: Sequence[str]) -> None:
+        self._node, self._names = client.node, names
+        self.position: Array | None = None
+        self.time = -1.0
+        # One message in the queue: only the newest is looked at.
+        newest = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._subscription = client.node.create_subscription(JointState, topic, self._take, newest)
+
+    def _take(self, message: JointState) -> None:
+        position = dict(zip(message.name, message.position, strict=False))
+        if set(self._names) <= position.keys():
+            self.position = np.array([position[name] for name in self._names])
+            self.time = message_time_ns(message.header.stamp) / NANOSECONDS
+
+    def close(self) -> None:
+        """Listen no longer."""
+        self._node.destroy_subscription(self._subscription)
+
+
+class TrajectoryClient:
+    """Sends trajectories to one controller node and hears its set-points and the arm beside it.
+
+    Args:
+        client: the node to do it with.
+        controller: name of the controller node, relative or absolute.
+
+    Raises:
+        ConfigError: if that cannot be a node's name.
+    """
+
+    def __init__(self, client: ClientNode, controller: str) -> None:
+        self._client, self._controller = client, controller
+        try:
+            self.topic = str(client.node.resolve_topic_name(f"{controller}/joint_trajectory"))
+        except RuntimeError as error:
+            raise ConfigError(
+                f"the controller node's name is '{controller}' ({reason(error)}); accepted: a name such as "
+                "rx90_controller or /cell/rx90_controller"
+            ) from error
+        self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
+
+    def wait_for_controller(self) -> None:
+        """Wait until the controller, and whoever else listens, will get what is sent.
+
+        Raises:
+            ExchangeError: if there is no controller within the client's timeout.
+        """
+        name = self._controller.split("/")[-1]
+
+        def matched() -> bool:
+            # The controller must be among them, and a recorder that is in the graph gets the trajectory too.
+            subscribers = self._client.node.get_subscriptions_info_by_topic(self.topic)
+            there = any(info.node_name == name for info in subscribers)
+            return there and len(subscribers) <= self._publisher.get_subscription_count()
+
+        self._client.wait(matched, f"a controller on {self.topic}")
+
+    def joint_positions(self, names: Sequence[str]) -> Array:
+        """Return where the arm stands that the controller moves, rad, shape (n,).
+
+        Raises:
+            ExchangeError: if it is not told within the client's timeout.
+        """
+        # The arm is in the controller's namespace, which need not be ours.
+        newest, topic = self._listen(self.topic.rsplit("/", 2)[0] + "/joint_states", names)
+        try:
+            self._client.wait(lambda: newest.position is not None, f"a position of the six joints on {topic}")
+        finally:
+            newest.close()
+        assert newest.position is not None
+        return newest.position
+
+    def set_points(self, names: Sequence[str]) -> NewestPositions:
+        """Return the controller's set-points, the first of which have come.
+
+        Raises:
+            ExchangeError: if there are none within the client's timeout.
+        """
+        newest, topic = self._listen(f"{self._controller}/reference", names)
+        self._client.wait(lambda: newest.position is not None, f"a set-point on {topic}")
+        return newest
+
+    def _listen(self, topic: str, names: Sequence[str]) -> tuple[NewestPositions, str]:
+        resolved = self._client.node.resolve_topic_name(topic)
+        return NewestPositions(self._client, resolved, names), resolved
+
+    def send(self, names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> None:
+        """Publish a trajectory and wait until it has arrived.
+
+        Args:
+            names: joints in the order of the points' columns.
+            points: the trajectory.
+            start_time: when it starts, s; 0 means now.
+
+        Raises:
+            ExchangeError: if that is not confirmed within the client's timeout.
+        """
+        self._publisher.publish(trajectory_message(names, points, start_time))
+        deadline = time.monotonic() + self._client.timeout
+        while not self._publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))):
+            self._client.check_interrupt()
+            if time.monotonic() >= deadline:
+                raise ExchangeError(
+                    f"the controller on {self.topic} did not confirm the trajectory in {self._client.timeout:g} s"
+                )
+
+
+def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> JointTrajectory:
+    """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
+    message = JointTrajectory(joint_names=list(names))
+    sec, nanosec = divmod(round(start_time * NANOSECONDS), NANOSECONDS)
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    message.points = [
+        JointTrajectoryPoint(
+            positions=point.position,
+            velocities=point.velocity,
+            accelerations=point.acceleration,
+            time_from_start=Duration(sec=point.sec, nanosec=point.nanosec),
+        )
+        for point in stamped_points(points)
+    ]
+    return message
 
 
 @dataclass(frozen=True)
@@ -49,157 +181,54 @@ class Delivery:
     Attributes:
         controller: name of the controller node.
         start_time: time at which the trajectory starts, s; 0 means now.
-        timeout: longest wait for the controller, and again for the joint states, s.
+        start_tolerance: how far from its start the arm may be, rad; the controller's.
         approach: the move to the start of the line, None where the arm already stands there.
     """
 
     controller: str
     start_time: float
-    timeout: float
+    start_tolerance: float
     approach: Approach | None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start_time) and 0.0 <= self.start_time < 2.0**31):
             raise LineError(f"the start time is {self.start_time:g} s; accepted: a number >= 0, 0 for now")
-        if not (math.isfinite(self.timeout) and self.timeout > 0.0):
-            raise LineError(f"the timeout is {self.timeout:g} s; accepted: a number > 0")
 
 
-def trajectory_message(plan: LinePlan, start_time: float, delay: float) -> JointTrajectory:
-    """Return the plan as a message whose points come `delay` s later than in the plan."""
-    message = JointTrajectory(joint_names=list(plan.joint_names))
-    sec, nanosec = divmod(round(start_time * NANOSECONDS), NANOSECONDS)
-    message.header.stamp = Time(sec=sec, nanosec=nanosec)
-    message.points = [
-        JointTrajectoryPoint(
-            positions=point.position,
-            velocities=point.velocity,
-            accelerations=point.acceleration,
-            time_from_start=Duration(sec=point.sec, nanosec=point.nanosec),
-        )
-        for point in stamped_points(plan, delay)
-    ]
-    return message
-
-
-def deliver(
-    plan: LinePlan, delivery: Delivery, say: Callable[[str], None], check_interrupt: Callable[[], None]
-) -> None:
-    """Wait for the controller, publish the trajectory and wait until it has been received.
-
-    Needs an initialised rclpy. `say` gets one line for each thing that happens; `check_interrupt` is called between two
-    slices of a wait and may raise.
+def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
+    """Wait for the controller, send it the line, and say what was sent.
 
     Raises:
+        ConfigError: if the controller cannot be called that.
         ExchangeError: if the controller or the joint states do not show up within the timeout.
         LineError: if the arm stands elsewhere and no approach was asked for.
     """
-    node = rclpy.create_node("rx90_line")
-    try:
-        topic = _topic(node, delivery.controller)
-        publisher = node.create_publisher(JointTrajectory, topic, 1)
-
-        def matched() -> bool:
-            # The controller must be among them, and a recorder that is in the graph gets the trajectory too.
-            subscribers = node.get_subscriptions_info_by_topic(topic)
-            there = any(info.node_name == delivery.controller.split("/")[-1] for info in subscribers)
-            return there and len(subscribers) <= publisher.get_subscription_count()
-
-        def wait(ready: Callable[[], bool], what: str) -> None:
-            _wait(node, ready, what, delivery.timeout, say, check_interrupt)
-
-        wait(matched, f"a controller on {topic}")
-        delay = _delay(node, plan, delivery, topic, say, wait)
-        message = trajectory_message(plan, delivery.start_time, delay)
-        publisher.publish(message)
-        _confirm(publisher, topic, delivery.timeout, check_interrupt)
-        start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
-        say(f"sent {len(message.points)} points to {topic}: start {start}, {plan.duration + delay:.3f} s")
-    finally:
-        node.destroy_node()
+    trajectory = TrajectoryClient(client, delivery.controller)
+    trajectory.wait_for_controller()
+    delay = _delay(client, trajectory, plan, delivery)
+    points = replace(plan.points, times=plan.times + delay)
+    trajectory.send(plan.joint_names, points, delivery.start_time)
+    start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
+    client.say(f"sent {len(points.times)} points to {trajectory.topic}: start {start}, {plan.duration + delay:.3f} s")
 
 
-def _confirm(publisher: Publisher, topic: str, timeout: float, check_interrupt: Callable[[], None]) -> None:
-    deadline = time.monotonic() + timeout
-    while not publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(_POLL * NANOSECONDS))):
-        check_interrupt()
-        if time.monotonic() >= deadline:
-            raise ExchangeError(f"the controller on {topic} did not confirm the trajectory in {timeout:g} s")
-
-
-def _wait(
-    node: Node,
-    ready: Callable[[], bool],
-    what: str,
-    timeout: float,
-    say: Callable[[str], None],
-    check_interrupt: Callable[[], None],
-) -> None:
-    """Spin until `ready`; say once what is waited for."""
-    deadline = time.monotonic() + timeout
-    announced = False
-    while not ready():
-        if time.monotonic() >= deadline:
-            raise ExchangeError(f"found no {what.removeprefix('a ')} within {timeout:g} s")
-        if not announced:
-            say(f"waiting for {what}")
-            announced = True
-        rclpy.spin_once(node, timeout_sec=_POLL)
-        check_interrupt()
-
-
-def _delay(
-    node: Node,
-    plan: LinePlan,
-    delivery: Delivery,
-    topic: str,
-    say: Callable[[str], None],
-    wait: Callable[[Callable[[], bool], str], None],
-) -> float:
+def _delay(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, delivery: Delivery) -> float:
     """Return how much later than planned the line begins: the time of the approach, s."""
-    if delivery.approach is None and delivery.start_time > 0.0:
+    approach = delivery.approach
+    if approach is None and delivery.start_time > 0.0:
         return 0.0  # where the arm will be by then is not known here; the controller checks it
-    here = _joint_positions(node, topic, plan.joint_names, wait)
+    here = trajectory.joint_positions(plan.joint_names)
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))
-    if gap[joint] <= START_TOLERANCE:
+    if gap[joint] <= delivery.start_tolerance:
         return 0.0
-    if delivery.approach is None:
+    if approach is None:
         raise LineError(
             f"{plan.joint_names[joint]} is at {here[joint]:.4f} rad, the line starts at "
-            f"{plan.start_pose[joint]:.4f} rad; accepted: within {START_TOLERANCE:g} rad, or --approach"
+            f"{plan.start_pose[joint]:.4f} rad; accepted: within {delivery.start_tolerance:g} rad, or --approach"
         )
-    approach = delivery.approach
     robot = plan.path.robot
     duration = approach_time(robot, here, plan.start_pose, approach.speed, approach.acceleration)
     duration = math.ceil(duration * 1e3) / 1e3
-    say(f"approach: {np.degrees(gap[joint]):.1f} deg in {plan.joint_names[joint]}, {duration:.3f} s")
+    client.say(f"approach: {np.degrees(gap[joint]):.1f} deg in {plan.joint_names[joint]}, {duration:.3f} s")
     return duration
-
-
-def _topic(node: Node, controller: str) -> str:
-    try:
-        return str(node.resolve_topic_name(f"{controller}/joint_trajectory"))
-    except RuntimeError as error:
-        raise LineError(
-            f"--controller is '{controller}' ({reason(error)}); accepted: the name of a node, such as rx90_controller "
-            "or /cell/rx90_controller"
-        ) from error
-
-
-def _joint_positions(
-    node: Node, controller_topic: str, names: tuple[str, ...], wait: Callable[[Callable[[], bool], str], None]
-) -> Array:
-    found: list[Array] = []
-
-    def take(message: JointState) -> None:
-        position = dict(zip(message.name, message.position, strict=False))
-        if set(names) <= position.keys():
-            found.append(np.array([position[name] for name in names]))
-
-    # The arm that this controller moves is in the controller's namespace, which need not be ours.
-    topic = node.resolve_topic_name(controller_topic.rsplit("/", 2)[0] + "/joint_states")
-    subscription = node.create_subscription(JointState, topic, take, 10)
-    wait(lambda: bool(found), f"a position of the six joints on {topic}")
-    node.destroy_subscription(subscription)
-    return found[-1]

@@ -1,12 +1,13 @@
-"""From trajectory_msgs/JointTrajectory to checked points and a start tick; needs no rclpy."""
+"""From trajectory_msgs/JointTrajectory to checked points and a start tick, and back; needs no rclpy."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
 from rx90_controller.trajectory import TrajectoryPoints
 
 
@@ -31,8 +32,7 @@ def points_from_message(robot_joints: Sequence[str], message: Any) -> Trajectory
 
 def start_tick(message: Any, position_hz: int) -> int | None:
     """Return the position tick of `header.stamp`, the first one not before it; None if the stamp is 0, "now"."""
-    stamp = message.header.stamp
-    nanoseconds = stamp.sec * NANOSECONDS + stamp.nanosec
+    nanoseconds = message_time_ns(message.header.stamp)
     if nanoseconds == 0:
         return None
     return int(-(-nanoseconds * position_hz // NANOSECONDS))
@@ -40,4 +40,27 @@ def start_tick(message: Any, position_hz: int) -> int | None:
 
 def _seconds(duration: Any) -> float:
     # One division: the nearest number to the whole nanoseconds, as the planner has it.
-    return float((duration.sec * NANOSECONDS + duration.nanosec) / NANOSECONDS)
+    return message_time_ns(duration) / NANOSECONDS
+
+
+class StampedPoint(NamedTuple):
+    """One point of a message: time from its start, whole seconds and nanoseconds, and six joints in SI.
+
+    What the points of the trajectory do not carry is empty.
+    """
+
+    sec: int
+    nanosec: int
+    position: list[float]
+    velocity: list[float]
+    acceleration: list[float]
+
+
+def stamped_points(points: TrajectoryPoints) -> list[StampedPoint]:
+    """Return the points as a message has them."""
+    columns = [
+        [[]] * len(points.times) if values is None else values.tolist()
+        for values in (points.position, points.velocity, points.acceleration)
+    ]
+    times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
+    return [StampedPoint(*time, *row) for time, *row in zip(times, *columns, strict=True)]

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import write_error
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_common.description.robot import load_robot
-from rx90_common.process.interrupts import interrupts_later
-from rx90_controller.lines.plan import LinePlan, plan_line, stamped_points
+from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.law.parameters import load_controller
+from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import DEFAULT_BRANCH, LineTask, load_task
+from rx90_controller.trajectory.message import stamped_points
 
 _TOOL_DOWN = (0.0, 180.0, 0.0)
 # Options that go into the task as they are.
@@ -33,7 +35,7 @@ _PLAIN_OPTIONS = (
 )
 
 
-def run(options: argparse.Namespace, argv: list[str]) -> None:
+def run(options: argparse.Namespace) -> None:
     """Plan the line, show it, and send it unless told otherwise.
 
     Raises:
@@ -47,7 +49,7 @@ def run(options: argparse.Namespace, argv: list[str]) -> None:
         write_message(plan, options.output)
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, options, argv)
+        _send(plan, options)
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -116,33 +118,28 @@ def write_message(plan: LinePlan, file: Path) -> None:
             "accelerations": point.acceleration,
             "time_from_start": {"sec": point.sec, "nanosec": point.nanosec},
         }
-        for point in stamped_points(plan)
+        for point in stamped_points(plan.points)
     ]
     message = {"joint_names": list(plan.joint_names), "points": points}
     try:
         file.write_text(yaml_text(message), encoding="utf-8")
     except OSError as error:
-        raise Rx90Error(f"{file}: cannot be written ({error.strerror})") from error
+        raise write_error(file, error) from error
 
 
-def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
+def _send(plan: LinePlan, options: argparse.Namespace) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.
-    from rclpy.utilities import try_shutdown
-
-    from rx90_common.exchange.ros_start import start_ros
+    from rx90_common.exchange.client_node import client_node
     from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
-    delivery = Delivery(options.controller, options.start_time, options.timeout, approach)
-    with interrupts_later() as check_interrupt:
-        start_ros(argv)
-        try:
-            deliver(plan, delivery, _say, check_interrupt)
-        finally:
-            try_shutdown()
+    tolerance = load_controller(RobotFiles().controller).start_tolerance
+    delivery = Delivery(options.controller, options.start_time, tolerance, approach)
+    with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
+        deliver(client, plan, delivery)
 
 
 def _say(text: str) -> None:

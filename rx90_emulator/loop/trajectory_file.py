@@ -16,7 +16,7 @@ _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
 _VECTORS = ("positions", "velocities", "accelerations", "effort")
 
 
-def load_trajectory(file: Path, robot_joints: Sequence[str]) -> TrajectoryPoints:
+def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> TrajectoryPoints:
     """Read the points of a trajectory, joints in any order.
 
     The header is not looked at: when the trajectory starts is for the run to say.
@@ -25,6 +25,7 @@ def load_trajectory(file: Path, robot_joints: Sequence[str]) -> TrajectoryPoints
         ConfigError: naming file and reason, for a file that cannot be read or is no trajectory.
         TrajectoryError: naming file, joint, index of the point and reason.
     """
+    file = Path(name)
     # `ros2 topic echo` ends each message with a line of dashes.
     data = load_yaml(file, _ACCEPTED, first=True).content
     try:

@@ -6,16 +6,20 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
-from builtin_interfaces.msg import Duration
 from processes import TIMEOUT
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from std_srvs.srv import SetBool
+
+from rx90_common.exchange.client_node import ClientNode
+from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_sim.node.simulation_client import SimulationClient
 
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
 
@@ -29,7 +33,8 @@ class Client:
         self.node = rclpy.create_node("test_client", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._publisher = self.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 10)
+        self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None)
+        self.simulation = SimulationClient(self.asking)
 
     def close(self) -> None:
         """Leave the domain."""
@@ -51,29 +56,17 @@ class Client:
                 pytest.fail(f"waited {timeout:g} s in vain for {what}")
             self._executor.spin_once(timeout_sec=0.05)
 
-    def call(self, service: str, *, data: bool | None = None) -> Any:
-        """Call a Trigger, or with `data` a SetBool, and return the answer."""
-        kind, request = (Trigger, Trigger.Request()) if data is None else (SetBool, SetBool.Request(data=data))
-        caller = self.node.create_client(kind, service)
-        self.spin_until(caller.service_is_ready, f"service {service}")
-        answer = caller.call_async(request)
-        self.spin_until(answer.done, f"an answer of {service}")
-        return answer.result()
+    def enable(self, on: bool) -> None:
+        """Switch the controller's torque on or off."""
+        assert self.asking.call(SetBool, "rx90_controller/enable", SetBool.Request(data=on)).success
 
     def send(self, points: Sequence[tuple[float, Sequence[float]]], names: Sequence[str] = tuple(JOINTS)) -> None:
         """Send a trajectory that starts now: times in s and positions in rad, at rest in the last point."""
-        message = JointTrajectory(joint_names=list(names))
-        for seconds, position in points:
-            whole = int(seconds)
-            message.points.append(
-                JointTrajectoryPoint(
-                    positions=list(position),
-                    velocities=[0.0] * len(position),
-                    time_from_start=Duration(sec=whole, nanosec=round((seconds - whole) * 1e9)),
-                )
-            )
-        self.spin_until(lambda: self._publisher.get_subscription_count() > 0, "the controller's subscription")
-        self._publisher.publish(message)
+        position = np.array([angles for _, angles in points])
+        times = np.array([time for time, _ in points])
+        client = TrajectoryClient(self.asking, "rx90_controller")
+        client.wait_for_controller()
+        client.send(names, TrajectoryPoints(times, position, np.zeros_like(position), None))
 
 
 def seconds(message: JointState) -> float:

@@ -102,8 +102,7 @@ def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Na
 
     prepare()
     try:
-        from rx90_emulator.identification.experiments.nodes import ExperimentRunner
+        from rx90_emulator.identification.experiments.nodes import run_on_nodes
     except ImportError as error:
         raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
-    runner = ExperimentRunner(setup.robot, options.controller, options.timeout)
-    runner.run(plan, options.output, lambda text: print(text, flush=True))
+    run_on_nodes(setup, plan, options.output, options.controller, options.timeout, lambda text: print(text, flush=True))

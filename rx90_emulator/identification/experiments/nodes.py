@@ -12,89 +12,69 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
-from builtin_interfaces.msg import Duration
 from numpy.typing import NDArray
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
 from tqdm import tqdm
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.errors import ExchangeError
-from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.robot import RobotModel
-from rx90_common.process.children import ProcessGroup
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.exchange.client_node import POLL, ClientNode, client_node
+from rx90_common.process.children import ProcessGroup, executable
+from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.folder import TOPICS, write_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment
+from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 
-_POLL = 0.05  # s
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
 _PATIENCE = 5.0  # s of the controller's time, for a trajectory to begin and beyond its end
 _AT_REST = 1e-6  # rad
-_START_TOLERANCE = 5e-4  # rad, from where the arm is to the start of a trajectory
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
 
 
-class ExperimentRunner:
-    """Publishes trajectories to the controller node and follows them; needs no rclpy.init of the caller.
+def run_on_nodes(
+    setup: Setup,
+    plan: Sequence[Experiment],
+    folder: Path,
+    controller: str,
+    timeout: float,
+    say: Callable[[str], None],
+) -> None:
+    """Run and record experiments on the controller node, one by one; after Ctrl-C the bags that are complete stay.
 
     Args:
-        robot: for the joints' names and speeds.
+        setup: for the joints' names and speeds, and how far a trajectory may start from a set-point.
+        plan: the experiments.
+        folder: for the bags.
         controller: name of the controller node.
         timeout: longest wait for a node, and for simulated time to go on, s.
+        say: prints a line for the user.
+
+    Raises:
+        ConfigError: if that cannot be a node's name.
+        ExchangeError: if a node does not show up, time stands still, or the controller refuses a trajectory.
+        ProcessError: if the recorder loses messages again and again, or ends early.
     """
+    with client_node("rx90_experiment", timeout, say) as client:
+        _Runner(setup, client, controller).run(plan, folder)
 
-    def __init__(self, robot: RobotModel, controller: str, timeout: float) -> None:
-        self._robot, self._controller, self._timeout = robot, controller, timeout
-        self._context = Context()
-        self._stamp = -1.0
-        self._reference: Array | None = None
 
-    def run(self, plan: Sequence[Experiment], folder: Path, say: Callable[[str], None]) -> None:
-        """Run and record the experiments one after the other; after Ctrl-C the bags that are complete stay.
+class _Runner:
+    """Publishes trajectories to the controller node and follows them."""
 
-        Raises:
-            ExchangeError: if a node does not show up, time stands still, or the controller refuses a trajectory.
-            ProcessError: if the recorder loses messages again and again, or ends early.
-        """
-        with interrupts_later() as check_interrupt:
-            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-            try:
-                self._open(check_interrupt)
-                self._run(plan, folder, say)
-            finally:
-                self._context.try_shutdown()
+    def __init__(self, setup: Setup, client: ClientNode, controller: str) -> None:
+        self._robot, self._start_tolerance = setup.robot, setup.controller.start_tolerance
+        self._client = client
+        self._trajectory = TrajectoryClient(client, controller)
+        self._trajectory.wait_for_controller()
+        self._set_points = self._trajectory.set_points(self._robot.joint_names)
 
-    def _open(self, check_interrupt: Callable[[], None]) -> None:
-        self._check_interrupt = check_interrupt
-        self._node = rclpy.create_node("rx90_experiment", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._publisher = self._node.create_publisher(JointTrajectory, f"{self._controller}/joint_trajectory", 1)
-        # One message in the queue: only the newest is looked at.
-        latest = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._node.create_subscription(JointState, f"{self._controller}/reference", self._take, latest)
-
-    def _take(self, message: JointState) -> None:
-        position = dict(zip(message.name, message.position, strict=False))
-        if set(self._robot.joint_names) <= position.keys():
-            self._reference = np.array([position[name] for name in self._robot.joint_names])
-            self._stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
-
-    def _run(self, plan: Sequence[Experiment], folder: Path, say: Callable[[str], None]) -> None:
-        # The context of a constructor's node ends with it; a recorder that still runs is ended in order.
+    def run(self, plan: Sequence[Experiment], folder: Path) -> None:
+        """Run and record the experiments one after the other."""
+        # A recorder that still runs at the end is ended in order.
         with ProcessGroup(folder, grace=20.0) as recorders:
-            self._wait(lambda: self._publisher.get_subscription_count() > 0, "controller that takes trajectories")
-            self._wait(lambda: self._reference is not None, "set-points of the controller")
-            self._approach(plan[0].points.position[0], say)
+            self._approach(plan[0].points.position[0])
             total = sum(experiment.duration for experiment in plan)
             layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
             interval = 0.2 if sys.stderr.isatty() else 3.0
@@ -104,14 +84,14 @@ class ExperimentRunner:
                     self._record(experiment, folder, recorders, bar)
                     write_index(folder, plan[: number + 1])
 
-    def _approach(self, start: Array, say: Callable[[str], None]) -> None:
-        assert self._reference is not None
-        gap = float(np.abs(start - self._reference).max())
-        if gap <= _START_TOLERANCE:
+    def _approach(self, start: Array) -> None:
+        here = self._position
+        gap = float(np.abs(start - here).max())
+        if gap <= self._start_tolerance:
             return
-        motion = Motion(self._reference)
+        motion = Motion(here)
         motion.move(start, self._robot.max_velocity * _APPROACH_SPEED, _APPROACH_ACCELERATION)
-        say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")
+        self._client.say(f"approach: {math.degrees(gap):.1f} deg, {motion.duration:.1f} s")
         self._follow(motion.points(self._robot.joint_names), lambda _: None)
 
     def _record(self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]) -> None:
@@ -127,17 +107,15 @@ class ExperimentRunner:
 
     def _record_once(
         self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]
-    ) -> tuple[int, Path]:
+    ) -> tuple[int, Path | None]:
         """Return the recorder's exit code, 1 where messages were lost, and its log."""
-        recorder = recorders.start(
-            experiment.name, "rx90_emulator.cli.bag", "record", "--output", str(folder / experiment.name),
-            *TOPICS[experiment.kind],
-        )  # fmt: skip
-        recorder.wait_for("ready: all", self._timeout)
+        record = executable("rx90_bag", "record", "--output", folder / experiment.name, *TOPICS[experiment.kind])
+        recorder = recorders.start(experiment.name, record)
+        recorder.wait_for("ready: all", self._client.timeout)
         done = bar.n
         self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))
         recorder.signal(signal.SIGINT)
-        code = recorder.wait(self._timeout)
+        code = recorder.wait(self._client.timeout)
         bar.update(done + (experiment.duration if code == 0 else 0.0) - bar.n)
         return code, recorder.log
 
@@ -146,54 +124,32 @@ class ExperimentRunner:
         # The newest stamp: while the recorder started nobody looked.
         for _ in range(3):
             self._spin()
-        begin, duration, before, end = self._stamp, float(points.times[-1]), self._reference, points.position[-1]
-        assert before is not None
-        self._publisher.publish(_message(points, self._robot.joint_names))
-        moved, seen, deadline = False, begin, time.monotonic() + self._timeout
-        while not (self._stamp > begin + duration + _POLL and moved and self._is_at(end)):
+        set_points, timeout = self._set_points, self._client.timeout
+        begin, duration, before, end = set_points.time, float(points.times[-1]), self._position, points.position[-1]
+        self._trajectory.send(self._robot.joint_names, points)
+        moved, seen, deadline = False, begin, time.monotonic() + timeout
+        while not (set_points.time > begin + duration + POLL and moved and self._is_at(end)):
             self._spin()
             moved = moved or not self._is_at(before)
-            if self._stamp > seen:
-                seen, deadline = self._stamp, time.monotonic() + self._timeout
+            if set_points.time > seen:
+                seen, deadline = set_points.time, time.monotonic() + timeout
             elif time.monotonic() > deadline:
-                raise ExchangeError(f"the controller's time stood still at {seen:.3f} s for {self._timeout:g} s")
-            late = self._stamp - begin - (duration if moved else 0.0)
+                raise ExchangeError(f"the controller's time stood still at {seen:.3f} s for {timeout:g} s")
+            late = set_points.time - begin - (duration if moved else 0.0)
             if late > _PATIENCE:
                 raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
-            show(min(max(0.0, self._stamp - begin), duration))
+            show(min(max(0.0, set_points.time - begin), duration))
+
+    @property
+    def _position(self) -> Array:
+        """Return the newest set-points, rad, shape (n,); the client has waited for the first."""
+        assert self._set_points.position is not None
+        return self._set_points.position
 
     def _is_at(self, position: Array) -> bool:
-        assert self._reference is not None
-        return bool(np.abs(self._reference - position).max() <= _AT_REST)
-
-    def _wait(self, ready: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + self._timeout
-        while not ready():
-            if time.monotonic() > deadline:
-                raise ExchangeError(f"found no {what} within {self._timeout:g} s")
-            self._spin()
+        return bool(np.abs(self._position - position).max() <= _AT_REST)
 
     def _spin(self) -> None:
-        self._executor.spin_once(timeout_sec=_POLL)
+        self._client.spin()
         # The newest message is enough; in between the processor is the nodes'.
-        time.sleep(_POLL / 2.0)
-        self._check_interrupt()
-
-
-def _message(points: TrajectoryPoints, names: Sequence[str]) -> JointTrajectory:
-    """Return the trajectory with stamp 0: it begins when it arrives."""
-    message = JointTrajectory(joint_names=list(names))
-    assert points.velocity is not None
-    assert points.acceleration is not None
-    rows = zip(points.times, points.position, points.velocity, points.acceleration, strict=True)
-    for instant, position, velocity, acceleration in rows:
-        whole, part = divmod(round(float(instant) * NANOSECONDS), NANOSECONDS)
-        message.points.append(
-            JointTrajectoryPoint(
-                positions=position.tolist(),
-                velocities=velocity.tolist(),
-                accelerations=acceleration.tolist(),
-                time_from_start=Duration(sec=whole, nanosec=part),
-            )
-        )
-    return message
+        time.sleep(POLL / 2.0)

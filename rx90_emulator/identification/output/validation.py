@@ -19,7 +19,8 @@ from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.identify import Identification
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.records.tolerances import Tolerances
-from rx90_emulator.loop.closed_loop import empty_series, run_ticks
+from rx90_emulator.loop.closed_loop import run_ticks
+from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

@@ -11,22 +11,24 @@ from pathlib import Path
 
 import pytest
 from exchange_peer import expected
-from processes import Processes, Running
+from processes import Processes
+
+from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
 PEER = Path(__file__).parents[2] / "support" / "exchange_peer.py"
-Start = Callable[..., Running]
+Start = Callable[..., ChildProcess]
 
 
 @pytest.fixture
 def start(processes: Processes, monkeypatch: pytest.MonkeyPatch) -> Start:
     """Start a stand-in of exchange_peer.py by its role."""
     monkeypatch.delenv("FASTRTPS_DEFAULT_PROFILES_FILE", raising=False)
-    monkeypatch.setenv("PYTHONPATH", str(PEER.parents[1]))
+    monkeypatch.setenv("PYTHONPATH", str(PEER.parents[2]))
     return lambda role, *arguments: processes.start(sys.executable, PEER, role, *arguments)
 
 
-def assert_quiet(*running: Running) -> None:
+def assert_quiet(*running: ChildProcess) -> None:
     """Nothing of the middleware, no warning and no traceback on the terminal."""
     for process in running:
         assert not re.search(r"ERROR|Error|RTPS|WARN|Traceback|Exception", process.output), process.output

@@ -36,10 +36,10 @@ def test_a_trajectory_goes_on_after_a_pause(processes: Processes, client: Client
     client.send([(1.0, [0.1] * 6)])
     controller.wait_for("trajectory accepted")
     client.spin_until(lambda: reference[-1].position[0] > 0.03, "the motion")
-    assert client.call("rx90_sim/pause", data=True).success
+    client.simulation.pause(True)
     controller.wait_for("the loops rest")
     resting = seconds(reference[-1])
     assert 0.03 < reference[-1].position[0] < 0.099
-    assert client.call("rx90_sim/pause", data=False).success
+    client.simulation.pause(False)
     client.spin_until(lambda: seconds(reference[-1]) > resting + 1.2, "the end of the motion")
     assert list(reference[-1].position) == pytest.approx([0.1] * 6, abs=1e-12)

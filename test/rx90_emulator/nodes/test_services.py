@@ -18,12 +18,12 @@ def test_step_runs_exactly_the_ticks_asked_for_and_reset_begins_again(processes:
     processes.start("rx90_controller")
     states = client.listen("motor_states")
     for _ in range(2):
-        assert client.call("rx90_sim/step").success
+        client.simulation.step()
     client.spin_until(lambda: len({seconds(m) for m in states}) == 16, "16 ticks")
     assert seconds(states[-1]) == pytest.approx(15 * 250e-6)
-    assert client.call("rx90_sim/reset").success
+    client.simulation.reset()
     states.clear()
-    assert client.call("rx90_sim/step").success
+    client.simulation.step()
     client.spin_until(lambda: len({seconds(m) for m in states}) == 8, "8 ticks")
     assert seconds(states[0]) == 0.0
 
@@ -39,14 +39,14 @@ def test_a_disabled_controller_closes_the_brakes_and_holds_the_arm(processes: Pr
     joints, commands = client.listen("joint_states"), client.listen("motor_commands")
     client.spin_until(lambda: bool(joints) and seconds(joints[-1]) > 0.5, "the arm to be held by its drives")
     assert max(abs(torque) for torque in joints[-1].effort) > 10.0
-    assert client.call("rx90_controller/enable", data=False).success
+    client.enable(False)
     client.spin_until(lambda: bool(commands) and len(commands[-1].effort) == 0, "commands without torque")
     closed = seconds(commands[-1])
     client.spin_until(lambda: seconds(joints[-1]) > closed + 1.0, "a second with closed brakes")
     assert list(joints[-1].effort) == [0.0] * 6
     # The brakes' stiffness lets the arm give by far less than a tenth of a milliradian.
     assert joints[-1].position[1] == pytest.approx(0.8, abs=2e-4)
-    assert client.call("rx90_controller/enable", data=True).success
+    client.enable(True)
     client.spin_until(lambda: len(commands[-1].effort) == 6, "commands with torque again")
 
 

@@ -1,4 +1,4 @@
-"""Names of everything that a sweep can change: dotted paths to single values of the setup and the task.
+"""Names of everything that can be changed: dotted paths to single values of a setup and a task.
 
 `friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `controller.kp[*]`, `arm.link_3.mass`,
 `controller.feed_forward.coulomb`, `task.speed`. A `*` stands for every name or index in its place; an index
@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -70,7 +70,7 @@ _PATH = re.compile(r"(?P<names>[^\[\]]+)(?:\[(?P<index>\d+|\*)\])?")
 
 
 @dataclass(frozen=True)
-class Target:
+class Leaf:
     """One value: the key of its leaf, and the index where the leaf is an array."""
 
     key: Key
@@ -83,25 +83,49 @@ class Place:
 
     Attributes:
         path: the path.
-        targets: the values that it sets, two for `tau_c` and `tau_s`.
+        leaves: the values that it sets, two for `tau_c` and `tau_s`.
         unit: their unit, or SWITCH.
     """
 
     path: str
-    targets: tuple[Target, ...]
+    leaves: tuple[Leaf, ...]
+    unit: str
+
+    def check(self, value: Value) -> None:
+        """Refuse a value of the wrong kind.
+
+        Raises:
+            ConfigError: with what is accepted.
+        """
+        switch = self.unit == SWITCH
+        if not isinstance(value, int | float) or isinstance(value, bool) != switch:
+            raise ConfigError(f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}")
+
+
+class ParameterValue(NamedTuple):
+    """A value and its unit; SWITCH stands for the unit of true and false."""
+
+    value: Value
     unit: str
 
 
-class Catalogue:
-    """All values of a setup and a task that have a path."""
+def parameters(setup: Setup) -> dict[str, ParameterValue]:
+    """Return every parameter of a setup by its path: `friction.joint_2.c0`, `drives.gear[0]`, `arm.link_3.mass`, ..."""
+    catalogue = Catalogue(setup)
+    return {place.path: ParameterValue(catalogue.value(place.leaves[0]), place.unit) for place in catalogue.all()}
 
-    def __init__(self, setup: Setup, task: LineTask) -> None:
+
+class Catalogue:
+    """All values of a setup, and of a task if there is one, that have a path."""
+
+    def __init__(self, setup: Setup, task: LineTask | None = None) -> None:
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
         self._add(("drives",), setup.drives, DRIVES_UNITS)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)
         self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
-        self._add(("task",), task, TASK_UNITS)
+        if task is not None:
+            self._add(("task",), task, TASK_UNITS)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add(("friction", name), element, FRICTION_UNITS)
         chain = setup.robot.chain
@@ -120,12 +144,17 @@ class Catalogue:
             key = (*prefix, field)
             self._units[key], self._values[key] = unit, getattr(holder, field)
 
-    def value(self, target: Target) -> Value:
+    def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
-        value = self._values[target.key]
-        if target.index is not None:
-            return float(value[target.index])
+        value = self._values[leaf.key]
+        if leaf.index is not None:
+            return float(value[leaf.index])
         return value if isinstance(value, bool) else float(value)
+
+    def all(self) -> list[Place]:
+        """Return a place for each value."""
+        shapes = {key: "*" if np.ndim(value) else None for key, value in self._values.items()}
+        return [place for key, index in shapes.items() for place in self._indexed(".".join(key), key, index)]
 
     def places(self, path: str) -> tuple[Place, ...]:
         """Return what a path names, one place for each combination that its `*` stand for.
@@ -152,13 +181,13 @@ class Catalogue:
         if np.ndim(self._values[keys[0]]) == 0:
             if index is not None:
                 raise ConfigError(f"'{path}': {name} is one value; accepted: {name}, without an index")
-            return [Place(name, tuple(Target(k) for k in keys), unit)]
+            return [Place(name, tuple(Leaf(k) for k in keys), unit)]
         if index is None or (index != "*" and int(index) >= size):
             raise ConfigError(
                 f"'{path}': {name} is {size} numbers; accepted: {name}[0] to {name}[{size - 1}], or {name}[*]"
             )
         chosen = range(size) if index == "*" else (int(index),)
-        return [Place(f"{name}[{i}]", tuple(Target(k, i) for k in keys), unit) for i in chosen]
+        return [Place(f"{name}[{i}]", tuple(Leaf(k, i) for k in keys), unit) for i in chosen]
 
     def _unknown(self, path: str, wanted: Sequence[str]) -> str:
         """Say at which name a path goes astray, and which names there are in that place."""

@@ -11,7 +11,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.friction import LuGreElement
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.sweep.catalogue import Catalogue, Target
+from rx90_emulator.loop.catalogue import Catalogue, Leaf
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_every_number_has_a_path(catalogue: Catalogue, prefix: str, kind: type, 
             places = catalogue.places(f"{prefix}.{field.name}")
         except ConfigError:
             places = catalogue.places(f"{prefix}.{field.name}[*]")
-        assert {place.targets[0].key[-1] for place in places} == {field.name}
+        assert {place.leaves[0].key[-1] for place in places} == {field.name}
 
 
 def test_star_and_index_expand(catalogue: Catalogue) -> None:
@@ -43,9 +43,9 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
         "friction.joint_5_6.tau_c",
     ]
     (both,) = catalogue.places("friction.joint_2.tau_c")
-    assert [target.key[-1] for target in both.targets] == ["tau_c_positive", "tau_c_negative"]
-    assert [p.targets for p in catalogue.places("controller.kp[*]")] == [
-        (Target(("controller", "kp"), i),) for i in range(6)
+    assert [leaf.key[-1] for leaf in both.leaves] == ["tau_c_positive", "tau_c_negative"]
+    assert [p.leaves for p in catalogue.places("controller.kp[*]")] == [
+        (Leaf(("controller", "kp"), i),) for i in range(6)
     ]
     assert len(catalogue.places("arm.*.com[*]")) == 18
 
@@ -53,7 +53,7 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
 def test_values_are_those_of_the_files(catalogue: Catalogue) -> None:
     """What a factor multiplies is the number in the shipped file."""
     found = [
-        catalogue.value(catalogue.places(path)[0].targets[0])
+        catalogue.value(catalogue.places(path)[0].leaves[0])
         for path in (
             "friction.joint_3.c0",
             "drives.rotor_inertia[1]",

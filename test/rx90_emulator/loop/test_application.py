@@ -13,14 +13,14 @@ from rx90_common.base.errors import ConfigError, LineError, Rx90Error
 from rx90_common.description.robot import rigid_chain
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.application import apply
+from rx90_emulator.loop.catalogue import Catalogue, Leaf, Value
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.sweep.application import apply
-from rx90_emulator.sweep.catalogue import Catalogue, Target, Value
 
 
-def targets(catalogue: Catalogue, values: dict[str, Value]) -> dict[Target, Value]:
-    """Return the targets of paths, each with its value."""
-    return {t: value for path, value in values.items() for p in catalogue.places(path) for t in p.targets}
+def leaves(catalogue: Catalogue, values: dict[str, Value]) -> dict[Leaf, Value]:
+    """Return the leaves of paths, each with its value."""
+    return {t: value for path, value in values.items() for p in catalogue.places(path) for t in p.leaves}
 
 
 def assert_same_numbers(setup: Setup, other: Setup) -> None:
@@ -55,14 +55,14 @@ def test_a_path_does_what_an_edited_file_does(
     """Setting a value by its path gives the plant and the law that the edited file gives, bit for bit."""
     edited = edited_yaml(getattr(shipped_files, role), keys, value)
     by_file = Setup.load(replace(shipped_files, **{role: edited}))
-    by_path, same_task = apply(shipped, task, targets(catalogue, {path: value}))
+    by_path, same_task = apply(shipped, task, leaves(catalogue, {path: value}))
     assert_same_numbers(by_path, by_file)
     assert same_task == task
 
 
 def test_task_values(shipped: Setup, task: LineTask, catalogue: Catalogue) -> None:
     """Speed and coordinates of the line change alone, the setup not at all."""
-    setup, changed = apply(shipped, task, targets(catalogue, {"task.speed": 0.05, "task.end[1]": -0.28}))
+    setup, changed = apply(shipped, task, leaves(catalogue, {"task.speed": 0.05, "task.end[1]": -0.28}))
     assert setup is shipped
     assert changed == replace(task, speed=0.05, end=(task.end[0], -0.28, task.end[2]))
 
@@ -70,7 +70,7 @@ def test_task_values(shipped: Setup, task: LineTask, catalogue: Catalogue) -> No
 def test_link_values_reach_chain_and_model(shipped: Setup, task: LineTask, catalogue: Catalogue) -> None:
     """A changed link is the same body in the compiled chain and in Pinocchio's model, the others untouched."""
     values = {"arm.link_3.mass": 20.0, "arm.link_3.com[2]": 0.15, "arm.link_5.inertia[0]": 0.0028}
-    setup, _ = apply(shipped, task, targets(catalogue, values))
+    setup, _ = apply(shipped, task, leaves(catalogue, values))
     again = rigid_chain(setup.robot.model, setup.robot.tcp_frame)
     for name in ("mass", "com", "inertia"):
         np.testing.assert_allclose(getattr(setup.robot.chain, name), getattr(again, name), rtol=0, atol=1e-12)
@@ -102,4 +102,4 @@ def test_values_out_of_range_are_refused(
 ) -> None:
     """A value that no robot can have is refused with its place and what is accepted."""
     with pytest.raises(kind, match=said):
-        apply(shipped, task, targets(catalogue, {path: value}))
+        apply(shipped, task, leaves(catalogue, {path: value}))

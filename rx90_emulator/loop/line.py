@@ -1,19 +1,21 @@
-"""Run a Cartesian line through the closed loop and measure how well the tip keeps to it."""
+"""Plan a Cartesian line, run it through the closed loop, and measure how well the tip keeps to it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
-from rx90_controller.lines.plan import LinePlan, plan_line
+from rx90_controller.lines import plan as planning
+from rx90_controller.lines.plan import LinePlan
 from rx90_controller.lines.task import LineTask
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -22,7 +24,7 @@ SETTLING = 0.2
 """How long after its end a line still counts for the path error, s: there the arm comes to rest."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PathAccuracy:
     """How far the tip strays from the line, from its start until it has settled at its end.
 
@@ -47,37 +49,53 @@ class PathAccuracy:
         return math.sqrt(float(np.mean(self.perpendicular**2)))
 
 
-def line_points(plan: LinePlan) -> TrajectoryPoints:
-    """Return a planned line as the points that the controller takes."""
-    return TrajectoryPoints.create(
-        plan.joint_names,
-        plan.joint_names,
-        plan.times.tolist(),
-        plan.position.tolist(),
-        plan.velocity.tolist(),
-        plan.acceleration.tolist(),
-    )
+@dataclass(frozen=True, eq=False)
+class LineRun(RunResult):
+    """A run of the closed loop along a line.
+
+    Attributes:
+        task: the line.
+        start_time: when its trajectory started, s.
+    """
+
+    task: LineTask
+    start_time: float
+
+    @cached_property
+    def path_accuracy(self) -> PathAccuracy:
+        """Return how far the tip strayed from the line."""
+        position = self.slow.joint_states[:, 0]
+        return path_accuracy(self.setup.robot, self.task, self.times, position, self.start_time)
 
 
-def run_task(
+def plan_line(setup: Setup, task: LineTask) -> LinePlan:
+    """Plan a line for the arm of a setup and the rate of its set-points.
+
+    Raises:
+        LineError: saying where on the line the arm cannot go and why.
+    """
+    return planning.plan_line(setup.robot, task, setup.rates.position_period)
+
+
+def run_line(
     setup: Setup, task: LineTask, *, start_time: float = 0.0, substeps: int = 1, record_fast: bool = False
-) -> RunResult:
-    """Plan the line, put the arm at rest at its beginning, and run it from `start_time`, s, to its end.
+) -> LineRun:
+    """Plan a line, put the arm at rest at its beginning, and run it through the closed loop to its end.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        task: the line.
+        start_time: when the trajectory, that is the rest before the line, starts, s.
+        substeps: plant steps in a tick.
+        record_fast: also keep the series on base ticks.
 
     Raises:
         LineError: if the arm cannot travel the line.
         DivergenceError: naming joint and tick.
     """
-    plan = plan_line(setup.robot, task, setup.rates.position_period)
-    return simulate(
-        setup,
-        line_points(plan),
-        plan.start_pose,
-        start_time + plan.duration,
-        start_time=start_time,
-        substeps=substeps,
-        record_fast=record_fast,
-    )
+    points = plan_line(setup, task).points
+    run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
+    return LineRun(run.setup, run.fast, run.slow, run.saturated, task, start_time)
 
 
 def path_accuracy(

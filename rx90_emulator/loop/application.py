@@ -16,13 +16,37 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.catalogue import Catalogue, Key, Leaf, Value
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.sweep.catalogue import Key, Target, Value
 
 Changes = dict[Key, dict[int | None, Value]]
 
 
-def apply(setup: Setup, task: LineTask, values: Mapping[Target, Value]) -> tuple[Setup, LineTask]:
+def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
+    """Return a copy of a setup with some of its parameters set, such as `{"friction.joint_2.tau_s": 40.0}`.
+
+    Args:
+        setup: stays as it is.
+        values: by the paths that `parameters` lists, SI units. A `*` stands for every name or index in its place, as in
+            `friction.*.c0` or `drives.gear[*]`; `tau_c` and `tau_s` stand for both signs of the velocity. Of two paths
+            to one value the last one counts.
+
+    Raises:
+        ConfigError: if a path names nothing or a value is out of range, with what is accepted.
+    """
+    catalogue = Catalogue(setup)
+    leaves: dict[Leaf, Value] = {}
+    for path, value in values.items():
+        for place in catalogue.places(path):
+            try:
+                place.check(value)
+            except ConfigError as error:
+                raise ConfigError(f"'{path}': {error}") from error
+            leaves.update(dict.fromkeys(place.leaves, value))
+    return _changed(setup, _sections(leaves))
+
+
+def apply(setup: Setup, task: LineTask, values: Mapping[Leaf, Value]) -> tuple[Setup, LineTask]:
     """Return the setup and the task with the given values set.
 
     The URDF text inside the robot stays as it was read; its chain and Pinocchio's model are changed.
@@ -30,9 +54,20 @@ def apply(setup: Setup, task: LineTask, values: Mapping[Target, Value]) -> tuple
     Raises:
         ConfigError, LineError: if a value is out of range.
     """
+    sections = _sections(values)
+    if "task" in sections:
+        task = replace(task, **_fields(task, sections["task"]))
+    return _changed(setup, sections), task
+
+
+def _sections(values: Mapping[Leaf, Value]) -> dict[str, Changes]:
     sections: dict[str, Changes] = defaultdict(dict)
-    for target, value in values.items():
-        sections[target.key[0]].setdefault(target.key[1:], {})[target.index] = value
+    for leaf, value in values.items():
+        sections[leaf.key[0]].setdefault(leaf.key[1:], {})[leaf.index] = value
+    return sections
+
+
+def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     new: dict[str, Any] = {}
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
@@ -42,9 +77,7 @@ def apply(setup: Setup, task: LineTask, values: Mapping[Target, Value]) -> tuple
         new["controller"] = _controller(setup, sections["controller"])
     if "arm" in sections:
         new["robot"] = _robot(setup.robot, sections["arm"])
-    if "task" in sections:
-        task = replace(task, **_fields(task, sections["task"]))
-    return (replace(setup, **new) if new else setup), task
+    return replace(setup, **new) if new else setup
 
 
 def _fields(holder: object, changes: Changes) -> dict[str, Any]:
