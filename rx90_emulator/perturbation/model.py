@@ -17,8 +17,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, Record, lanes_for, pack
 from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
-from rx90_emulator.perturbation.linearisation import linearise
-from rx90_emulator.perturbation.nominal import NominalMotion, nominal_motion, nominal_torque
+from rx90_emulator.perturbation.nominal import NominalMotion, linearise, nominal_motion, nominal_torque
 
 Array = NDArray[np.float64]
 
