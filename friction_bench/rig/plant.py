@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -71,10 +71,6 @@ class PlantParameters:
         else:
             coulomb, viscous = self.joint.coulomb, self.joint.viscous
         return self.coulomb + coulomb / scale, self.viscous + viscous / (scale * self.gear_ratio)
-
-    def noiseless(self) -> PlantParameters:
-        """Return the same rig with perfect electronics."""
-        return replace(self, gain_error=0.0, torque_noise=0.0, adc_noise=0.0)
 
 
 @kernel
