@@ -22,7 +22,7 @@ from friction_bench.rig.line import Port
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import ConfigError, FailureError
+from rx90_common.base.errors import ConfigError, FailureError, write_error
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    out: Path = options.out
+    out: Path = options.output
     base = FrictionFile.read(config_path("robot/friction.yaml"))
     _check(options, base)
     if options.no_load_file or options.loaded_file:
@@ -75,7 +75,7 @@ def _folder(out: Path) -> None:
         with tempfile.TemporaryFile(dir=out):
             pass
     except OSError as error:
-        raise RecordError(f"{out}: cannot be written to ({error.strerror})") from error
+        raise write_error(out, error) from error
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
@@ -97,7 +97,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -
     bag = out / "bag"
     for old in (bag, *sorted(out.glob("ramp_*.csv"))[:1]):
         if old.exists():
-            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --out {out}_2")
+            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --output {out}_2")
     _folder(out)
     port, couple, close = _open(options, rig)
     readings = Readings(rig)

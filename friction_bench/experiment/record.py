@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import OutputError, Rx90Error
+from rx90_common.base.errors import Rx90Error, write_error
 
 Array = NDArray[np.float64]
 
@@ -138,7 +138,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
     """Write a record so that `read_csv` gives it back.
 
     Raises:
-        OutputError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     counts = np.rint(record.angle / record.angle_step).astype(int)
     torques = [column for column in (record.torque, record.measured_torque) if column is not None]
@@ -150,7 +150,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
             for i, time in enumerate(record.time):
                 writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:

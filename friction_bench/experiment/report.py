@@ -11,7 +11,7 @@ from friction_bench.experiment.identification import IntervalEstimate, RampFrict
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import IdentificationError, OutputError
+from rx90_common.base.errors import IdentificationError, write_error
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.page import render_page
@@ -57,7 +57,7 @@ def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> Non
     """Write the page; `origin` says in one line where the data came from.
 
     Raises:
-        OutputError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     plots = {name: velocity_plot(part) for name, part in result.parts}
     if result.joint is not None:
@@ -82,7 +82,7 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
@@ -122,7 +122,7 @@ def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base:
 
     Raises:
         IdentificationError: if the joint's friction is not positive.
-        OutputError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
@@ -140,7 +140,7 @@ def write_estimates(path: Path, result: RampTestResult) -> None:
     """Write every estimate with its uncertainty as YAML.
 
     Raises:
-        OutputError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
     for name, method, friction in friction_rows(result):

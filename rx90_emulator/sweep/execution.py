@@ -179,8 +179,8 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
 
 @contextmanager
 def _interrupt_held_back() -> Iterator[None]:
-    """Fork with Ctrl-C blocked: the terminal sends it to the workers too, and they must overlook it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     try:
         yield
     finally:
