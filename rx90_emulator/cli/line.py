@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import LineError
 from rx90_common.description.branch import SHOULDERS, SIGNS
-from rx90_emulator.cli.options import number
+from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments
 
 _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
@@ -37,23 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     posture.add_argument(
         "--singularity-margin", type=float, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
-    robot = parser.add_argument_group("robot")
-    robot.add_argument("--urdf", default="robot/rx90b.urdf", help="URDF (the shipped one)")
-    robot.add_argument("--tool", default="robot/tool_laser_head.yaml", help="tool file (laser head), or 'none'")
-    robot.add_argument(
-        "--set-point-rate",
-        type=number("a positive number", lambda value: value > 0.0),
-        default=1000.0,
-        metavar="HZ",
-        help="Hz (1000)",
-    )
+    add_robot_arguments(parser, "urdf", "tool", "controller")
     send = parser.add_argument_group("sending")
-    send.add_argument("--controller", default="rx90_controller", help="name of the node (rx90_controller)")
+    send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
+    add_node_arguments(send, timeout=30.0)
     send.add_argument("--start-time", type=float, default=0.0, metavar="S", help="start time, s; 0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--approach-speed", type=float, default=0.25, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=float, default=2.0, help="rad/s^2 (2)")
-    send.add_argument("--timeout", type=float, default=30.0, metavar="S", help="s to wait for the nodes (30)")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=Path, metavar="FILE", help="write the trajectory as a YAML message")
 

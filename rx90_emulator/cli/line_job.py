@@ -42,14 +42,14 @@ def run(options: argparse.Namespace) -> None:
         Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
     """
     task = _task(options)
-    tool = None if options.tool == "none" else resolve_config(options.tool)
-    plan = plan_line(load_robot(resolve_config(options.urdf), tool), task, 1.0 / options.set_point_rate)
+    files = RobotFiles.of_options(options)
+    plan = plan_line(load_robot(files.urdf, files.tool), task, 1.0 / options.set_point_rate)
     _say(summary(plan))
     if options.output is not None:
         write_message(plan, options.output)
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, options)
+        _send(plan, files, options)
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -127,7 +127,7 @@ def write_message(plan: LinePlan, file: Path) -> None:
         raise write_error(file, error) from error
 
 
-def _send(plan: LinePlan, options: argparse.Namespace) -> None:
+def _send(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
@@ -136,8 +136,8 @@ def _send(plan: LinePlan, options: argparse.Namespace) -> None:
     from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
-    tolerance = load_controller(RobotFiles().controller).start_tolerance
-    delivery = Delivery(options.controller, options.start_time, tolerance, approach)
+    tolerance = load_controller(files.controller).start_tolerance
+    delivery = Delivery(options.node, options.start_time, tolerance, approach)
     with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 
