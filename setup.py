@@ -71,6 +71,7 @@ setup(
             "pytest>=8.3,<10",
             "pytest-xdist>=3.6,<4",
             "hypothesis>=6.120,<7",
+            "wheel>=0.42,<1",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
             "ruff>=0.17,<0.18",

@@ -6,6 +6,7 @@ __all__ = [
     "environment",
     "joint_state_cdr",
     "lockstep",
+    "motor_messages",
     "node_tools",
     "pacing",
     "qos",

@@ -7,10 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-from rx90_common.bags.comparison import BagComparison, Scope, Verdict, compare_bags
+from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
-from rx90_common.bags.tolerance import Tolerances
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import load_task
@@ -55,7 +54,7 @@ class Demonstration:
         self._run_closed_loop(baseline)
         factor = self._run_processes(self._plan, recorded)
         print("comparing the recorded run with the closed loop without ROS ...", flush=True)
-        comparison = compare_bags(recorded, baseline, Tolerances(), Scope())
+        comparison = compare_bags(recorded, baseline)
         print(comparison_text(comparison))
         return self._report(recorded, baseline, comparison, factor)
 

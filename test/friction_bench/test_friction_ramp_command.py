@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from friction_bench.experiment import job as ramp_job
-from friction_bench.experiment import series as experiment
+from friction_bench.experiment import ramp as experiment
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig

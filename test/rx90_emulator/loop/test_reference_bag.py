@@ -8,7 +8,7 @@ import pytest
 
 from rx90_common.bags.comparison import Scope, Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
-from rx90_common.bags.tolerance import Tolerances, parse_rule
+from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.line import path_accuracy, run_line
@@ -40,7 +40,7 @@ def task() -> LineTask:
 def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:
     """Joint, friction, reference and error series stay within what rounding can do."""
     write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
-    tolerances = Tolerances(tuple(parse_rule(text) for text in TOLERANCES))
+    tolerances = Tolerances.parse(*TOLERANCES)
     comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances, Scope(same_range=True))
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == 4
