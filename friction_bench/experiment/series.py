@@ -21,6 +21,7 @@ from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.rig_file import Rig
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.rates import NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Readings:
     def series(self) -> list[JointSeries]:
         """Return the readings as the node publishes them: states and commands of the motor."""
         ticks = [s.tick for s in self.samples]
-        stamps = np.array([round(s.time * 1e9) for s in self.samples], dtype=np.int64)
+        stamps = np.array([round(s.time * NANOSECONDS) for s in self.samples], dtype=np.int64)
         scale = 2 * np.pi / self.rig.counts_per_revolution
         position = np.array([s.counts for s in self.samples], dtype=np.float64) * scale
         elapsed = np.diff(np.array(ticks), prepend=ticks[0] - 1) * self.rig.tick

@@ -22,6 +22,7 @@ from friction_bench.rig.link import RigLink
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.errors import Rx90Error
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
@@ -148,12 +149,12 @@ class BenchNode:
         previous, self._previous = self._previous, sample
         if previous is None or sample.tick <= previous.tick:
             now = self.node.get_clock().now().nanoseconds
-            self._epoch_ns = now - round(sample.time * 1e9)
+            self._epoch_ns = now - round(sample.time * NANOSECONDS)
             previous = sample
         scale = math.tau / self.rig.counts_per_revolution
         elapsed = sample.time - previous.time
         velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * 1e9), 1_000_000_000)
+        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * NANOSECONDS), NANOSECONDS)
         stamp = Time(sec=seconds, nanosec=nanoseconds)
         state = JointState(
             name=[JOINT],

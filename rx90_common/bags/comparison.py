@@ -16,6 +16,7 @@ from rx90_common.bags.storage import BagReader
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 
 
 class Verdict(IntEnum):
@@ -118,7 +119,7 @@ class Scope:
         if not self.fields:
             raise BagError(f"no fields to compare; accepted: {', '.join(FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
-            window = f"{self.start_ns / 1e9:g} s to {self.end_ns / 1e9:g} s"
+            window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
 
     def cut(self, series: JointSeries) -> JointSeries:
@@ -307,7 +308,7 @@ def _stamp_reasons(alignment: Alignment, scope: Scope) -> list[str]:
         if side.missing and side.first_missing_ns is not None:
             reasons.append(
                 f"only the {where} bag has {side.missing} messages of the common range, "
-                f"the first at t = {side.first_missing_ns / 1e9:.9f} s"
+                f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
             )
         if scope.same_range and side.outside:
             reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
@@ -322,4 +323,4 @@ def _span(series: JointSeries) -> str:
     stamps = series.stamp_ns
     if not len(stamps):
         return "none"
-    return f"{len(stamps)} from {stamps.min() / 1e9:.9f} to {stamps.max() / 1e9:.9f} s"
+    return f"{len(stamps)} from {stamps.min() / NANOSECONDS:.9f} to {stamps.max() / NANOSECONDS:.9f} s"

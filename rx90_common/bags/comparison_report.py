@@ -11,6 +11,7 @@ from rx90_common.bags.alignment import Side
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.table import table
 from rx90_common.bags.topics import UNITS
+from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {
     Verdict.SAME: "same",
@@ -53,7 +54,7 @@ def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
 def _topic_text(topic: TopicComparison) -> str:
     lines = [f"{topic.topic}: {_WORDS[topic.verdict]}"]
     if topic.range_ns is not None:
-        low, high = (f"{t / 1e9:.9g}" for t in topic.range_ns)
+        low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
         lines[0] += f", {topic.pairs} messages compared, t = {low} to {high} s"
     lines += [f"  {reason}" for reason in topic.reasons]
     for side, where in ((topic.a, "first"), (topic.b, "second")):
@@ -92,7 +93,7 @@ def _row(value: ValueDifference) -> tuple[str, ...]:
         value.field,
         value.joint,
         f"{value.maximum:.3e}" if value.maximum else "0",
-        "" if value.at_ns is None else f"{value.at_ns / 1e9:.6f}",
+        "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
         f"{value.rms:.3e}" if value.rms else "0",
         UNITS[value.field],
         f"{value.tolerance:g}",

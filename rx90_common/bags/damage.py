@@ -5,6 +5,8 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+from rx90_common.base.rates import NANOSECONDS
+
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 _CHUNK, _MESSAGE_INDEX, _DATA_END = 0x06, 0x07, 0x0F
 _INDEX_HEAD_BYTES, _INDEX_ENTRY_BYTES = 6, 16
@@ -57,7 +59,7 @@ def _what_remains(file: Path) -> str:
     if not count:
         return f"{file.name} is cut off before its first whole chunk: nothing can be saved"
     return (
-        f"{file.name} is cut off (its recorder was killed?): {count} messages up to t = {end_ns / 1e9:.6f} s "
+        f"{file.name} is cut off (its recorder was killed?): {count} messages up to t = {end_ns / NANOSECONDS:.6f} s "
         "are whole, 'mcap recover' restores them"
     )
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 
 Int64Array = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -58,7 +59,7 @@ class JointSeries:
     @property
     def time(self) -> FloatArray:
         """Return header.stamp in s, float64 of shape (n,)."""
-        return np.asarray(self.stamp_ns / 1e9, dtype=np.float64)
+        return np.asarray(self.stamp_ns / NANOSECONDS, dtype=np.float64)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> JointSeries:
         """Return the series of these messages (an index, a mask or a slice)."""

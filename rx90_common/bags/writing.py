@@ -31,11 +31,12 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import BagError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 STORAGES: Final = ("mcap", "sqlite3")
 
-_CHECKPOINT_NS = 1_000_000_000  # of log time; what a killed recorder may lose
+_CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
@@ -151,8 +152,8 @@ class BagWriter:
         free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
             raise BagError(
-                f"{self.path}: stopped at t = {log_ns / 1e9:.6f} s, as the disk is nearly full ({free >> 20} MiB "
-                f"left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
+                f"{self.path}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full ({free >> 20} "
+                f"MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
             )
 
     def _checkpoint(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.table import table
+from rx90_common.base.rates import NANOSECONDS
 
 if TYPE_CHECKING:
     from rx90_common.bags.summary import BagSummary, TopicSummary
@@ -64,7 +65,7 @@ def _remarks(topic: TopicSummary) -> str:
     remarks = []
     if topic.longest_gap_ns is not None:
         where = _seconds(topic.longest_gap_at_ns)
-        remarks.append(f"longest gap {topic.longest_gap_ns / 1e9:.6f} s after t = {where} s")
+        remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
     if topic.backward:
         remarks.append(f"time goes back {topic.backward} times")
     if topic.repeated:
@@ -75,4 +76,4 @@ def _remarks(topic: TopicSummary) -> str:
 
 
 def _seconds(time_ns: int | None) -> str:
-    return "" if time_ns is None else f"{time_ns / 1e9:.6f}"
+    return "" if time_ns is None else f"{time_ns / NANOSECONDS:.6f}"

@@ -20,6 +20,7 @@ from rx90_common.bags.recorder.sequence import WriterCount
 from rx90_common.bags.recorder.stream import Stream
 from rx90_common.bags.writing import BagWriter
 from rx90_common.base.errors import BagError, ConfigError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import reason, start_ros
 
 READY: Final = "ready: all"
@@ -197,8 +198,8 @@ class Recorder:
         for before, after in self._order.set_backs[self._told :]:
             self._told += 1
             self._say(
-                f"time goes back from {before / 1e9:.6g} s to {after / 1e9:.6g} s: the bag holds more than one run, "
-                "and its log time goes on"
+                f"time goes back from {before / NANOSECONDS:.6g} s to {after / NANOSECONDS:.6g} s: the bag holds more than "
+                "one run, and its log time goes on"
             )
 
     def _connect(self, writer: BagWriter) -> None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
+from rx90_common.base.rates import NANOSECONDS
+
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import Progress
 
@@ -42,5 +44,5 @@ class StatusLine:
             return
         self._next = now + _PERIOD_S
         if progress.newest_ns is not None:
-            self._bar.set_postfix_str(f"t = {progress.newest_ns / 1e9:.3f} s", refresh=False)
+            self._bar.set_postfix_str(f"t = {progress.newest_ns / NANOSECONDS:.3f} s", refresh=False)
         self._bar.update(progress.received - self._bar.n)
