@@ -27,12 +27,12 @@ from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionSet
 from rx90_common.report.drawing import COLOURS, make_figure
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
-from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import SETTLING, path_accuracy, plan_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import SETTLING, line_points, path_accuracy
 from rx90_emulator.perturbation.agreement import Agreement, agreement
 from rx90_emulator.perturbation.model import PerturbationModel, prepare
 
@@ -60,8 +60,8 @@ class Work(NamedTuple):
     @classmethod
     def plan(cls, setup: Setup, task: LineTask) -> Work:
         """Plan the line."""
-        plan = plan_line(setup.robot, task, setup.rates.position_period)
-        return cls(setup, task, line_points(plan), plan.start_pose, plan.duration)
+        plan = plan_line(setup, task)
+        return cls(setup, task, plan.points, plan.start_pose, plan.duration)
 
     def full(self) -> RunResult:
         """Run the full closed loop."""

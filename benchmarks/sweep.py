@@ -20,8 +20,9 @@ import numpy as np
 
 from benchmarks.report import ROOT, merge, print_table
 from rx90_common.base.share import config_path
-from rx90_emulator.loop.task_run import run_task
-from rx90_emulator.sweep.info import summary
+from rx90_common.process.children import executable
+from rx90_emulator.loop.line import run_line
+from rx90_emulator.sweep.info import describe_results
 from rx90_emulator.sweep.plan_file import load_plan
 from rx90_emulator.sweep.sweep import Sweep
 
@@ -48,15 +49,15 @@ def measure() -> SweepFigures:
         arguments = ["run", str(PLAN), "--output", str(output), "--workers", str(WORKERS)]
         before = _children_time()
         began = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "rx90_emulator.cli.sweep", *arguments], cwd=ROOT, check=True)
+        subprocess.run(executable("rx90_sweep", *arguments), cwd=ROOT, check=True)
         elapsed, cores = time.perf_counter() - began, _children_time() - before
-        print("\n".join(line for line in summary(output) if "runs" in line or "path_error" in line))
+        print("\n".join(line for line in describe_results(output) if "runs" in line or "path_error" in line))
     single, loop = [], []
     for index in range(SAMPLES):
         began = time.perf_counter()
         sweep.run(index)
         between = time.perf_counter()
-        run_task(sweep.setup, sweep.task)
+        run_line(sweep.setup, sweep.task)
         single.append(between - began)
         loop.append(time.perf_counter() - between)
     return SweepFigures(elapsed, cores, float(np.median(single)), float(np.median(loop)))

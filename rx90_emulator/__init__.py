@@ -1,1 +1,155 @@
-"""What people use: the closed loop, sweeps, identification, the demonstration and the commands."""
+"""The emulated Stäubli RX90B, its CS7B controller and its friction, from Python; no ROS needed.
+
+    import rx90_emulator as rx
+
+    setup = rx.load_setup()                                                 # robot, drives, friction, controller
+    stiff = rx.with_parameters(setup, {"friction.joint_2.tau_s": 60.0})     # a copy; SI units
+    run = rx.run_line(stiff, rx.load_task())                                # the closed loop along a straight line
+    run.path_accuracy.worst                                                 # m
+    run.series["joint_states"].position                                     # rad, a row for each stamp
+    rx.write_bag(run, "out/stiff")                                          # as if the nodes had been recorded
+
+Setups          load_setup, parameters, with_parameters, Setup, Rates
+Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
+Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy
+Series and bags read_bag, read_joint_states, write_bag, write_joint_states, JointSeries
+Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
+                Verdict
+Friction        load_friction, FrictionSet, LuGreElement
+Sweeps          load_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, Block, SweptParameter,
+                Values, Uniform, LogUniform, Normal
+Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
+
+Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
+copies. Files are named by a path, or by the name of a shipped file below config/. The names above are imported when
+they are first used; docs/python.md shows them at work. Everything else is internal and may change.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rx90_common.bags.comparison import (
+        BagComparison,
+        Scope,
+        TopicComparison,
+        Verdict,
+        compare_bags,
+        compare_series,
+    )
+    from rx90_common.bags.joint_series import JointSeries
+    from rx90_common.bags.reading import read_bag, read_joint_states
+    from rx90_common.bags.tables import comparison_text
+    from rx90_common.bags.tolerance import Tolerances
+    from rx90_common.bags.writing import write_joint_states
+    from rx90_common.base.errors import Rx90Error
+    from rx90_common.base.rates import Rates
+    from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+    from rx90_controller.lines.plan import LinePlan
+    from rx90_controller.lines.task import LineTask, load_task
+    from rx90_controller.trajectory import TrajectoryPoints
+    from rx90_emulator.loop.application import with_parameters
+    from rx90_emulator.loop.catalogue import parameters
+    from rx90_emulator.loop.closed_loop import simulate
+    from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
+    from rx90_emulator.loop.result import RunResult, write_bag
+    from rx90_emulator.loop.setup import Setup, load_setup
+    from rx90_emulator.loop.trajectory_file import load_trajectory
+    from rx90_emulator.sweep.execution import read_sweep, run_sweep
+    from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
+    from rx90_emulator.sweep.plan_file import load_plan
+    from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
+    from rx90_emulator.sweep.sweep import Sweep
+
+__all__ = [
+    "BagComparison",
+    "Block",
+    "FrictionSet",
+    "JointSeries",
+    "LinePlan",
+    "LineRun",
+    "LineTask",
+    "LogUniform",
+    "LuGreElement",
+    "Normal",
+    "PathAccuracy",
+    "Rates",
+    "RunResult",
+    "Rx90Error",
+    "Scope",
+    "Setup",
+    "Sweep",
+    "SweepBase",
+    "SweepPlan",
+    "SweptParameter",
+    "Tolerances",
+    "TopicComparison",
+    "TrajectoryPoints",
+    "Uniform",
+    "Values",
+    "Verdict",
+    "compare_bags",
+    "compare_series",
+    "comparison_text",
+    "load_friction",
+    "load_plan",
+    "load_setup",
+    "load_task",
+    "load_trajectory",
+    "parameters",
+    "path_accuracy",
+    "plan_line",
+    "read_bag",
+    "read_joint_states",
+    "read_sweep",
+    "run_line",
+    "run_sweep",
+    "simulate",
+    "with_parameters",
+    "write_bag",
+    "write_joint_states",
+]
+
+_HOMES = {
+    "rx90_common.bags.comparison": "BagComparison Scope TopicComparison Verdict compare_bags compare_series",
+    "rx90_common.bags.tables": "comparison_text",
+    "rx90_common.bags.joint_series": "JointSeries",
+    "rx90_common.bags.reading": "read_bag read_joint_states",
+    "rx90_common.bags.tolerance": "Tolerances",
+    "rx90_common.bags.writing": "write_joint_states",
+    "rx90_common.base.errors": "Rx90Error",
+    "rx90_common.base.rates": "Rates",
+    "rx90_common.friction": "FrictionSet LuGreElement load_friction",
+    "rx90_controller.lines.plan": "LinePlan",
+    "rx90_controller.lines.task": "LineTask load_task",
+    "rx90_controller.trajectory": "TrajectoryPoints",
+    "rx90_emulator.loop.application": "with_parameters",
+    "rx90_emulator.loop.catalogue": "parameters",
+    "rx90_emulator.loop.closed_loop": "simulate",
+    "rx90_emulator.loop.line": "LineRun PathAccuracy path_accuracy plan_line run_line",
+    "rx90_emulator.loop.result": "RunResult write_bag",
+    "rx90_emulator.loop.setup": "Setup load_setup",
+    "rx90_emulator.loop.trajectory_file": "load_trajectory",
+    "rx90_emulator.sweep.execution": "read_sweep run_sweep",
+    "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
+    "rx90_emulator.sweep.plan_file": "load_plan",
+    "rx90_emulator.sweep.spaces": "LogUniform Normal Uniform Values",
+    "rx90_emulator.sweep.sweep": "Sweep",
+}
+"""The modules that the names come from, as in the imports above, which type checkers and editors read."""
+
+if not TYPE_CHECKING:  # so that type checkers know of no other names
+
+    def __getattr__(name: str) -> Any:
+        """Import a name of the API when it is first used."""
+        home = next((module for module, names in _HOMES.items() if name in names.split()), None)
+        if home is None:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}; help({__name__}) lists them")
+        globals()[name] = found = getattr(import_module(home), name)
+        return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, suffix_sum
 
+Array = NDArray[np.float64]
 Vector: TypeAlias = tuple[Lanes, Lanes, Lanes]
 
 
 @inlined
-def load_vectors(rows: Lanes) -> Vector:
+def load_vectors(rows: Array) -> Vector:
     """Return the vectors of six links from an array of shape (3, 6)."""
     return load(rows[0], 6), load(rows[1], 6), load(rows[2], 6)
 
@@ -79,7 +83,7 @@ def sum_from_base(a: Vector) -> Vector:
 
 
 @inlined
-def sum_before(start: Lanes, a: Vector) -> Vector:
+def sum_before(start: Array, a: Vector) -> Vector:
     """Return for each link `start`, of shape (3,), plus the sum over the links before it."""
     return (
         delay(prefix_sum(a[0]) + start[0], start[0]),

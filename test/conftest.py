@@ -13,7 +13,7 @@ import yaml
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
-pytest_plugins = ["processes"]
+pytest_plugins = ["processes", "lugre_oracle"]
 
 
 @pytest.fixture(scope="session")

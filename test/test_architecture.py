@@ -116,7 +116,7 @@ def test_the_house_is_found() -> None:
     """Ground, rooms and roof are read off the folders, and arrows are seen, so that the tests below test something."""
     assert (GROUND, ROOMS, ROOF) == ("rx90_common", ["friction_bench", "rx90_controller", "rx90_sim"], "rx90_emulator")
     assert "rx90_common.friction.bristle" in reached("rx90_emulator.loop.closed_loop")
-    assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.executables")
+    assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.frame")
     assert {"rclpy", "sensor_msgs"} <= ROS
 
 
@@ -289,6 +289,11 @@ def test_there_is_one_plant_step_and_one_law() -> None:
         "position_loop": ["rx90_controller.law.loops"],
         "velocity_loop": ["rx90_controller.law.loops"],
     }
+
+
+def test_one_module_reads_and_writes_yaml() -> None:
+    """Only the module of configuration files imports yaml, so that every file is read by the same rules."""
+    assert [name for name in MODULES if "yaml" in top_level(name)] == [f"{GROUND}.base.config"]
 
 
 def test_compiled_code_keeps_its_bits() -> None:

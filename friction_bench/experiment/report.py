@@ -1,25 +1,26 @@
-"""What a measurement says: on the terminal, as an HTML page, and as YAML that rx90_sim reads."""
+"""The result of a measurement: on the terminal, as an HTML page, and as YAML that rx90_sim reads."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from friction_bench.experiment.evaluation import RampTestResult
 from friction_bench.experiment.four_way import SMOOTHING
-from friction_bench.experiment.identification import Estimate, Friction
+from friction_bench.experiment.identification import IntervalEstimate, RampFriction
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
-from friction_bench.experiment.series import Result
-from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import IdentificationError, write_error
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.report.page import render_page
 
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
 
 
-def friction_rows(result: Result) -> list[tuple[str, str, Friction]]:
+def friction_rows(result: RampTestResult) -> list[tuple[str, str, RampFriction]]:
     """Return load, method and estimate, in the report's order."""
     rows = []
     for name, part in result.parts:
@@ -31,7 +32,7 @@ def friction_rows(result: Result) -> list[tuple[str, str, Friction]]:
     return rows
 
 
-def as_text(result: Result) -> str:
+def result_text(result: RampTestResult) -> str:
     """Return the estimates as a table for the terminal."""
     lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
     for name, method, friction in friction_rows(result):
@@ -48,25 +49,24 @@ def as_text(result: Result) -> str:
     return "\n".join(lines)
 
 
-def _cell(estimate: Estimate) -> str:
+def _cell(estimate: IntervalEstimate) -> str:
     return f"{estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}]"
 
 
-def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
+def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
     """Write the page; `origin` says in one line where the data came from.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     plots = {name: velocity_plot(part) for name, part in result.parts}
     if result.joint is not None:
         plots["load"] = load_plot(result)
     if result.comparison is not None:
         plots["comparison"] = comparison_plot(result.comparison)
-    environment = Environment(
-        loader=PackageLoader("friction_bench.experiment"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("friction_report.html.j2").render(
+    page = render_page(
+        "friction_bench.experiment",
+        "friction_report.html.j2",
         result=result,
         rig=rig,
         origin=origin,
@@ -82,10 +82,10 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
-def _interval(estimate: Estimate) -> dict[str, Any]:
+def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
         "value": float(f"{estimate.value:.6g}"),
         "standard_uncertainty": float(f"{estimate.error:.3g}"),
@@ -93,22 +93,16 @@ def _interval(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, static: float, viscous: float) -> dict[str, float]:
+def _lugre(coulomb: float, static: float, viscous: float) -> LuGreElement:
     """Return a LuGre element: c0 and c1 give a presliding of 0.1 mrad with critical-like damping, assumed."""
     stiffness = coulomb / STIFFNESS_SHARE
-    return {
-        "tau_c": float(f"{coulomb:.6g}"),
-        "tau_s": float(f"{static:.6g}"),
-        "omega_s": 0.05,
-        "delta": 1.0,
-        "c0": float(f"{stiffness:.6g}"),
-        "c1": float(f"{1e-3 * stiffness:.6g}"),
-        "c2": float(f"{max(viscous, 0.0):.6g}"),
-        "omega_d": 1.0,
-    }
+    tau_c, tau_s, c0, c1, c2 = (
+        float(f"{value:.6g}") for value in (coulomb, static, stiffness, 1e-3 * stiffness, max(viscous, 0.0))
+    )
+    return LuGreElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
 
 
-def _static_friction(result: Result, rig: Rig) -> float:
+def _static_friction(result: RampTestResult, rig: Rig) -> float:
     """Return the joint's break-away torque on its own side of the gear, Nm, 0 where it was not measured."""
     if result.loaded is None or result.unloaded is None:
         return 0.0
@@ -116,43 +110,37 @@ def _static_friction(result: Result, rig: Rig) -> float:
     return at_motor * rig.gear_ratio * rig.gear_efficiency
 
 
-def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: dict[str, Any] | None) -> None:
-    """Write the estimates, and friction parameters for rx90_sim.
+def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base: FrictionFile) -> None:
+    """Write friction parameters for rx90_sim.
 
     Args:
         path: file to write.
         result: of the measurement.
         rig: for the gear.
         element: name of the friction element that the measured joint stands for.
-        base: a complete friction file's content to put that element into, None for the element alone.
+        base: the friction file to put that element into.
 
     Raises:
-        RecordError: if the file cannot be written, or the joint's friction is not positive.
+        IdentificationError: if the joint's friction is not positive.
+        Rx90Error: if the file cannot be written.
     """
-    document: dict[str, Any] = {
-        "provenance": "identified",
-        "source": "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed",
-    }
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
     else:
         best = result.parts[0][1].best
         coulomb, viscous = best.coulomb.value, best.viscous.value
-    static = max(coulomb, _static_friction(result, rig))
     if coulomb <= 0.0:
-        raise RecordError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
-    elements = dict(base["elements"]) if base is not None else {}
-    elements[element] = _lugre(coulomb, static, viscous)
-    document["elements"] = elements
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
-    _write(path, text)
+        raise IdentificationError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
+    measured = _lugre(coulomb, max(coulomb, _static_friction(result, rig)), viscous)
+    source = "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed"
+    _write(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
 
 
-def write_estimates(path: Path, result: Result) -> None:
+def write_estimates(path: Path, result: RampTestResult) -> None:
     """Write every estimate with its uncertainty as YAML.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
     for name, method, friction in friction_rows(result):
@@ -171,4 +159,4 @@ def write_estimates(path: Path, result: Result) -> None:
                 "viscous": _interval(result.joint.joint_side_viscous),
             },
         }
-    _write(path, yaml.safe_dump(document, sort_keys=False))
+    _write(path, yaml_text(document))

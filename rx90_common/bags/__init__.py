@@ -1,14 +1,3 @@
 """Bags: recorded from the running nodes, written from arrays, read back, summarised and compared."""
 
-__all__ = [
-    "comparison",
-    "comparison_report",
-    "joint_series",
-    "ordering",
-    "reading",
-    "summary",
-    "table",
-    "tolerance",
-    "topics",
-    "writing",
-]
+__all__ = ["comparison", "joint_series", "ordering", "reading", "summary", "tables", "tolerance", "topics", "writing"]

@@ -134,12 +134,21 @@ class Scope:
         return JointSeries(part.topic, part.names, part.stamp_ns, **fields)
 
 
-def compare_bags(path_a: Path | str, path_b: Path | str, tolerances: Tolerances, scope: Scope) -> BagComparison:
+def compare_bags(
+    path_a: Path | str, path_b: Path | str, tolerances: Tolerances | None = None, scope: Scope | None = None
+) -> BagComparison:
     """Compare the JointState topics of two bags.
+
+    Args:
+        path_a: a bag.
+        path_b: the other one.
+        tolerances: what values may differ by; by default nothing, not by a single bit.
+        scope: what is compared; by default everything.
 
     Raises:
         BagError: if a bag cannot be read, or there is nothing to compare, or a tolerance fits nothing.
     """
+    tolerances, scope = tolerances or Tolerances(), scope or Scope()
     paths = (Path(path_a), Path(path_b))
     topics_a, skipped_a = _joint_state_topics(paths[0])
     topics_b, skipped_b = _joint_state_topics(paths[1])
@@ -227,8 +236,11 @@ def _pair_up(
     return pairs
 
 
-def compare_series(a: JointSeries, b: JointSeries, tolerances: Tolerances, scope: Scope = Scope()) -> TopicComparison:
-    """Compare two series within the scope, aligned on stamps and joint names."""
+def compare_series(
+    a: JointSeries, b: JointSeries, tolerances: Tolerances | None = None, scope: Scope | None = None
+) -> TopicComparison:
+    """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
+    tolerances, scope = tolerances or Tolerances(), scope or Scope()
     a, b = scope.cut(a), scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:

@@ -20,7 +20,7 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 Deserialize = Callable[[bytes], Any]
 
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
-_MAX_LAYOUTS = 8  # of one topic; messages of further ones are deserialised one by one
+_MAX_PATTERNS = 8  # of one topic; messages of further ones are deserialised one by one
 _MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
 
 _Key = tuple[tuple[str, ...], tuple[bool, bool, bool]]
@@ -35,7 +35,7 @@ class _Rows:
     values: FloatArray  # (n, number of arrays that are there, k)
 
 
-class _Layout:
+class _MessagePattern:
     """Where the numbers stand in the messages that look like a given one.
 
     The codec is asked where: two encodings that differ in every byte of every number show their places. All
@@ -54,7 +54,7 @@ class _Layout:
         variable = bytes_low != bytes_high
         slack = len(sample) - len(variable)
         if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= slack <= _MAX_SLACK:
-            raise ExchangeError("a layout that the codec does not write")
+            raise ExchangeError("a pattern that the codec does not write")
         self.key = key
         self.length = len(sample)
         self._variable = np.flatnonzero(variable)[STAMP_BYTES:]
@@ -62,11 +62,11 @@ class _Layout:
         self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
 
     def matches(self, block: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Return for each message of `block`, shape (n, length), whether it has this layout."""
+        """Return for each message of `block`, shape (n, length), whether it has this pattern."""
         return np.asarray((block[:, self._constant] == self._expected).all(axis=1))
 
     def decode(self, block: NDArray[np.uint8], index: NDArray[np.intp]) -> _Rows:
-        """Return the numbers of messages that have this layout."""
+        """Return the numbers of messages that have this pattern."""
         names, present = self.key
         numbers = np.ascontiguousarray(block[:, self._variable]).view("<f8").astype(np.float64, copy=False)
         values = numbers.reshape(len(block), sum(present), len(names))
@@ -88,7 +88,7 @@ class SeriesBuilder:
         self._cdr = cdr
         self._pending: list[bytes] = []
         self._times: list[int] = []
-        self._layouts: list[_Layout] = []
+        self._patterns: list[_MessagePattern] = []
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
 
@@ -160,28 +160,28 @@ class SeriesBuilder:
     def _decode_equally_long(self, messages: Sequence[bytes], index: NDArray[np.intp]) -> None:
         block = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(len(messages), -1)
         left = np.ones(len(messages), dtype=np.bool_)
-        for layout in self._layouts:
-            self._decode_with(layout, block, index, left)
+        for pattern in self._patterns:
+            self._decode_with(pattern, block, index, left)
         while left.any():
             first = int(np.flatnonzero(left)[0])
-            new_layout = self._decode_one(messages[first], index[first : first + 1])
+            new_pattern = self._decode_one(messages[first], index[first : first + 1])
             left[first] = False
-            if new_layout is not None:
-                self._decode_with(new_layout, block, index, left)
+            if new_pattern is not None:
+                self._decode_with(new_pattern, block, index, left)
 
     def _decode_with(
-        self, layout: _Layout, block: NDArray[np.uint8], index: NDArray[np.intp], left: NDArray[np.bool_]
+        self, pattern: _MessagePattern, block: NDArray[np.uint8], index: NDArray[np.intp], left: NDArray[np.bool_]
     ) -> None:
-        if layout.length != block.shape[1]:
+        if pattern.length != block.shape[1]:
             return
         rows = np.flatnonzero(left)
-        rows = rows[layout.matches(block[rows])]
+        rows = rows[pattern.matches(block[rows])]
         if len(rows):
-            self._rows.setdefault(layout.key, []).append(layout.decode(block[rows], index[rows]))
+            self._rows.setdefault(pattern.key, []).append(pattern.decode(block[rows], index[rows]))
             left[rows] = False
 
-    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> _Layout | None:
-        """Decode a message by the general path; return its layout if it is new and worth keeping."""
+    def _decode_one(self, raw: bytes, index: NDArray[np.intp]) -> _MessagePattern | None:
+        """Decode a message by the general path; return its pattern if it is new and worth keeping."""
         message = self._deserialize_with_slack(raw)
         names = tuple(message.name)
         arrays = [np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS]
@@ -191,14 +191,14 @@ class SeriesBuilder:
         key = (names, (position, velocity, effort))
         values = np.array([array for array in arrays if len(array)]).reshape(1, -1, len(names))
         self._rows.setdefault(key, []).append(_Rows(index, np.array([stamp_ns], dtype=np.int64), values))
-        if not self._cdr or len(self._layouts) >= _MAX_LAYOUTS:
+        if not self._cdr or len(self._patterns) >= _MAX_PATTERNS:
             return None
         try:
-            layout = _Layout(raw, key, message.header.frame_id)
+            pattern = _MessagePattern(raw, key, message.header.frame_id)
         except ExchangeError:
             return None
-        self._layouts.append(layout)
-        return layout
+        self._patterns.append(pattern)
+        return pattern
 
     def _deserialize_with_slack(self, raw: bytes) -> Any:
         """Deserialize a message that may end in unused bytes, of which rosbags tolerates 3."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.topics import FIELDS
+from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS
 
@@ -55,6 +55,11 @@ class JointSeries:
     def fields(self) -> dict[str, FloatArray]:
         """Return the arrays that are there, by field name."""
         return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
+
+    @property
+    def quantities(self) -> dict[str, str]:
+        """Return what each field holds, with its unit, such as `position [rad]`; for friction_states other names."""
+        return quantities(self.topic)
 
     @property
     def time(self) -> FloatArray:

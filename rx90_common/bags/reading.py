@@ -1,6 +1,6 @@
 """Read recorded joint states as arrays; needs no ROS.
 
-series = read_joint_states("bag", "joint_states")
+series = read_bag("bag")["joint_states"]
 series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 """
 
@@ -16,7 +16,7 @@ from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_STATE, absolute
 from rx90_common.base.errors import BagError
 
-__all__ = ["BagReader", "BagTopic", "JointSeries", "read_joint_series", "read_joint_states"]
+__all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_series", "read_joint_states"]
 
 
 def read_joint_states(
@@ -43,9 +43,37 @@ def read_joint_states(
             return (fitting or found)[0].select(names)
         except BagError as error:
             raise BagError(f"{path}: {error}") from error
+    return _single(path, found)
+
+
+def read_bag(
+    path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
+) -> dict[str, JointSeries]:
+    """Read the JointState topics of a bag in one pass.
+
+    Args:
+        path: as `read_joint_states`.
+        topics: topic names; by default all JointState topics of the bag that hold messages.
+        record_time: as `read_joint_states`.
+
+    Returns:
+        A series by topic, without the leading slash: `joint_states`, `rx90_controller/reference`, ...
+
+    Raises:
+        BagError: if the bag cannot be read, or a topic is not there as JointState, has no messages, or carries several
+            sets of joints (`read_joint_states` picks from these).
+    """
+    found = read_joint_series(path, topics, record_time=record_time)
+    for topic, series in found.items():
+        if topics is not None and not series:
+            raise BagError(f"{path}: no messages in {topic}")
+    return {topic.removeprefix("/"): _single(path, series) for topic, series in found.items() if series}
+
+
+def _single(path: Path | str, found: Sequence[JointSeries]) -> JointSeries:
     if len(found) > 1:
         sets = "; ".join(", ".join(series.names) for series in found)
-        raise BagError(f"{path}: {absolute(topic)} carries several sets of joints: {sets}; say which joints")
+        raise BagError(f"{path}: {found[0].topic} carries several sets of joints: {sets}; say which joints")
     return found[0]
 
 

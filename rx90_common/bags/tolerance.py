@@ -48,6 +48,15 @@ class Tolerances:
     def __init__(self, rules: Iterable[ToleranceRule] = ()) -> None:
         self._rules = sorted(rules, key=lambda rule: (rule.topic is not None, rule.joint is not None))
 
+    @classmethod
+    def parse(cls, *texts: str) -> Tolerances:
+        """Return the rules that texts such as `position=1e-6` or `joint_states:joint_1:effort=0.1` state.
+
+        Raises:
+            BagError: if a text is not of the form `[TOPIC:[JOINT:]]FIELD=VALUE`, TOPIC being * for any.
+        """
+        return cls(map(parse_rule, texts))
+
     def of(self, topic: str, joint: str, field: str) -> float:
         """Return the tolerance for a value, 0 where no rule fits."""
         return next((r.value for r in reversed(self._rules) if r.fits(topic, joint, field)), 0.0)

@@ -21,6 +21,15 @@ SUITE_TOPICS: Final = (
     "robot_description",
 )
 
+_QUANTITIES: Final = {"friction_states": ("bristle deflection", "input velocity", "friction torque")}
+"""What the fields of a topic's messages hold where it is not what they are called."""
+
+
+def quantities(topic: str) -> dict[str, str]:
+    """Return what each field of a topic's messages holds, with its unit, such as `position [rad]`."""
+    names = _QUANTITIES.get(topic.rpartition("/")[2], FIELDS)
+    return {field: f"{name} [{UNITS[field]}]" for field, name in zip(FIELDS, names, strict=True)}
+
 
 def absolute(topic: str) -> str:
     """Return the topic's name as bags hold it, with the leading slash."""

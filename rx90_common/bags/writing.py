@@ -30,7 +30,7 @@ from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -73,7 +73,8 @@ class BagWriter:
         storage: "mcap" or "sqlite3".
 
     Raises:
-        BagError: if the folder exists or cannot be written.
+        BagError: if the folder exists or its place does not take one.
+        BagWriteError: if the disk is full.
     """
 
     def __init__(self, path: Path | str, storage: str = "mcap") -> None:
@@ -82,12 +83,13 @@ class BagWriter:
             raise BagError(f"storage is {storage!r}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._closed = False
+        self._opened = self._closed = False
         with self._failures():
             self._writer = Writer(
                 self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()
+        self._opened = True
 
     def __enter__(self) -> BagWriter:
         return self
@@ -98,14 +100,15 @@ class BagWriter:
         if error is None:
             self.close()
         else:
-            with suppress(BagError):  # the first error is the one to tell
+            with suppress(BagError):  # the first error is the one to report
                 self.close()
 
     def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = ()) -> Connection:
         """Announce a topic and return the handle that `write` wants.
 
         Raises:
-            BagError: if the type is none of ROS 2's common interfaces, or the disk is full.
+            BagError: if the type is none of ROS 2's common interfaces.
+            BagWriteError: if the disk is full.
         """
         if msgtype not in typestore().fielddefs:
             raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
@@ -118,9 +121,9 @@ class BagWriter:
         """Write a serialised message.
 
         Raises:
-            BagError: if the disk is full or nearly so, or writing fails otherwise.
+            BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        try:
+        try:  # written out: a context for each message would cost as much as the message
             self._writer.write(connection, log_ns, cdr)
             self._unchecked_bytes += len(cdr)
             if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
@@ -129,13 +132,13 @@ class BagWriter:
                 self._checkpoint_ns = log_ns
                 self._checkpoint()
         except (WriterError, OSError, sqlite3.Error) as error:
-            raise self._refusal(error) from error
+            raise self._explained(error) from error
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
 
         Raises:
-            BagError: if that fails; what was written stays.
+            BagWriteError: if that fails; what was written stays.
         """
         if self._closed:
             return
@@ -145,15 +148,15 @@ class BagWriter:
         except (WriterError, OSError, sqlite3.Error) as error:
             with suppress(OSError, sqlite3.Error):
                 self._writer.abort()
-            raise self._refusal(error) from error
+            raise self._explained(error) from error
 
     def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
         free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
-            raise BagError(
-                f"{self.path}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full ({free >> 20} "
-                f"MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
+            raise BagWriteError(
+                f"{self.path}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full "
+                f"({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
             )
 
     def _checkpoint(self) -> None:
@@ -171,13 +174,15 @@ class BagWriter:
         try:
             yield
         except (WriterError, OSError, sqlite3.Error) as error:
-            raise self._refusal(error) from error
+            raise self._explained(error) from error
 
-    def _refusal(self, error: Exception) -> BagError:
+    def _explained(self, error: Exception) -> BagError:
         if isinstance(error, WriterError):
             return BagError(str(error))
         reason = error.strerror if isinstance(error, OSError) else str(error)
-        return BagError(f"{self.path}: cannot be written ({reason})")
+        # What is refused before anything is written is the user's to mend: another folder, another name.
+        failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
+        return (BagWriteError if failed else BagError)(f"{self.path}: cannot be written ({reason})")
 
 
 @dataclass(frozen=True)
@@ -224,7 +229,8 @@ def write_joint_states(
         messages: what else belongs into the bag.
 
     Raises:
-        BagError: if the bag cannot be written, or two series share a topic.
+        BagError: if the bag cannot be made, or two series share a topic.
+        BagWriteError: if it cannot be written on.
         ExchangeError: if a joint name or a stamp cannot stand in a message.
     """
     topics = [absolute(one.topic) for one in series]

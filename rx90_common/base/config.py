@@ -1,10 +1,10 @@
-"""Read YAML configuration with provenance; every refusal names file, key, value and accepted range."""
+"""The one reader and the one writer of YAML: every refusal names file, key, value and accepted range."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,11 @@ class Section:
         """Return the sentence that names the source."""
         value = self._data.get("source")
         return None if value is None else str(value)
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """Return the mapping itself, unchecked."""
+        return self._data
 
     def where(self, key: str) -> str:
         """Return `file: path.key`, the way every message names a value."""
@@ -148,24 +153,38 @@ def _range_text(low: float, high: float, above: bool) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader for mappings of names, with the numbers of YAML 1.2.
+    """Reads YAML 1.2 (core schema) with names as keys, and refuses a key written twice: one value would be lost.
 
-    A key written twice is refused: the first value would be lost silently. YAML 1.1, which PyYAML follows,
-    reads 1e5 as a text, 1:30 as 90, 010 as 8 and 2001-01-01 as a date.
+    YAML 1.1, which PyYAML follows, reads 1e5 as a text, 1:30 as 90, 010 as 8, yes as true and 2001-01-01 as a date.
     """
 
 
-_NOT_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float", "tag:yaml.org,2002:timestamp")
-_Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in resolvers if tag not in _NOT_NUMBERS]
-    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(0|[1-9][0-9]*)$"), list("-+0123456789"))
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"),
-    list("-+.0123456789"),
+class _Dumper(yaml.SafeDumper):
+    """Writes what YAML 1.1 and YAML 1.2 read alike: a text that either takes for something else is quoted."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 - the interface of SafeDumper
+        return True
+
+
+_CORE_SCHEMA = (
+    ("null", r"(~|null|Null|NULL|)$", ("~", "n", "N", "")),
+    ("bool", r"(true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("int", r"([-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$", "-+0123456789"),
+    (
+        "float",
+        r"([-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN))$",
+        "-+.0123456789",
+    ),
 )
+_Loader.yaml_implicit_resolvers = {}
+for _name, _pattern, _first in _CORE_SCHEMA:
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(_pattern), list(_first))
+
+
+def _construct_integer(loader: _Loader, node: yaml.ScalarNode) -> int:
+    text = str(loader.construct_scalar(node))
+    return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
 
 
 def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -180,23 +199,37 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     return mapping
 
 
+_Loader.add_constructor("tag:yaml.org,2002:int", _construct_integer)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
-def load_yaml(path: Path) -> Section:
+def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> Section:
     """Read a YAML file whose top level is a mapping.
+
+    Args:
+        path: of the file.
+        accepted: what it should hold, for messages.
+        first: whether to read the first of several documents; otherwise there must be one.
 
     Raises:
         ConfigError: if the file is missing, unreadable, not YAML or not a mapping.
     """
     try:
         with path.open(encoding="utf-8") as stream:
-            data = yaml.load(stream, Loader=_Loader)
+            data = next(yaml.load_all(stream, _Loader), None) if first else yaml.load(stream, _Loader)
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
     except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
         # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: a mapping of keys to values")
+        raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: {accepted}")
     return Section(data, path)
+
+
+def yaml_text(content: Mapping[str, Any]) -> str:
+    """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 give it back to the same bits.
+
+    Lists and mappings without others inside stand on one line each.
+    """
+    return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import ClassVar
 
 DONE = 0
@@ -12,6 +13,7 @@ REFUSED = 2
 FAILED = 3
 """Could not be carried out: nodes gone, disk full."""
 INTERRUPTED = 130
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 class Rx90Error(Exception):
@@ -55,11 +57,27 @@ class ProcessError(FailureError):
 
 
 class OutputError(FailureError):
-    """Standard output cannot be written."""
+    """Standard output or a file cannot be written."""
+
+
+def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
+    """Return why a file cannot be written: refused for its path, or failed for a disk that is full or broken.
+
+    Args:
+        path: the file.
+        error: of the system.
+        accepted: what would be, if that can be said.
+    """
+    kind = OutputError if error.errno in DISK_ERRORS else ConfigError
+    return kind(f"{path}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
 
 
 class BagError(Rx90Error):
-    """A bag cannot be written, read or compared."""
+    """A bag cannot be made, read or compared."""
+
+
+class BagWriteError(FailureError, BagError):
+    """A bag that was begun cannot be written on; what was written stays."""
 
 
 class IdentificationError(Rx90Error):

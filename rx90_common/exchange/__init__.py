@@ -3,7 +3,6 @@
 __all__ = [
     "channel",
     "client_node",
-    "entry",
     "environment",
     "joint_state_cdr",
     "lockstep",

@@ -1,6 +1,17 @@
 """LuGre joint friction (Waiboer, Aarts, Jonker, section 4): parameters and compiled bristle steps."""
 
-from rx90_common.friction.friction_set import ELEMENT_COUNT, FrictionSet, load_friction
+from rx90_common.friction.friction_file import load_friction
+from rx90_common.friction.friction_set import ELEMENT_COUNT, FrictionSet
 from rx90_common.friction.lugre import LuGreElement
 
-__all__ = ["ELEMENT_COUNT", "FrictionSet", "LuGreElement", "bristle", "friction_set", "load_friction", "lugre"]
+__all__ = [
+    "ELEMENT_COUNT",
+    "FrictionSet",
+    "LuGreElement",
+    "bristle",
+    "friction_file",
+    "friction_set",
+    "load_friction",
+    "lugre",
+    "parameters",
+]

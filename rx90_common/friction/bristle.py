@@ -1,28 +1,16 @@
 """Compiled bristle equations: the exact step of equation 17 for a velocity held over the step.
 
-`element` is a record of ELEMENT_DTYPE with plain floats, or `Elements` with one lane per friction element and
-lanes for velocity and deflection: the equations are the same.
+Velocity, deflection and the fields of `element` are plain numbers, or lanes with one friction element each: the
+equations are the same.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from rx90_common.friction.lugre import ELEMENT_DTYPE
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
-from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select
-
-
-def elements_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of a record of `width` elements, field by field: the element is the last index."""
-    names = ELEMENT_DTYPE.names or ()
-    return np.dtype(
-        [(name, ELEMENT_DTYPE[name].base, (*ELEMENT_DTYPE[name].shape, width)) for name in names], align=True
-    )
-
+from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
@@ -30,7 +18,7 @@ _SMALL = 0.02
 
 
 class Elements(NamedTuple):
-    """The fields of ELEMENT_DTYPE, one lane per element."""
+    """The fields of `elements_dtype`: numbers of one element, or lanes of several; torques positive, negative."""
 
     tau_c: tuple[Lanes, Lanes]
     tau_s: tuple[Lanes, Lanes]
@@ -43,39 +31,54 @@ class Elements(NamedTuple):
 
 
 @inlined
-def load_elements(records: Any, width: int) -> Elements:
-    """Return the elements of a record of `elements_dtype(width)`; `width` is a literal."""
+def load_elements(arrays: Any, width: int) -> Elements:
+    """Return all elements of a record of `elements_dtype(width)`, a lane for each; `width` is a literal."""
     return Elements(
-        (load(records.tau_c[0], width), load(records.tau_c[1], width)),
-        (load(records.tau_s[0], width), load(records.tau_s[1], width)),
-        load(records.inverse_omega_s, width),
-        load(records.delta, width),
-        load(records.c0, width),
-        load(records.c1, width),
-        load(records.c2, width),
-        load(records.inverse_omega_d, width),
+        (load(arrays.tau_c[0], width), load(arrays.tau_c[1], width)),
+        (load(arrays.tau_s[0], width), load(arrays.tau_s[1], width)),
+        load(arrays.inverse_omega_s, width),
+        load(arrays.delta, width),
+        load(arrays.c0, width),
+        load(arrays.c1, width),
+        load(arrays.c2, width),
+        load(arrays.inverse_omega_d, width),
+    )
+
+
+@inlined
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of such a record, in plain numbers."""
+    return Elements(
+        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
+        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
+        arrays.inverse_omega_s[index],
+        arrays.delta[index],
+        arrays.c0[index],
+        arrays.c1[index],
+        arrays.c2[index],
+        arrays.inverse_omega_d[index],
     )
 
 
 @kernel
-def sliding_torque(element: Any, velocity: Lanes) -> Lanes:
+def sliding_torque(element: Any, velocity: Number) -> Number:
     """Return c0 g(v), equation 19, Nm."""
     forward = velocity >= 0.0
-    coulomb = select(forward, element.tau_c[1], element.tau_c[0])
-    static = select(forward, element.tau_s[1], element.tau_s[0])
+    coulomb = select(forward, element.tau_c[0], element.tau_c[1])
+    static = select(forward, element.tau_s[0], element.tau_s[1])
     ratio = power(absolute(velocity) * element.inverse_omega_s, element.delta)
     return fma(static - coulomb, exponential(-ratio), coulomb)
 
 
 @kernel
-def damping(element: Any, velocity: Lanes) -> Lanes:
+def damping(element: Any, velocity: Number) -> Number:
     """Return c1(v), Nm s/rad."""
     ratio = velocity * element.inverse_omega_d
     return element.c1 * exponential(-(ratio * ratio))
 
 
 @kernel
-def friction_torque(element: Any, z: Lanes, velocity: Lanes) -> Lanes:
+def friction_torque(element: Any, z: Number, velocity: Number) -> Number:
     """Return the friction torque of equation 18 at one instant, Nm."""
     rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
     z_dot = velocity - rate * z
@@ -83,7 +86,7 @@ def friction_torque(element: Any, z: Lanes, velocity: Lanes) -> Lanes:
 
 
 @kernel
-def bristle_step(element: Any, z: Lanes, velocity: Lanes, step: float) -> tuple[Lanes, Lanes]:
+def bristle_step(element: Any, z: Number, velocity: Number, step: float) -> tuple[Number, Number]:
     """Advance the bristle deflection by `step` seconds at constant velocity, exactly.
 
     With x = |v| / g * step, equation 17 has the solution z1 = z + (v step - x z) phi(x),
@@ -104,7 +107,7 @@ def bristle_step(element: Any, z: Lanes, velocity: Lanes, step: float) -> tuple[
 
 
 @inlined
-def decay(x: Lanes) -> tuple[Lanes, Lanes]:
+def decay(x: Number) -> tuple[Number, Number]:
     """Return phi = (1 - exp(-x)) / x and psi = (1 - phi) / x for x >= 0."""
     inverse = 1.0 / x
     phi = (1.0 - exponential(-x)) * inverse

@@ -6,13 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.lugre import ELEMENT_DTYPE, LuGreElement
+from rx90_common.friction.lugre import LuGreElement
 
 ELEMENT_COUNT = 7
 
@@ -41,9 +37,15 @@ class FrictionSet:
                 f"accepted: {ELEMENT_COUNT} of each"
             )
 
-    def records(self) -> np.ndarray[Any, Any]:
-        """Return the elements for compiled code, shape (7,), dtype ELEMENT_DTYPE."""
-        return np.array([element.record() for element in self.elements], dtype=ELEMENT_DTYPE)
+    def __getitem__(self, name: str) -> LuGreElement:
+        """Return the element of this name.
+
+        Raises:
+            ConfigError: if there is none.
+        """
+        if name not in self.names:
+            raise ConfigError(f"no friction element {name!r}; accepted: {', '.join(self.names)}")
+        return self.elements[self.names.index(name)]
 
     def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""
@@ -65,60 +67,3 @@ class FrictionSet:
 def element_names(joint_names: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the seven elements for six joints."""
     return (*joint_names, "joint_5_6")
-
-
-def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
-    """Read a friction file.
-
-    Raises:
-        ConfigError: naming file, element, value and accepted range.
-    """
-    root = load_yaml(path)
-    section = root.section("elements")
-    names = element_names(joint_names)
-    missing = [name for name in names if name not in section]
-    if missing:
-        raise ConfigError(
-            f"{section.where(missing[0])} is missing; accepted: one element for each of {', '.join(names)}"
-        )
-    elements = tuple(load_element(section.section(name)) for name in names)
-    section.finish()
-    if "identification" in root:
-        root.section("identification")  # how the values were found and how well they are known; for readers
-    root.finish()
-    return FrictionSet(names, elements, path)
-
-
-def load_element(section: Section) -> LuGreElement:
-    """Read one element.
-
-    Raises:
-        ConfigError: naming file, element, value and accepted range.
-    """
-    coulomb = _signed(section, "tau_c")
-    static = _signed(section, "tau_s")
-    values = {key: section.number(key) for key in ("omega_s", "delta", "c0", "c1", "c2")}
-    omega_d = section.number("omega_d") if "omega_d" in section else math.inf
-    section.finish()
-    try:
-        return LuGreElement(
-            tau_c_positive=coulomb[0],
-            tau_c_negative=coulomb[1],
-            tau_s_positive=static[0],
-            tau_s_negative=static[1],
-            omega_d=omega_d,
-            **values,
-        )
-    except ConfigError as error:
-        raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
-
-
-def _signed(section: Section, key: str) -> tuple[float, float]:
-    """Read one value for both signs of the velocity, or `{positive: x, negative: y}`."""
-    if section.holds_mapping(key):
-        pair = section.section(key)
-        values = pair.number("positive"), pair.number("negative")
-        pair.finish()
-        return values
-    value = section.number(key)
-    return value, value

@@ -1,30 +1,17 @@
-"""Parameters of one LuGre friction element, equations 17 to 19."""
+"""LuGre friction elements, equations 17 to 19: their parameters, and what compiled code makes of them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
-
-ELEMENT_DTYPE = np.dtype(
-    [
-        ("tau_c", np.float64, 2),  # Coulomb torque, [v < 0, v >= 0]
-        ("tau_s", np.float64, 2),  # static torque, [v < 0, v >= 0]
-        ("inverse_omega_s", np.float64),
-        ("delta", np.float64),
-        ("c0", np.float64),
-        ("c1", np.float64),
-        ("c2", np.float64),
-        ("inverse_omega_d", np.float64),  # 0 for a constant c1
-    ],
-    align=True,
-)
-"""One element as compiled code reads it."""
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS
 
 
 @dataclass(frozen=True)
@@ -39,10 +26,10 @@ class LuGreElement:
     c1 exp(-(v / omega_d)^2) (Olsson 1996, section 3.5); `omega_d` infinite is the paper's constant c1.
 
     Attributes:
-        tau_c_positive, tau_c_negative: Coulomb friction torque for v > 0 and v < 0, Nm.
-        tau_s_positive, tau_s_negative: static friction torque for v > 0 and v < 0, Nm.
+        tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.
+        tau_s_positive, tau_s_negative: static friction torque, Nm, the same.
         omega_s: Stribeck velocity, rad/s.
-        delta: Stribeck exponent.
+        delta: Stribeck exponent, 1.
         c0: bristle stiffness, Nm/rad.
         c1: micro-viscous damping at rest, Nm s/rad.
         c2: viscous friction, Nm s/rad.
@@ -64,16 +51,10 @@ class LuGreElement:
     omega_d: float = math.inf
 
     def __post_init__(self) -> None:
-        positive = {"tau_c_positive", "tau_c_negative", "omega_s", "delta", "c0", "omega_d"}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if math.isnan(value) or (math.isinf(value) and field.name != "omega_d"):
-                raise ConfigError(f"{field.name} is {value}; accepted: a finite number")
-            if field.name in positive and value <= 0:
-                raise ConfigError(f"{field.name} is {value}; accepted: a number > 0")
-            if value < 0:
-                raise ConfigError(f"{field.name} is {value}; accepted: a number >= 0")
-        for sign in ("positive", "negative"):
+        for parameter in FRICTION_PARAMETERS:
+            for name in parameter.attributes:
+                parameter.check(name, getattr(self, name))
+        for sign in SIGNS:
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
                 raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
@@ -115,13 +96,35 @@ class LuGreElement:
         """Return 4 c0 g of the sign of the velocity that has less of it, Nm."""
         return 4.0 * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
 
-    def record(self) -> np.ndarray[Any, Any]:
-        """Return the element as a scalar of ELEMENT_DTYPE, for compiled code."""
-        data = np.zeros((), ELEMENT_DTYPE)
-        data["tau_c"] = (self.tau_c_negative, self.tau_c_positive)
-        data["tau_s"] = (self.tau_s_negative, self.tau_s_positive)
-        for name in ("delta", "c0", "c1", "c2"):
-            data[name] = getattr(self, name)
-        for name in ("omega_s", "omega_d"):
-            data[f"inverse_{name}"] = 1.0 / getattr(self, name)
-        return data
+
+def elements_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of `width` elements as compiled code reads them: a struct of arrays, the element the last index.
+
+    The torques have a row for each of SIGNS; v = 0 counts as positive.
+    """
+    signed, plain = (len(SIGNS), width), (width,)
+    return np.dtype(
+        [
+            ("tau_c", np.float64, signed),
+            ("tau_s", np.float64, signed),
+            ("inverse_omega_s", np.float64, plain),
+            ("delta", np.float64, plain),
+            ("c0", np.float64, plain),
+            ("c1", np.float64, plain),
+            ("c2", np.float64, plain),
+            ("inverse_omega_d", np.float64, plain),  # 0 for a constant c1
+        ],
+        align=True,
+    )
+
+
+def element_arrays(elements: Sequence[LuGreElement]) -> np.ndarray[Any, Any]:
+    """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
+    arrays = np.zeros(1, elements_dtype(len(elements)))
+    for parameter in FRICTION_PARAMETERS:
+        values = np.array([[getattr(element, name) for element in elements] for name in parameter.attributes])
+        if parameter.name in ("omega_s", "omega_d"):
+            arrays[f"inverse_{parameter.name}"] = 1.0 / values
+        else:
+            arrays[parameter.name] = values
+    return arrays

@@ -1,19 +1,20 @@
 """Exponential, sine and cosine for lanes and floats; the C library has them for one number at a time only.
 
-Reduction to a small interval after Cody and Waite, then polynomials of least relative error (Chebyshev
-interpolation of the remainder in extended precision); errors stay below two units in the last place.
+Reduction to a small interval after Cody and Waite (1980), then a polynomial; errors stay below two units in the last
+place. docs/kernels.md explains the method, and tools/elementary_coefficients.py computes the constants.
 """
 
 from __future__ import annotations
 
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lane_bits import WHOLE, is_odd, negate_in_second_half, times_power_of_two
-from rx90_common.kernels.lanes import Lanes, absolute, any_lane, fma, lane, replace_lane, select, width_of
+from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, lane, replace_lane, select, width_of
 
 _LOG2_E = 1.4426950408889634
-# ln 2 and pi/2 in parts that leave room for an integer factor: the products are exact.
-_LN2 = (6.93147180369123816e-01, 1.90821492927058770e-10)
-_HALF_PI = (1.57079632673412561e00, 6.07710050630396598e-11, 2.02226624871116646e-21)
+_TWO_BY_PI = 0.6366197723675814
+# ln 2 and pi/2 in parts. Parts of 32 bits leave room for a factor of 20 bits: the products are exact.
+_LN2 = (0.6931471803691238, 1.9082149292705877e-10)
+_HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21)
 _LEAST_EXPONENT = -708.0  # exp below this is smaller than every normal number
 
 # exp(r) = 1 + r + r^2 (E0 + E1 r + ...), sin(r) = r + r^3 (S0 + S1 r^2 + ...), cos(r) = 1 - r^2/2 + r^4 (...)
@@ -48,7 +49,7 @@ _C = (
 
 
 @inlined
-def exponential(x: Lanes) -> Lanes:
+def exponential(x: Number) -> Number:
     """Return exp(x) for x up to 708; below -708 it is 0."""
     floored = select(x < _LEAST_EXPONENT, _LEAST_EXPONENT, x)
     whole = fma(floored, _LOG2_E, WHOLE)
@@ -63,9 +64,9 @@ def exponential(x: Lanes) -> Lanes:
 
 
 @inlined
-def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
+def sine_cosine(x: Number) -> tuple[Number, Number]:
     """Return sin(x) and cos(x) for angles of up to a million radians."""
-    whole = fma(x, 2.0 / 3.141592653589793, WHOLE)
+    whole = fma(x, _TWO_BY_PI, WHOLE)
     k = whole - WHOLE
     r = fma(k, -_HALF_PI[2], fma(k, -_HALF_PI[1], fma(k, -_HALF_PI[0], x)))
     square = r * r
@@ -82,7 +83,7 @@ def sine_cosine(x: Lanes) -> tuple[Lanes, Lanes]:
 
 
 @inlined
-def power(base: Lanes, exponent: Lanes) -> Lanes:
+def power(base: Number, exponent: Number) -> Number:
     """Return base^exponent for base >= 0; exponents 1 and 2, exact and in all lanes at once, are the fast ones."""
     result = select(exponent == 2.0, base * base, base)
     if any_lane(absolute((exponent - 1.0) * (exponent - 2.0)) > 0.0):

@@ -6,12 +6,13 @@ sign of another number, without a conversion to integers, which processors lack 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
 from numba.core import types
 
-from rx90_common.kernels.lanes import LanesType, operation
+from rx90_common.kernels.lanes import Lanes, LanesType, Mask, Number, Operation
 
 WHOLE = 1.5 * 2.0**52
 
@@ -26,7 +27,7 @@ def _constant(like: Any, value: int) -> Any:
     return ir.Constant(like.type, [value] * like.type.count if isinstance(like.type, ir.VectorType) else value)
 
 
-@operation
+@Operation[Callable[[Number, Number], Number]].of
 def times_power_of_two(_: Any, x: Any, whole: Any) -> Any:
     """Return x 2^k for whole = WHOLE + k; the result must not leave the range of normal numbers."""
 
@@ -38,7 +39,7 @@ def times_power_of_two(_: Any, x: Any, whole: Any) -> Any:
     return x(x, whole), emit
 
 
-@operation
+@Operation[Callable[[Lanes], Mask]].of
 def is_odd(_: Any, whole: Any) -> Any:
     """Return whether k is odd for whole = WHOLE + k."""
     lanes = isinstance(whole, LanesType)
@@ -50,7 +51,7 @@ def is_odd(_: Any, whole: Any) -> Any:
     return (LanesType(whole.width, is_mask=True) if lanes else types.boolean)(whole), emit
 
 
-@operation
+@Operation[Callable[[Number, Number], Number]].of
 def negate_in_second_half(_: Any, x: Any, whole: Any) -> Any:
     """Return -x where k modulo 4 is 2 or 3, x elsewhere, for whole = WHOLE + k."""
 

@@ -15,21 +15,53 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any, Concatenate, ParamSpec, cast
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, cast
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.errors import TypingError
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
-
-Lanes = Any
-"""A float or several; outside compiled code this type has no values."""
-Mask = Any
-"""What a comparison of lanes gives."""
+from numpy.typing import NDArray
 
 _DOUBLE = ir.DoubleType()
 _INDEX = ir.IntType(32)
-_Operands = ParamSpec("_Operands")
+_Array: TypeAlias = NDArray[np.float64]
+_Some = TypeVar("_Some")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class LaneMask:
+    """What a comparison of several lanes gives; a type for annotations, without values outside compiled code."""
+
+
+Mask: TypeAlias = bool | LaneMask
+"""What a comparison gives. `select` and `any_lane` take it, arithmetic does not."""
+
+
+class Lanes(Protocol):
+    """A float or several lanes; a type for annotations: outside compiled code only floats have it.
+
+    Arithmetic combines lanes with lanes of the same number or with floats. An array has to be loaded first.
+    """
+
+    def __add__(self: _Some, other: _Some | float, /) -> _Some: ...
+    def __radd__(self: _Some, other: float, /) -> _Some: ...
+    def __sub__(self: _Some, other: _Some | float, /) -> _Some: ...
+    def __rsub__(self: _Some, other: float, /) -> _Some: ...
+    def __mul__(self: _Some, other: _Some | float, /) -> _Some: ...
+    def __rmul__(self: _Some, other: float, /) -> _Some: ...
+    def __truediv__(self: _Some, other: _Some | float, /) -> _Some: ...
+    def __rtruediv__(self: _Some, other: float, /) -> _Some: ...
+    def __neg__(self: _Some) -> _Some: ...
+    def __lt__(self: _Some, other: _Some | float, /) -> Mask: ...
+    def __le__(self: _Some, other: _Some | float, /) -> Mask: ...
+    def __gt__(self: _Some, other: _Some | float, /) -> Mask: ...
+    def __ge__(self: _Some, other: _Some | float, /) -> Mask: ...
+
+
+Number = TypeVar("Number", float, Lanes)
+"""For a function that gives a float for floats and lanes for lanes."""
 
 
 class LanesType(types.Type):
@@ -52,9 +84,17 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, kind, ir.VectorType(element, kind.padded))
 
 
-def operation(function: Callable[Concatenate[Any, _Operands], Any]) -> Callable[_Operands, Any]:
-    """Make an operation of compiled code from a function of types: it returns a signature and an emitter."""
-    return cast(Callable[_Operands, Any], intrinsic(prefer_literal=True)(function))
+class Operation(Generic[_Function]):
+    """An operation of compiled code; `Operation[F].of` decorates its definition, and kernels call it as an F.
+
+    The definition takes numba's typing context and the types of the operands. It returns a signature and a function
+    that emits LLVM instructions, or None, which numba refuses.
+    """
+
+    @classmethod
+    def of(cls, definition: Callable[..., Any]) -> _Function:
+        """Return the operation of a definition."""
+        return cast(_Function, intrinsic(prefer_literal=True)(definition))
 
 
 def _is_float_lanes(kind: Any) -> bool:
@@ -165,7 +205,7 @@ def _check_contiguous(array: Any) -> None:
         raise TypingError(f"lanes hold {array.dtype}; accepted: float64")
 
 
-@operation
+@Operation[Callable[[_Array, int], Lanes]].of
 def load(_: Any, array: Any, width: Any) -> Any:
     """Return the first `width` numbers of a contiguous array; `width` is a literal."""
     if not isinstance(width, types.IntegerLiteral):
@@ -187,7 +227,7 @@ def load(_: Any, array: Any, width: Any) -> Any:
     return kind(array, width), emit
 
 
-@operation
+@Operation[Callable[[_Array, Lanes], None]].of
 def store(_: Any, array: Any, value: Any) -> Any:
     """Write lanes to the beginning of a contiguous array."""
     _check_contiguous(array)
@@ -202,7 +242,7 @@ def store(_: Any, array: Any, value: Any) -> Any:
     return types.void(array, value), emit
 
 
-@operation
+@Operation[Callable[[Lanes], int]].of
 def width_of(_: Any, x: Any) -> Any:
     """Return the number of lanes; a float has one."""
     count = x.width if isinstance(x, LanesType) else 1
@@ -213,7 +253,7 @@ def width_of(_: Any, x: Any) -> Any:
     return types.intp(x), emit
 
 
-@operation
+@Operation[Callable[[Lanes, int], float]].of
 def lane(_: Any, x: Any, index: Any) -> Any:
     """Return one lane as a float."""
 
@@ -223,7 +263,7 @@ def lane(_: Any, x: Any, index: Any) -> Any:
     return types.float64(x, index), emit
 
 
-@operation
+@Operation[Callable[[Number, int, float], Number]].of
 def replace_lane(_: Any, x: Any, index: Any, value: Any) -> Any:
     """Return `x` with another number in one lane."""
 
@@ -234,7 +274,7 @@ def replace_lane(_: Any, x: Any, index: Any, value: Any) -> Any:
     return x(x, index, value), emit
 
 
-@operation
+@Operation[Callable[[Lanes, int], Lanes]].of
 def first(_: Any, x: Any, width: Any) -> Any:
     """Return the first `width` lanes; `width` is a literal."""
     if not isinstance(width, types.IntegerLiteral):
@@ -247,7 +287,7 @@ def first(_: Any, x: Any, width: Any) -> Any:
     return kind(x, width), emit
 
 
-@operation
+@Operation[Callable[[Lanes, float], Lanes]].of
 def append(_: Any, x: Any, value: Any) -> Any:
     """Return the lanes of `x` and one more that holds `value`."""
     kind = LanesType(x.width + 1)
@@ -260,7 +300,7 @@ def append(_: Any, x: Any, value: Any) -> Any:
     return kind(x, value), emit
 
 
-@operation
+@Operation[Callable[[Lanes, float], Lanes]].of
 def delay(_: Any, x: Any, value: Any) -> Any:
     """Return (value, x0, x1, ...): each lane moved one up, the last one dropped."""
 
@@ -271,13 +311,13 @@ def delay(_: Any, x: Any, value: Any) -> Any:
     return x(x, value), emit
 
 
-@operation
+@Operation[Callable[[Lanes], Lanes]].of
 def prefix_sum(_: Any, x: Any) -> Any:
     """Return (x0, x0 + x1, ...), summed in pairs of growing distance."""
     return x(x), _scan(x, -1)
 
 
-@operation
+@Operation[Callable[[Lanes], Lanes]].of
 def suffix_sum(_: Any, x: Any) -> Any:
     """Return (..., x(n-2) + x(n-1), x(n-1)), summed in pairs of growing distance."""
     return x(x), _scan(x, +1)
@@ -298,7 +338,7 @@ def _scan(kind: LanesType, direction: int) -> Callable[..., Any]:
     return emit
 
 
-@operation
+@Operation[Callable[[Mask, Number, Number], Number]].of
 def select(_: Any, mask: Any, a: Any, b: Any) -> Any:
     """Return, lane by lane, a where the mask is true and b elsewhere."""
     common = _common(a, b)
@@ -312,7 +352,7 @@ def select(_: Any, mask: Any, a: Any, b: Any) -> Any:
     return None if common is None else (result(mask, a, b), emit)
 
 
-@operation
+@Operation[Callable[[Mask], bool]].of
 def any_lane(_: Any, mask: Any) -> Any:
     """Return whether the mask is true anywhere."""
 
@@ -325,13 +365,13 @@ def any_lane(_: Any, mask: Any) -> Any:
     return types.boolean(mask), emit
 
 
-@operation
+@Operation[Callable[[Number], Number]].of
 def absolute(_: Any, x: Any) -> Any:
     """Return |x|."""
     return x(x), lambda _context, builder, _signature, arguments: _call(builder, "fabs", *arguments)
 
 
-@operation
+@Operation[Callable[[Number, Number, Number], Number]].of
 def fma(_: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c, rounded once."""
     result = _common(a, b, c)

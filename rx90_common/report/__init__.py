@@ -1,3 +1,3 @@
-"""What every HTML report of the suite shares: the look of its plots."""
+"""What every HTML report of the suite shares: its page and the look of its plots."""
 
-__all__ = ["drawing"]
+__all__ = ["drawing", "page"]

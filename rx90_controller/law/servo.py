@@ -92,7 +92,7 @@ def position_servo(
 @inlined
 def velocity_servo(
     gains: Any,
-    current_gain: float,
+    current_gain: Lanes,
     position_torque: Lanes,
     feed_forward: Lanes,
     velocity_setpoint: Lanes,

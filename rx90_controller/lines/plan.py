@@ -20,7 +20,7 @@ from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
-from rx90_controller.trajectory.points import TrajectoryPoints
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
 Array = NDArray[np.float64]

@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import LineError
+from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_controller.lines.profile import TrapezoidalProfile
 
@@ -89,13 +90,14 @@ class LineTask:
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
 
 
-def load_task(file: Path) -> LineTask:
-    """Read a task file.
+def load_task(name: Path | str = "task/reference_line.yaml") -> LineTask:
+    """Read a task file: a path, or the name of a shipped file below config/; the reference line if left out.
 
     Raises:
         ConfigError: naming file, key, value and what is accepted.
         LineError: if the values do not make a line.
     """
+    file = resolve_config(str(name))
     root = load_yaml(file)
     line = root.section("line")
     posture = root.section("posture") if "posture" in root else None

@@ -5,4 +5,4 @@ from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline
 
-__all__ = ["JointLimits", "Spline", "TrajectoryGenerator", "TrajectoryPoints", "message", "points", "spline"]
+__all__ = ["JointLimits", "Spline", "TrajectoryGenerator", "TrajectoryPoints", "message", "spline"]

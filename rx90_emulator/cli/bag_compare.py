@@ -8,7 +8,6 @@ make a difference, and so do joints and arrays that only one bag has.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -42,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
-def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
+def main(args: argparse.Namespace) -> int:
     """Compare and print; return the verdict's exit code.
 
     Raises:
@@ -51,7 +50,7 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
     """
     # Here, because --help must not wait for them.
     from rx90_common.bags.comparison import Scope, compare_bags
-    from rx90_common.bags.comparison_report import as_json, as_text
+    from rx90_common.bags.tables import comparison_json, comparison_text
 
     rules = load_rules(Path(args.tolerances)) if args.tolerances else []
     rules += [parse_rule(text) for text in args.tolerance]
@@ -63,7 +62,7 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
         same_range=args.same_range,
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
-    print(as_json(comparison) if args.json else as_text(comparison))
+    print(comparison_json(comparison) if args.json else comparison_text(comparison))
     return int(comparison.verdict)
 
 

@@ -13,8 +13,8 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.line import PathAccuracy, path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import PathAccuracy, path_accuracy, run_task
 
 Array = NDArray[np.float64]
 
@@ -58,5 +58,4 @@ def field(series: JointSeries, name: str) -> Array:
 
 def _path_without_feed_forward(setup: Setup, task: LineTask) -> PathAccuracy:
     controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
-    result = run_task(dataclasses.replace(setup, controller=controller), task)
-    return path_accuracy(setup.robot, task, result.times, result.slow.joint_states[:, 0])
+    return run_line(dataclasses.replace(setup, controller=controller), task).path_accuracy

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import write_error
+from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
 from rx90_emulator.demo.plots import effort_plot, friction_plot, path_error_plot, tracking_plot
@@ -44,12 +44,11 @@ def write_report(
     """Write the page.
 
     Raises:
-        BagError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
-    environment = Environment(
-        loader=PackageLoader("rx90_emulator.demo"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    page = environment.get_template("report.html.j2").render(
+    page = render_page(
+        "rx90_emulator.demo",
+        "report.html.j2",
         task=task,
         run=run,
         facts=facts,
@@ -59,7 +58,6 @@ def write_report(
         largest=[max((v.maximum for v in topic.values), default=0.0) for topic in comparison.topics],
         joints=_joint_rows(run),
         friction=list(zip(setup.friction.names, setup.friction.elements, strict=True)),
-        servo=setup.controller,
         plots={
             "path": path_error_plot(run, PATH_LIMIT),
             "tracking": tracking_plot(run),
@@ -70,7 +68,7 @@ def write_report(
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise BagError(f"{path}: the report cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:

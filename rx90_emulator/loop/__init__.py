@@ -1,3 +1,3 @@
 """The closed loop without ROS: the same plant step and control law, tick by tick, in one process."""
 
-__all__ = ["closed_loop", "job", "run_bag", "setup", "task_run"]
+__all__ = ["application", "catalogue", "closed_loop", "job", "line", "result", "setup", "trajectory_file"]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,58 +12,13 @@ from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.result import FastSeries, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
 
 Array = NDArray[np.float64]
 Record = NDArray[Any]
-
-
-class FastSeries(NamedTuple):
-    """What is sampled on every base tick, motor side; position, velocity, torque, each shape (n, 3, 6)."""
-
-    motor_states: Array
-    motor_commands: Array
-
-
-class SlowSeries(NamedTuple):
-    """What is sampled on every position tick; each row holds position, velocity, effort.
-
-    Attributes:
-        joint_states: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
-        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
-        reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
-        tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
-    """
-
-    joint_states: Array
-    friction_states: Array
-    reference: Array
-    tracking_error: Array
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """One run of the closed loop.
-
-    Attributes:
-        setup: what ran.
-        fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
-        slow: series on position ticks 0, 1, ...
-        saturated: ticks in which each amplifier was at its limit, shape (6,).
-    """
-
-    setup: Setup
-    fast: FastSeries | None
-    slow: SlowSeries
-    saturated: NDArray[np.int64]
-
-    @property
-    def times(self) -> Array:
-        """Return the times of the slow series, s, shape (m,)."""
-        rows = np.arange(len(self.slow.joint_states), dtype=np.float64)
-        return np.asarray(rows * self.setup.rates.position_period)
 
 
 @kernel
@@ -131,8 +85,8 @@ def run_ticks(
 def simulate(
     setup: Setup,
     points: TrajectoryPoints,
-    initial_position: ArrayLike,
-    duration: float,
+    initial_position: ArrayLike | None = None,
+    duration: float | None = None,
     start_time: float = 0.0,
     substeps: int = 1,
     record_fast: bool = False,
@@ -142,8 +96,8 @@ def simulate(
     Args:
         setup: robot, drives, friction, controller, rates.
         points: the trajectory.
-        initial_position: joint positions at rest, rad, shape (6,).
-        duration: simulated time, s.
+        initial_position: joint positions at rest, rad, shape (6,); by default the trajectory's first point.
+        duration: simulated time, s; by default until the trajectory ends.
         start_time: when the trajectory starts, s.
         substeps: plant steps in a tick.
         record_fast: also keep the series on base ticks.
@@ -154,23 +108,15 @@ def simulate(
         DivergenceError: naming joint and tick.
     """
     rates = setup.rates
-    start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
+    end = start_time + float(points.times[-1]) if duration is None else duration
+    start, ticks = rates.start_tick(start_time), rates.ticks_of(end)
     plant, controller = setup.plant(substeps), setup.cs7b()
-    plant.reset(initial_position)
+    plant.reset(points.position[0] if initial_position is None else initial_position)
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(points, 0, start)
     fast, slow = empty_series(ticks, rates.ratio, record_fast)
     _run(plant, controller, ticks, fast, slow)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated)
-
-
-def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
-    """Return arrays for a run of `ticks` base ticks."""
-    rows = -(-ticks // ratio)
-    fast_rows = ticks if record_fast else 0
-    fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-    slow = SlowSeries(np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6)))
-    return fast, slow
 
 
 def _run(plant: Plant, controller: CS7B, ticks: int, fast: FastSeries, slow: SlowSeries) -> None:

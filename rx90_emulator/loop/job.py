@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import SHIPPED, RobotFiles
-from rx90_controller.law.parameters import FeedForward
+from rx90_common.description.robot_files import SHIPPED
 from rx90_controller.lines.task import load_task
-from rx90_emulator.loop.arrays import save_arrays
-from rx90_emulator.loop.closed_loop import RunResult, simulate
-from rx90_emulator.loop.run_bag import write_run
-from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import SETTLING, path_accuracy, run_task
+from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import SETTLING, run_line
+from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
+from rx90_emulator.loop.setup import Setup, load_setup
 from rx90_emulator.loop.trajectory_file import load_trajectory
+
+Run = TypeVar("Run", bound=RunResult)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -36,18 +36,17 @@ def run(options: argparse.Namespace) -> None:
         raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
     if options.arrays is not None and options.arrays.exists():
         raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
-    files = RobotFiles.named(**{key: getattr(options, key) for key in SHIPPED})
-    setup = Setup.load(files, Rates(options.base_rate, options.position_rate))
+    rates = Rates(options.base_rate, options.position_rate)
+    setup = load_setup(**{role: getattr(options, role) for role in SHIPPED}, rates=rates)
     if options.no_feed_forward:
-        controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
-        setup = dataclasses.replace(setup, controller=controller)
+        setup = with_parameters(setup, {"controller.feed_forward.*": False})
     for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
         print(f"rx90_run: warning: {line}", file=sys.stderr)
     result = _run_trajectory(setup, options) if options.trajectory else _run_line(setup, options)
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
-        write_run(result, options.output, options.storage, options.decimation)
+        write_bag(result, options.output, options.storage, options.decimation)
         print(f"bag: {options.output}")
     if options.arrays is not None:
         save_arrays(result, options.arrays)
@@ -55,9 +54,9 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _run_line(setup: Setup, options: argparse.Namespace) -> RunResult:
-    task = load_task(resolve_config(options.task))
-    result = _timed(
-        lambda: run_task(
+    task = load_task(options.task)
+    run = _timed(
+        lambda: run_line(
             setup,
             task,
             start_time=options.start_time,
@@ -65,33 +64,32 @@ def _run_line(setup: Setup, options: argparse.Namespace) -> RunResult:
             record_fast=not options.slow_only,
         )
     )
-    accuracy = path_accuracy(setup.robot, task, result.times, result.slow.joint_states[:, 0], options.start_time)
+    accuracy = run.path_accuracy
     print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
-    return result
+    return run
 
 
 def _run_trajectory(setup: Setup, options: argparse.Namespace) -> RunResult:
     points = load_trajectory(options.trajectory, setup.robot.joint_names)
-    result = _timed(
+    run = _timed(
         lambda: simulate(
             setup,
             points,
-            points.position[0],
-            options.start_time + float(points.times[-1]) + SETTLING,
+            duration=options.start_time + float(points.times[-1]) + SETTLING,
             start_time=options.start_time,
             substeps=options.substeps,
             record_fast=not options.slow_only,
         )
     )
-    error = np.abs(result.slow.tracking_error[:, 0]).max(axis=0)
+    error = np.abs(run.slow.tracking_error[:, 0]).max(axis=0)
     for name, worst in zip(setup.robot.joint_names, error, strict=True):
         print(f"{name}: worst tracking error {worst * 1e3:.4f} mrad")
-    return result
+    return run
 
 
-def _timed(run: Callable[[], RunResult]) -> RunResult:
+def _timed(simulated: Callable[[], Run]) -> Run:
     began = time.perf_counter()
-    result = run()
+    run = simulated()
     elapsed = time.perf_counter() - began
-    print(f"simulated {result.times[-1] + result.setup.rates.position_period:.3f} s in {elapsed:.2f} s")
-    return result
+    print(f"simulated {run.times[-1] + run.setup.rates.position_period:.3f} s in {elapsed:.2f} s")
+    return run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters, load_drives
@@ -26,7 +27,7 @@ class Setup:
 
     @classmethod
     def load(cls, files: RobotFiles | None = None, rates: Rates | None = None) -> Setup:
-        """Read the files.
+        """Read the files, the shipped ones unless told otherwise.
 
         Raises:
             ConfigError: naming file, key, value and accepted range.
@@ -48,3 +49,30 @@ class Setup:
     def cs7b(self) -> CS7B:
         """Return a new controller."""
         return CS7B(self.robot, self.drives, self.controller, self.rates)
+
+
+def load_setup(
+    *,
+    urdf: Path | str | None = None,
+    tool: Path | str | None = None,
+    drives: Path | str | None = None,
+    friction: Path | str | None = None,
+    controller: Path | str | None = None,
+    rates: Rates | None = None,
+) -> Setup:
+    """Read the files of a setup: each a path, or the name of a shipped file below config/; by default the RX90B's.
+
+    Args:
+        urdf: the arm.
+        tool: what its flange carries; "none" for nothing.
+        drives: gears, motors, brakes, end stops.
+        friction: the seven elements.
+        controller: gains and feed-forward.
+        rates: of the loops, 4 kHz and 1 kHz if left out.
+
+    Raises:
+        ConfigError: naming file, key, value and accepted range.
+    """
+    names = {"urdf": urdf, "tool": tool, "drives": drives, "friction": friction, "controller": controller}
+    given = {role: None if name is None else str(name) for role, name in names.items()}
+    return Setup.load(RobotFiles.named(**given), rates)

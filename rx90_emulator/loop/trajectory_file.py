@@ -7,8 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import yaml
-
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import points_from_message
@@ -17,7 +16,7 @@ _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
 _VECTORS = ("positions", "velocities", "accelerations", "effort")
 
 
-def load_trajectory(file: Path, robot_joints: Sequence[str]) -> TrajectoryPoints:
+def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> TrajectoryPoints:
     """Read the points of a trajectory, joints in any order.
 
     The header is not looked at: when the trajectory starts is for the run to say.
@@ -26,14 +25,9 @@ def load_trajectory(file: Path, robot_joints: Sequence[str]) -> TrajectoryPoints
         ConfigError: naming file and reason, for a file that cannot be read or is no trajectory.
         TrajectoryError: naming file, joint, index of the point and reason.
     """
-    try:
-        # `ros2 topic echo` ends each message with a line of dashes.
-        data = next(iter(yaml.safe_load_all(file.read_text(encoding="utf-8"))), None)
-    except OSError as error:
-        raise ConfigError(f"{file}: cannot be read ({error.strerror}); accepted: {_ACCEPTED}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{file}: is not YAML ({reason}); accepted: {_ACCEPTED}") from error
+    file = Path(name)
+    # `ros2 topic echo` ends each message with a line of dashes.
+    data = load_yaml(file, _ACCEPTED, first=True).content
     try:
         return points_from_message(robot_joints, _message(data))
     except TrajectoryError as error:
@@ -42,7 +36,7 @@ def load_trajectory(file: Path, robot_joints: Sequence[str]) -> TrajectoryPoints
         raise ConfigError(f"{file}: {error!r}; accepted: {_ACCEPTED}") from error
 
 
-def _message(data: Any) -> SimpleNamespace:
+def _message(data: dict[str, Any]) -> SimpleNamespace:
     points = [
         SimpleNamespace(
             time_from_start=SimpleNamespace(

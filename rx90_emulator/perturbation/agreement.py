@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.description.kinematics import forward
-from rx90_emulator.loop.closed_loop import RunResult
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.perturbation.model import PerturbationResult
 
 Array = NDArray[np.float64]

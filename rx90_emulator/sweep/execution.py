@@ -1,4 +1,7 @@
-"""Runs on all cores of this machine, or on a Dask cluster; in both cases the same chunks of runs."""
+"""Run a sweep, from start or from where it was left, on all cores of this machine or on a Dask cluster.
+
+In both cases the same chunks of runs are computed.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,20 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
 from multiprocessing.connection import wait as wait_for_any
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
 
-from rx90_common.base.errors import SweepError
+import numpy as np
+from tqdm import tqdm
+
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
+MOST_WORKERS = 1024
 _CHUNKS_EACH = 32
 _QUEUED_EACH = 3
 _CONNECT_TIMEOUT = 10.0
@@ -40,6 +48,83 @@ class Pool(NamedTuple):
 
     workers: int
     submit: Callable[[Chunk], Future[Outcomes]]
+
+
+class SweepCounts(NamedTuple):
+    """What a call of `run_sweep` did: runs it computed, and how many of them ended in an error."""
+
+    computed: int
+    failed: int
+
+
+def run_sweep(
+    sweep: Sweep,
+    output: Path | str,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    quiet: bool = False,
+) -> SweepCounts:
+    """Compute the runs that `output` lacks and write them there.
+
+    Whatever ends it, KeyboardInterrupt included, what is done by then is in the file.
+
+    Args:
+        sweep: what to run.
+        output: a Parquet file.
+        workers: processes on this machine; all of its cores if None. Of no meaning with a scheduler.
+        scheduler: address of a Dask scheduler whose workers are to do it.
+        resume: take up a file, or the parts that a killed sweep left.
+        quiet: show no progress bar.
+
+    Raises:
+        SweepError: if the output is in the way or belongs to another sweep, or workers are lost.
+        LineError: if the arm cannot travel the line of the plan's own task.
+    """
+    if workers is not None and not 1 <= workers <= MOST_WORKERS:
+        raise ConfigError(f"workers is {workers}; accepted: an integer in [1, {MOST_WORKERS}]")
+    failed = computed = 0
+    with _store().ResultStore(Path(output), sweep, resume=resume) as store:
+        missing = np.flatnonzero(~store.done).tolist()
+        if not missing:
+            return SweepCounts(0, 0)
+        with _pool(sweep, workers, scheduler) as pool, _bar(len(sweep), len(missing), quiet) as bar:
+            for outcomes in run_all(pool, missing):
+                store.add(outcomes)
+                computed += len(outcomes)
+                failed += sum(outcome.error is not None for outcome in outcomes)
+                bar.set_postfix(failed=failed, refresh=False)
+                bar.update(len(outcomes))
+    return SweepCounts(computed, failed)
+
+
+def read_sweep(file: Path | str) -> Any:
+    """Return the results of a sweep, finished or not, as a pyarrow.Table sorted by the run's index.
+
+    Raises:
+        SweepError: if there are none, or they cannot be read.
+    """
+    return _store().read_results(Path(file))
+
+
+def _store() -> Any:
+    try:
+        from rx90_emulator.sweep import store  # needs an extra
+    except ImportError as error:
+        raise SweepError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+    return store
+
+
+def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:
+    if scheduler is not None:
+        return dask_pool(sweep, scheduler)
+    return local_pool(sweep, workers or available_cores())
+
+
+def _bar(runs: int, missing: int, quiet: bool) -> tqdm[NoReturn]:
+    disable = True if quiet else None  # None: shown on a terminal only
+    return tqdm(total=runs, initial=runs - missing, desc="sweep", unit="run", disable=disable, smoothing=0.05)
 
 
 def available_cores() -> int:
@@ -94,8 +179,8 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
 
 @contextmanager
 def _interrupt_held_back() -> Iterator[None]:
-    """Fork with Ctrl-C blocked: the terminal sends it to the workers too, and they must overlook it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     try:
         yield
     finally:

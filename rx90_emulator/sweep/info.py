@@ -9,11 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from rx90_emulator.sweep.store import parts_folder, read_results
-from rx90_emulator.sweep.table import about
+from rx90_emulator.sweep.store import about, parts_folder, read_results
 
 
-def summary(file: Path) -> list[str]:
+def describe_results(file: Path) -> list[str]:
     """Describe a sweep's results: state, plan, versions, failures, and each column with unit and range.
 
     Raises:

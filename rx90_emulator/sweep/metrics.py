@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rx90_common.description.kinematics import path_error
 from rx90_common.description.robot import RigidChain
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.closed_loop import RunResult
-from rx90_emulator.loop.task_run import SETTLING
+from rx90_emulator.loop.line import SETTLING
+from rx90_emulator.loop.result import RunResult
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.spaces import Distribution, Values
 
 MOST_RUNS = 10_000_000
@@ -20,26 +22,26 @@ LARGEST_SEED = 2**63 - 1
 
 
 @dataclass(frozen=True)
-class Parameter:
+class SweptParameter:
     """One swept quantity.
 
     Attributes:
         name: of its column.
-        paths: what it sets (see `rx90_emulator.sweep.catalogue`); all of them to the same value.
+        paths: what it sets (see `rx90_emulator.loop.catalogue`), all of them to the same value; by default its name.
         factor: whether the value multiplies what the files have, or replaces it.
         space: where its values come from: a list in a grid, a distribution in random draws.
         each: whether every place that a `*` stands for is a parameter of its own, drawn on its own.
     """
 
     name: str
-    paths: tuple[str, ...]
-    factor: bool
+    _: KW_ONLY
+    paths: tuple[str, ...] = ()
+    factor: bool = False
     space: Values | Distribution
     each: bool = False
 
     def __post_init__(self) -> None:
-        if not self.paths:
-            raise ConfigError(f"parameter '{self.name}' has no paths; accepted: at least one")
+        object.__setattr__(self, "paths", self.paths or (self.name,))
         if self.each and isinstance(self.space, Values):
             raise ConfigError(f"parameter '{self.name}' of a grid has each; accepted: in random draws only")
 
@@ -59,8 +61,8 @@ class Block:
     """
 
     name: str
-    grid: tuple[Parameter, ...] = ()
-    random: tuple[Parameter, ...] = ()
+    grid: tuple[SweptParameter, ...] = ()
+    random: tuple[SweptParameter, ...] = ()
     draws: int = 1
 
     def __post_init__(self) -> None:
@@ -156,6 +158,16 @@ class SweepPlan:
         if self.runs > MOST_RUNS:
             raise ConfigError(f"the sweep has {self.runs} runs; accepted: up to {MOST_RUNS}")
 
+    @classmethod
+    def of_grid(cls, values: Mapping[str, Sequence[Value]], base: SweepBase | None = None) -> SweepPlan:
+        """Return the plan of all combinations of values, by the paths that they set; the last one varies fastest.
+
+        Raises:
+            ConfigError: for values that are no grid.
+        """
+        grid = tuple(SweptParameter(path, space=Values(tuple(listed))) for path, listed in values.items())
+        return cls((Block("grid", grid),), base=base or SweepBase())
+
     @property
     def runs(self) -> int:
         """Return the number of runs."""
@@ -179,7 +191,7 @@ def _block_description(block: Block) -> dict[str, Any]:
     return {"name": block.name, **described, "draws": block.draws}
 
 
-def _parameter_description(parameter: Parameter) -> dict[str, Any]:
+def _parameter_description(parameter: SweptParameter) -> dict[str, Any]:
     data = asdict(parameter)
     data["space"] = {type(parameter.space).__name__.lower(): data["space"]}
     return data

@@ -8,7 +8,7 @@ base:                            what every run starts from; the shipped files i
 blocks:                          their runs follow each other
   any_name:
     grid:                        all combinations, and each with all the draws
-      friction.*.c0:                 a path of rx90_emulator.sweep.catalogue, or a name with paths: [...]
+      friction.*.c0:                 a path of rx90_emulator.loop.catalogue, or a name with paths: [...]
         factor: [0.5, 1.0, 2.0]          factor times the file's number, or value instead of it; also
                                          {linspace: [start, stop, count]}, {geomspace: ...}
     random:
@@ -31,8 +31,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.sweep.catalogue import Value
-from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, Parameter, SweepBase, SweepPlan
+from rx90_emulator.loop.catalogue import Value
+from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
 
 _Thing = TypeVar("_Thing")
@@ -101,7 +101,7 @@ def _file(section: _PlanSection, role: str) -> Path:
 
 def _block(blocks: _PlanSection, name: str) -> Block:
     section = blocks.section(name)
-    parts: dict[str, tuple[Parameter, ...]] = {}
+    parts: dict[str, tuple[SweptParameter, ...]] = {}
     for part, read in (("grid", _grid_space), ("random", _random_space)):
         if part in section:
             inner = section.section(part)
@@ -117,9 +117,13 @@ def _block(blocks: _PlanSection, name: str) -> Block:
     return _built(blocks, name, lambda: Block(name, draws=draws, **parts))
 
 
-def _parameter(part: _PlanSection, name: str, read: Callable[[_PlanSection, str], Values | Distribution]) -> Parameter:
+def _parameter(
+    part: _PlanSection, name: str, read: Callable[[_PlanSection, str], Values | Distribution]
+) -> SweptParameter:
     section = part.section(name)
     paths = tuple(section.listed("paths", "a list of paths")) if "paths" in section else (name,)
+    if not paths:
+        section.refuse("paths", [], "at least one path")
     for path in paths:
         if not isinstance(path, str):
             section.refuse("paths", path, "texts, such as friction.joint_2.c0")
@@ -129,7 +133,9 @@ def _parameter(part: _PlanSection, name: str, read: Callable[[_PlanSection, str]
     each = section.boolean("each") if "each" in section else False
     space = _built(section, modes[0], lambda: read(section, modes[0]))
     section.finish()
-    return _built(part, name, lambda: Parameter(name, paths, modes[0] == "factor", space, each))
+    return _built(
+        part, name, lambda: SweptParameter(name, paths=paths, factor=modes[0] == "factor", space=space, each=each)
+    )
 
 
 def _grid_space(section: _PlanSection, key: str) -> Values:

@@ -12,8 +12,8 @@ from itertools import accumulate
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.sweep.catalogue import SWITCH, Catalogue, Target, Value
-from rx90_emulator.sweep.plan import Block, Parameter, SweepPlan
+from rx90_emulator.loop.catalogue import SWITCH, Catalogue, Leaf, Value
+from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Values
 
 
@@ -53,10 +53,10 @@ class Column:
 
 @dataclass(frozen=True)
 class _Bound:
-    """A parameter and the targets that it sets."""
+    """A parameter and the leaves that it sets."""
 
-    parameter: Parameter
-    targets: tuple[Target, ...]
+    parameter: SweptParameter
+    leaves: tuple[Leaf, ...]
     unit: str
 
 
@@ -97,13 +97,13 @@ class RunList:
         names = [bound.parameter.name for bound in block.bound]
         return RunDescription(index, block.block.name, seed, tuple(zip(names, values, strict=True)))
 
-    def changes(self, run: RunDescription) -> dict[Target, Value]:
-        """Return the value that each target takes in a run."""
+    def changes(self, run: RunDescription) -> dict[Leaf, Value]:
+        """Return the value that each leaf takes in a run."""
         block, _ = self._locate(run.index)
-        changes: dict[Target, Value] = {}
+        changes: dict[Leaf, Value] = {}
         for bound, (_, value) in zip(block.bound, run.values, strict=True):
-            for target in bound.targets:
-                changes[target] = self._catalogue.value(target) * value if bound.parameter.factor else value
+            for leaf in bound.leaves:
+                changes[leaf] = self._catalogue.value(leaf) * value if bound.parameter.factor else value
         return changes
 
     def _locate(self, index: int) -> tuple[_BoundBlock, int]:
@@ -112,7 +112,7 @@ class RunList:
 
 
 class _BoundBlock:
-    """A block with its parameters' targets; parameters that are drawn each on their own are taken apart."""
+    """A block with its parameters' leaves; parameters that are drawn each on their own are taken apart."""
 
     def __init__(self, block: Block, catalogue: Catalogue) -> None:
         self.block = block
@@ -142,24 +142,24 @@ class _BoundBlock:
             yield space.quantile(share)
 
     def _check_overlap(self) -> None:
-        owner: dict[Target, _Bound] = {}
+        owner: dict[Leaf, _Bound] = {}
         for bound in self.bound:
-            for target in bound.targets:
-                other = owner.setdefault(target, bound)
+            for leaf in bound.leaves:
+                other = owner.setdefault(leaf, bound)
                 if other is not bound:
-                    at = ".".join(target.key) + ("" if target.index is None else f"[{target.index}]")
+                    at = ".".join(leaf.key) + ("" if leaf.index is None else f"[{leaf.index}]")
                     raise ConfigError(
                         f"block '{self.block.name}': '{other.parameter.name}' and '{bound.parameter.name}' both "
                         f"set {at}; accepted: one parameter for each value"
                     )
 
 
-def _listed(parameter: Parameter) -> tuple[Value, ...]:
+def _listed(parameter: SweptParameter) -> tuple[Value, ...]:
     assert isinstance(parameter.space, Values)
     return parameter.space.values
 
 
-def _singles(block: Block, parameter: Parameter, catalogue: Catalogue) -> list[Parameter]:
+def _singles(block: Block, parameter: SweptParameter, catalogue: Catalogue) -> list[SweptParameter]:
     if not parameter.each:
         return [parameter]
     with _naming(block, parameter):
@@ -167,7 +167,7 @@ def _singles(block: Block, parameter: Parameter, catalogue: Catalogue) -> list[P
     return [replace(parameter, name=place.path, paths=(place.path,), each=False) for place in places]
 
 
-def _bind(block: Block, parameter: Parameter, catalogue: Catalogue) -> _Bound:
+def _bind(block: Block, parameter: SweptParameter, catalogue: Catalogue) -> _Bound:
     with _naming(block, parameter):
         places = [place for path in parameter.paths for place in catalogue.places(path)]
         units = sorted({place.unit for place in places})
@@ -176,27 +176,21 @@ def _bind(block: Block, parameter: Parameter, catalogue: Catalogue) -> _Bound:
             raise ConfigError(f"its paths have different units ({', '.join(units)}); accepted: one unit")
         if switch and parameter.factor:
             raise ConfigError("a factor of true or false; accepted: value")
-        _check_values(parameter, switch)
-    targets = tuple(target for place in places for target in place.targets)
-    if len(set(targets)) < len(targets):
+        if isinstance(parameter.space, Values):
+            for value in parameter.space.values:
+                places[0].check(value)
+        elif switch:
+            raise ConfigError("true or false is drawn from a distribution; accepted: a grid of true and false")
+    leaves = tuple(leaf for place in places for leaf in place.leaves)
+    if len(set(leaves)) < len(leaves):
         raise ConfigError(
             f"block '{block.name}', parameter '{parameter.name}': its paths set a value twice; accepted: once"
         )
-    return _Bound(parameter, targets, "1" if parameter.factor else units[0])
-
-
-def _check_values(parameter: Parameter, switch: bool) -> None:
-    if not isinstance(parameter.space, Values):
-        if switch:
-            raise ConfigError("true or false is drawn from a distribution; accepted: a grid of true and false")
-        return
-    for value in parameter.space.values:
-        if isinstance(value, bool) != switch:
-            raise ConfigError(f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}")
+    return _Bound(parameter, leaves, "1" if parameter.factor else units[0])
 
 
 @contextmanager
-def _naming(block: Block, parameter: Parameter) -> Iterator[None]:
+def _naming(block: Block, parameter: SweptParameter) -> Iterator[None]:
     """Let a refusal name block and parameter."""
     try:
         yield

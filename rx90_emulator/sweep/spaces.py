@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.sweep.catalogue import Value
+from rx90_emulator.loop.catalogue import Value
 
 MOST_VALUES = 1_000_000
 _LEAST_SHARE = 1e-3

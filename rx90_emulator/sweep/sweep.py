@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import platform
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
-from rx90_controller.lines.plan import plan_line
+from rx90_common.base.sources import ROOT, sources_hash, with_imports
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.application import apply
+from rx90_emulator.loop.catalogue import Catalogue, Value
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import plan_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import line_points
-from rx90_emulator.sweep.application import apply
-from rx90_emulator.sweep.catalogue import Catalogue, Value
 from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
-from rx90_emulator.sweep.provenance import run_hash, versions
 from rx90_emulator.sweep.runs import RunDescription, RunList
 
 PLANNED_LINES = 64
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
+
+_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
 
 
 class RunOutcome(NamedTuple):
@@ -33,12 +36,6 @@ class RunOutcome(NamedTuple):
     run: RunDescription
     metrics: tuple[float | int, ...] | None
     error: str | None
-
-
-class _Motion(NamedTuple):
-    points: TrajectoryPoints
-    start_pose: np.ndarray[Any, Any]
-    duration: float
 
 
 class Sweep:
@@ -93,13 +90,10 @@ class Sweep:
         self._prepare()
 
     def _prepare(self) -> None:
-        robot, period = self.setup.robot, self.setup.rates.position_period
-
         # A sweep changes masses and inertias, never the kinematics: the task alone decides the line.
         @lru_cache(maxsize=PLANNED_LINES)
-        def motion(task: LineTask) -> _Motion:
-            plan = plan_line(robot, task, period)
-            return _Motion(line_points(plan), plan.start_pose, plan.duration)
+        def motion(task: LineTask) -> TrajectoryPoints:
+            return plan_line(self.setup, task).points
 
         self._motion = motion
 
@@ -109,9 +103,8 @@ class Sweep:
         Raises:
             LineError: if the arm cannot travel the line of the plan's own task.
         """
-        motion = self._motion(self.task)
         period = self.setup.rates.position_period
-        simulate(self.setup, motion.points, motion.start_pose, period, substeps=self.plan.base.substeps)
+        simulate(self.setup, self._motion(self.task), duration=period, substeps=self.plan.base.substeps)
 
     def simulate(self, run: RunDescription) -> RunResult:
         """Run one run through the closed loop and return all of it.
@@ -123,9 +116,7 @@ class Sweep:
 
     def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
         setup, task = apply(self.setup, self.task, self.runs.changes(run))
-        motion = self._motion(task)
-        substeps = self.plan.base.substeps
-        return task, simulate(setup, motion.points, motion.start_pose, motion.duration, substeps=substeps)
+        return task, simulate(setup, self._motion(task), substeps=self.plan.base.substeps)
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""
@@ -150,3 +141,20 @@ class Sweep:
         here = run_hash()
         if here != self.sources:
             raise SweepError(f"{platform.node()} runs other sources of the emulator ({here}); accepted: {self.sources}")
+
+
+def run_hash() -> str:
+    """Return a hash of all sources that take part in a run."""
+    return sources_hash(with_imports([ROOT / "rx90_emulator/sweep/sweep.py"]))
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the interpreter and of the libraries that decide the results."""
+    major, minor, _ = platform.python_version_tuple()
+    found = {"python": f"{major}.{minor}"}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed as a package"
+    return found

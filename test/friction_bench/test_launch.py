@@ -47,7 +47,7 @@ def described(monkeypatch: pytest.MonkeyPatch) -> list[Action]:
 
 def declared_parameters() -> dict[str, Any]:
     """Return the node's parameters as its source declares them, with defaults that are constants."""
-    tree = ast.parse((REPOSITORY / "friction_bench" / "bench_node.py").read_text())
+    tree = ast.parse((REPOSITORY / "friction_bench" / "node" / "bench_node.py").read_text())
     constants = {
         node.targets[0].id: node.value.value
         for node in tree.body

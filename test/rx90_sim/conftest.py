@@ -6,16 +6,17 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from lugre_oracle import LuGreOracle
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks.decoupled import decoupled_setup, negligible_element
 from rx90_common.base.rates import Rates
+from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -30,48 +31,17 @@ ELEMENT_INPUT = np.vstack([np.eye(6), WRIST[5]])
 
 
 @dataclass(frozen=True)
-class LuGreOracle:
-    """Equations 17 to 19, written down from the paper for n elements, for a stiff solver."""
-
-    elements: Sequence[LuGreElement]
-
-    def _values(self, name: str) -> Array:
-        return np.array([getattr(element, name) for element in self.elements])
-
-    def stribeck(self, v: Array) -> Array:
-        """Return c0 g(v), equation 19."""
-        side = [
-            np.where(v >= 0, self._values(f"{n}_positive"), self._values(f"{n}_negative")) for n in ("tau_c", "tau_s")
-        ]
-        coulomb, static = side
-        return np.asarray(
-            coulomb + (static - coulomb) * np.exp(-((np.abs(v) / self._values("omega_s")) ** self._values("delta")))
-        )
-
-    def rates(self, z: Array, v: Array) -> tuple[Array, Array]:
-        """Return dz/dt (equation 17) and the friction torque (equation 18)."""
-        c0 = self._values("c0")
-        z_dot = v - np.abs(v) * c0 / self.stribeck(v) * z
-        c1 = self._values("c1") * np.exp(-((v / self._values("omega_d")) ** 2))
-        return z_dot, c0 * z + c1 * z_dot + self._values("c2") * v
-
-
-@dataclass(frozen=True)
 class ArmOracle:
     """The arm by Pinocchio and the friction by the paper's equations, for a stiff solver."""
 
     setup: Setup
 
     def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-        """Return M with rotors and coupling, and h with the spring."""
-        model = self.setup.robot.model
-        data = model.createData()
-        q, v = np.asarray(q, float), np.asarray(v, float)
-        upper = np.triu(pin.crba(model, data, q))
-        rotors = WRIST.T @ np.diag(self.setup.drives.rotor_inertia) @ WRIST
-        bias = np.array(pin.nonLinearEffects(model, data, q, v))
-        bias[1] += self.setup.drives.spring_torque * math.sin(q[1])
-        return upper + np.triu(upper, 1).T + rotors, bias
+        """Return M with rotors and coupling, and h with the spring: the answers to unit accelerations, and to none."""
+        robot, drives = self.setup.robot, self.setup.drives
+        state = (np.tile(np.asarray(x, float), (7, 1)) for x in (q, v))
+        torque = rigid_torque(robot.model, drives.rotor_matrix, drives.spring, *state, np.eye(7, 6, -1))
+        return (torque[1:] - torque[0]).T, torque[0]
 
     def energy(self, q: Array, v: Array) -> float:
         """Return kinetic energy (rotors included) plus potential energy (spring included), J."""
@@ -108,12 +78,6 @@ def arm_oracle(shipped: Setup) -> ArmOracle:
 
 
 @pytest.fixture(scope="session")
-def lugre_oracle() -> type[LuGreOracle]:
-    """Return the independent LuGre equations."""
-    return LuGreOracle
-
-
-@pytest.fixture(scope="session")
 def frictionless() -> FrictionSet:
     """Return seven elements without noticeable friction."""
     names = tuple(f"element_{i}" for i in range(7))
@@ -127,22 +91,5 @@ def masses(shipped: Setup) -> Callable[..., Plant]:
     def make(elements: Sequence[LuGreElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
         setup = dataclasses.replace(decoupled_setup(shipped, elements, inertia), rates=Rates(base_hz, base_hz // 4))
         return setup.plant()
-
-    return make
-
-
-@pytest.fixture(scope="session")
-def paper_element() -> LuGreElement:
-    """Return the values of Canudas de Wit, Olsson, Astrom, Lischinsky (1995), table 1: N, m, kg, s."""
-    return LuGreElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
-
-
-@pytest.fixture
-def record() -> Callable[[LuGreElement], Any]:
-    """Return what makes the compiled record of one element."""
-
-    def make(element: LuGreElement) -> Any:
-        names = tuple(f"element_{i}" for i in range(7))
-        return FrictionSet(names, (element,) * 7).records()[0]
 
     return make

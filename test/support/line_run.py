@@ -6,16 +6,16 @@ import signal
 from collections.abc import Sequence
 from pathlib import Path
 
-from processes import Processes, executable
+from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import BagComparison, Scope, compare_bags
-from rx90_common.bags.tolerance import Tolerances
+from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.loop.run_bag import write_run
+from rx90_emulator.loop.line import run_line
+from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import run_task
 
 START = 0.1
 TASK = """
@@ -32,7 +32,7 @@ line:
 """
 
 
-def run_line(
+def run_both_ways(
     processes: Processes, client: Client, setup: Setup, folder: Path, around: Sequence[str] = ("/usr/bin/env",)
 ) -> BagComparison:
     """Run the line both ways and compare all that was recorded, bit by bit.
@@ -42,17 +42,17 @@ def run_line(
     file = folder / "task.yaml"
     file.write_text(TASK, encoding="utf-8")
     task = load_task(file)
-    write_run(run_task(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
+    write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     simulation = processes.start(
         *around,
-        executable("rx90_sim"),
+        *executable("rx90_sim"),
         "--ros-args",
         *("-p", f"initial_position:=[{', '.join(repr(float(q)) for q in plan.start_pose)}]"),
         *("-p", f"duration:={START + plan.duration!r}", "-p", "real_time_factor:=0.0", "-p", "paused:=true"),
     )
-    processes.start(*around, executable("rx90_controller"))
+    processes.start(*around, *executable("rx90_controller"))
     line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
     recorder.wait_for("ready: all")
     assert line.wait() == 0
@@ -60,4 +60,4 @@ def run_line(
     assert simulation.wait() == 0
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
-    return compare_bags(folder / "recorded", folder / "closed_loop", Tolerances(), Scope(same_range=True))
+    return compare_bags(folder / "recorded", folder / "closed_loop", scope=Scope(same_range=True))

@@ -1,4 +1,4 @@
-"""Take messages from DDS on a thread that does nothing else."""
+"""Read messages from DDS on a thread that does nothing else."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 from rx90_common.bags.recorder.stream import Stream
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagWriteError
 
 _NAP_S = 0.005  # gathers some dozen messages per wake-up; a wake-up for each message costs three times the time
 _WAIT_NS = 50_000_000
@@ -20,7 +20,7 @@ _QUIET_S = 0.2  # without a message after the end was asked for: nothing is unde
 _MAX_DRAIN_S = 2.0
 
 
-class Taken(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """A raw message, its topic, and the wall clock's time of reception in ns."""
 
     stream: Stream
@@ -28,32 +28,32 @@ class Taken(NamedTuple):
     received_ns: int
 
 
-class Taker(threading.Thread):
-    """Takes what arrives, counts it, and keeps it until it is collected.
+class MessageReader(threading.Thread):
+    """Reads what arrives, counts it, and keeps it until it is collected.
 
     Args:
         context: the rclpy context of the subscriptions.
     """
 
     def __init__(self, context: Any) -> None:
-        super().__init__(name="taker", daemon=True)
+        super().__init__(name="message reader", daemon=True)
         self._context = context
         self._end = threading.Event()
         self._streams: tuple[Stream, ...] = ()
         self._lock = threading.Lock()
-        self._queue: list[Taken] = []
+        self._queue: list[ReceivedMessage] = []
         self._queued_bytes = 0
         self._error: Exception | None = None
 
     def add(self, stream: Stream) -> None:
-        """Take messages of this topic too."""
+        """Read the messages of this topic too."""
         self._streams = (*self._streams, stream)
 
-    def collect(self) -> list[Taken]:
-        """Return what was taken since the last call.
+    def collect(self) -> list[ReceivedMessage]:
+        """Return what was read since the last call.
 
         Raises:
-            BagError: if the queue became too long for the memory it may use.
+            BagWriteError: if the queue became too long for the memory it may use.
         """
         with self._lock:
             queue, self._queue = self._queue, []
@@ -63,12 +63,12 @@ class Taker(threading.Thread):
         return queue
 
     def finish(self) -> None:
-        """Take what is still under way, then end the thread."""
+        """Read what is still under way, then end the thread."""
         self._end.set()
         self.join()
 
     def run(self) -> None:
-        """Take messages until `finish` is called."""
+        """Read messages until `finish` is called."""
         try:
             while not self._end.is_set():
                 streams = self._streams
@@ -100,7 +100,7 @@ class Taker(threading.Thread):
             now = time.monotonic()
 
     def _round(self, streams: Sequence[Stream]) -> int:
-        taken: list[Taken] = []
+        received: list[ReceivedMessage] = []
         for stream in streams:
             handle = stream.subscription.handle
             count = stream.counter.add
@@ -111,14 +111,14 @@ class Taker(threading.Thread):
                         break
                     cdr, info = message
                     count(info["publication_sequence_number"])
-                    taken.append(Taken(stream, cdr, info["received_timestamp"]))
-        size = sum(len(message.cdr) for message in taken)
+                    received.append(ReceivedMessage(stream, cdr, info["received_timestamp"]))
+        size = sum(len(message.cdr) for message in received)
         with self._lock:
-            self._queue += taken
+            self._queue += received
             self._queued_bytes += size
             if self._queued_bytes > _QUEUE_BYTES:
-                raise BagError(
-                    f"the disk takes less than what arrives: {self._queued_bytes >> 20} MiB are waiting; "
+                raise BagWriteError(
+                    f"the disk is slower than the messages arrive: {self._queued_bytes >> 20} MiB are waiting; "
                     f"accepted: {_QUEUE_BYTES >> 20} MiB"
                 )
-        return len(taken)
+        return len(received)

@@ -1,9 +1,9 @@
-"""One recorded topic: its subscription, and the counts that prove nothing was lost."""
+"""Recorded topics: their subscriptions, and the counts that prove nothing was lost."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
@@ -17,9 +17,63 @@ from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
+from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _HEADER = "std_msgs/msg/Header"
+
+
+class Streams:
+    """The topics of a recording, in their order: those found so far, and the names of those still missing.
+
+    Args:
+        node: owner of the subscriptions.
+        topics: names, relative or absolute.
+
+    Raises:
+        BagError: if ROS does not accept a name, or two are the same topic.
+    """
+
+    def __init__(self, node: Node, topics: Sequence[str]) -> None:
+        self._node = node
+        self._found: dict[str, Stream | None] = {}
+        for topic in topics:
+            try:
+                name = node.resolve_topic_name(topic)
+            except RuntimeError as error:
+                raise BagError(f"topic {topic!r}: no name that ROS accepts ({reason(error)})") from error
+            if name in self._found:
+                raise BagError(f"topic {name} stands twice; accepted: each topic once")
+            self._found[name] = None
+
+    def __iter__(self) -> Iterator[Stream]:
+        return (stream for stream in self._found.values() if stream is not None)
+
+    def discover(self, on_found: Callable[[Stream], None]) -> bool:
+        """Subscribe to the topics that have appeared; return whether all are matched."""
+        for index, (topic, stream) in enumerate(self._found.items()):
+            if stream is None:
+                # A topic that is only listened to, such as a controller's trajectories, has a type too; its
+                # publishers come and go, and the first message must not be missed.
+                endpoints = self._node.get_publishers_info_by_topic(topic)
+                endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
+                if endpoints:
+                    found = self._found[topic] = Stream(self._node, topic, index, endpoints)
+                    on_found(found)
+        return not self.missing()
+
+    def missing(self) -> list[str]:
+        """Return the topics that are not there, or whose publishers are not there or not matched yet."""
+        return [
+            topic
+            for topic, stream in self._found.items()
+            if stream is None
+            or (not stream.matched() and (stream.needs_publisher or self._node.count_publishers(topic) > 0))
+        ]
+
+    def clear(self) -> None:
+        """Give the subscriptions back."""
+        self._found.clear()
 
 
 class Stream:
@@ -118,4 +172,4 @@ def _message_class(topic: str, msgtype: str) -> Any:
 
 
 def _never_called(_: bytes) -> None:
-    """Stand where rclpy wants a callback; messages are taken by hand."""
+    """Stand where rclpy wants a callback; the message reader reads by itself."""

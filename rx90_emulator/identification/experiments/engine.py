@@ -9,7 +9,6 @@ from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_emulator.identification.experiments.folder import TOPICS
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.run_bag import run_series
 from rx90_emulator.loop.setup import Setup
 
 _SETTLING = 0.2  # s, after the end
@@ -25,11 +24,10 @@ def run_on_engine(setup: Setup, experiment: Experiment, bag: Path, storage: str 
     result = simulate(
         setup,
         experiment.points,
-        experiment.points.position[0],
-        experiment.duration + _SETTLING,
+        duration=experiment.duration + _SETTLING,
         record_fast="motor_states" in TOPICS[experiment.kind],
     )
     wanted = [absolute(topic) for topic in TOPICS[experiment.kind]]
-    series = [one for one in run_series(result) if one.topic in wanted]
+    series = [one for one in result.series.values() if one.topic in wanted]
     description = string_message("/robot_description", setup.robot.urdf)
     write_joint_states(bag, series, storage=storage, messages=[description])

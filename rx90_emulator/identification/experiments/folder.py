@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
@@ -51,7 +49,7 @@ def make_folder(folder: Path) -> None:
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     """Say what the bags that are there are for; written after each experiment, so that a series may be cut short."""
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
-    (folder / INDEX).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+    (folder / INDEX).write_text(yaml_text(content), encoding="utf-8")
 
 
 def _names(folder: Path) -> list[str]:

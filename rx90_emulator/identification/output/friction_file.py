@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from rx90_common.friction import LuGreElement
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.estimate import PARAMETERS, Estimate, Source
 from rx90_emulator.identification.identify import Identification, IdentifiedElement
 
-_HEAD = """\
-# LuGre friction, joint side, SI units (equations 17 to 19), identified from recorded bags.
-# `elements` holds the values that the simulation loads. `identification` says for each of them how well it is known:
-# standard deviation, interval at 95 %, the bags it rests on, and whether the data tell it at all; where they do not,
-# the value stands in from elsewhere and is an assumption.
+_REMARKS = """\
+#
+# Identified from recorded bags. `elements` holds the values that the simulation loads. `identification` says how well
+# each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
+# do not identify is taken from elsewhere, and is an assumption.
 """
 
 
@@ -27,7 +24,7 @@ def friction_text(result: Identification, fallback_name: str | None, now: dateti
 
     Args:
         result: what was identified.
-        fallback_name: file of the values that the data do not tell.
+        fallback_name: file of the values that the bags do not identify.
         now: date of the identification; by default the present.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
@@ -37,52 +34,24 @@ def friction_text(result: Identification, fallback_name: str | None, now: dateti
             for bag in bags:
                 sources.setdefault(bag, f"bag_{len(sources) + 1}")
     names = result.arm.element_names
-    content = {
-        "provenance": "identified",
-        "source": f"{len(sources)} bags, {date}; omega_d is not identified"
-        + ("" if fallback_name is None else f", it is that of {fallback_name}"),
-        "elements": {name: _values(one.element) for name, one in zip(names, result.elements, strict=True)},
-        "identification": {
-            "date": date,
-            "bags": {
-                label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": _date_of(bag.path)}
-                for bag, label in sources.items()
-            },
-            "parameters": {
-                name: _provenance(one, sources, date, fallback_name)
-                for name, one in zip(names, result.elements, strict=True)
-            },
+    source = f"{len(sources)} bags, {date}; omega_d is not identified"
+    identification = {
+        "date": date,
+        "bags": {
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": _date_of(bag.path)}
+            for bag, label in sources.items()
+        },
+        "parameters": {
+            name: _provenance(one, sources, date, fallback_name)
+            for name, one in zip(names, result.elements, strict=True)
         },
     }
-    return _HEAD + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=118)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes floats so that YAML 1.1 and 1.2 read the same, and short mappings on one line."""
-
-
-def _represent_float(dumper: yaml.SafeDumper, value: float) -> yaml.ScalarNode:
-    text = f"{value:.6g}"
-    mantissa, _, exponent = text.partition("e")
-    if exponent and "." not in mantissa:
-        text = f"{mantissa}.0e{exponent}"
-    elif "." not in text and not exponent:
-        text += ".0"
-    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
-
-
-_Dumper.add_representer(float, _represent_float)
-
-
-def _values(element: LuGreElement) -> dict[str, Any]:
-    values: dict[str, Any] = {
-        key: {sign: getattr(element, f"{key}_{sign}") for sign in ("positive", "negative")}
-        for key in ("tau_c", "tau_s")
-    }
-    values |= {key: getattr(element, key) for key in ("omega_s", "delta", "c0", "c1", "c2")}
-    if math.isfinite(element.omega_d):
-        values["omega_d"] = element.omega_d
-    return values
+    return FrictionFile(
+        {name: one.element for name, one in zip(names, result.elements, strict=True)},
+        "identified",
+        source if fallback_name is None else f"{source}, it is that of {fallback_name}",
+        identification,
+    ).text(_REMARKS)
 
 
 def _provenance(
@@ -108,11 +77,15 @@ def _parameter(
     return {
         "provenance": "identified",
         "value": value,
-        "deviation": estimate.deviation,
-        "interval": list(estimate.bounds),
+        "deviation": _rounded(estimate.deviation),
+        "interval": [_rounded(bound) for bound in estimate.bounds],
         "bags": list(bags),
         "date": date,
     }
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def _date_of(path: Path) -> str:

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
+from rx90_common.friction.parameters import FRICTION_UNITS
+from rx90_common.report.page import render_page
 from rx90_emulator.identification.estimate import PARAMETERS
 from rx90_emulator.identification.identify import Identification
 from rx90_emulator.identification.output.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
 from rx90_emulator.identification.output.validation import Validation
 from rx90_emulator.identification.output.wording import value_and_deviation
 from rx90_emulator.identification.records.record import JointRecord
-
-_UNITS = dict(zip(PARAMETERS, ("Nm", "Nm", "Nm", "Nm", "rad/s", "1", "Nm s/rad", "Nm/rad", "Nm s/rad"), strict=True))
 
 
 def report_page(
@@ -37,12 +35,6 @@ def report_page(
         fallback_name: file of the values that the data do not tell.
         now: date of the identification; by default the present.
     """
-    environment = Environment(
-        loader=PackageLoader("rx90_emulator.identification.output"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
     named = list(zip(result.arm.element_names, result.elements, strict=True))
     untold = [
         (name, parameter, estimate.reason, getattr(one.element, parameter))
@@ -50,10 +42,12 @@ def report_page(
         for parameter, estimate in one.estimates.items()
         if not estimate.identifiable
     ]
-    return environment.get_template("identification.html.j2").render(
+    return render_page(
+        "rx90_emulator.identification.output",
+        "identification.html.j2",
         elements=named,
         parameters=PARAMETERS,
-        units=_UNITS,
+        units=FRICTION_UNITS,
         text=value_and_deviation,
         untold=untold,
         fallback=fallback_name,

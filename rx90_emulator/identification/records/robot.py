@@ -10,13 +10,12 @@ import numpy as np
 
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import absolute
-from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
-from rx90_common.friction.friction_set import load_element
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.records.reading import BagLayout
 from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
@@ -117,5 +116,4 @@ def _other(options: argparse.Namespace) -> Robot:
 def _fallback(name: str, arm: RigidArm) -> tuple[tuple[LuGreElement, ...] | None, str | None]:
     if name == "none":
         return None, None
-    section = load_yaml(resolve_config(name)).section("elements")
-    return tuple(load_element(section.section(element)) for element in arm.element_names), name
+    return FrictionFile.read(resolve_config(name)).select(arm.element_names), name

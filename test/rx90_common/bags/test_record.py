@@ -101,7 +101,7 @@ def start(ros_domain: int) -> Iterator[Start]:  # noqa: ARG001
 
 def start_recorder(start: Start, output: Path, *arguments: str, **options: Any) -> Process:
     """Start `rx90_bag record`."""
-    return start("-m", "rx90_emulator.cli.bag", "record", "-o", str(output), *arguments, **options)
+    return start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
 
 
 def start_publisher(start: Start, depth: int = 20_000) -> Process:
@@ -263,11 +263,30 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     (place / "taken" / "notes.txt").write_text("mine")
     for name in ("taken", "new"):
         arguments = [argument.replace(name, str(place / name)) for argument in arguments]
-    code, out, err = start("-m", "rx90_emulator.cli.bag", "record", *arguments).finish()
+    code, out, err = start("-m", "rx90_emulator", "rx90_bag", "record", *arguments).finish()
     assert (code, out) == (2, "")
     assert complaint.replace("taken", str(place / "taken")) in err.splitlines()[-1]
     assert "Traceback" not in err
     assert [p.name for p in place.rglob("*")] == ["taken", "notes.txt"]
+
+
+CRAMPED = """
+import resource, sys
+from rx90_emulator.cli.bag import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) -> None:
+    """When the system refuses to write on, the recorder ends with one line and exit code 3; the bag's start stays."""
+    publisher = start_publisher(start)
+    recorder = start("-c", CRAMPED, "record", "-o", str(tmp_path / "bag"), "motor_states")
+    recorder.wait_for("ready: all 1 topics")
+    publisher.tell("20000 4000")
+    code, _, err = recorder.finish()
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large)")
+    assert any((tmp_path / "bag").iterdir())
 
 
 def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:

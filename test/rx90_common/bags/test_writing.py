@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import resource
 import shutil
 import subprocess
@@ -18,7 +20,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rx90_common.bags import writing
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -106,8 +108,20 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 def test_mistakes_are_refused(tmp_path: Path, call: Any, complaint: str) -> None:
     """A wrong storage, place, topic list or type is refused with what is accepted."""
     (tmp_path / "file").write_text("")
-    with pytest.raises(BagError, match=complaint):
+    with pytest.raises(BagError, match=complaint) as refusal:
         call(tmp_path)
+    assert refusal.value.exit_code == REFUSED
+
+
+def test_a_full_disk_is_no_mistake_of_the_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk without room for a new bag's folder is a failure, not a refusal."""
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.raises(BagWriteError, match="No space left on device"):
+        BagWriter(tmp_path / "bag")
 
 
 class _Usage(NamedTuple):
@@ -124,8 +138,9 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     monkeypatch.setattr(shutil, "disk_usage", lambda _: _Usage(1 << 40, 1 << 40, 5 << 20))
     monkeypatch.setattr(writing, "_BYTES_PER_SPACE_CHECK", 100_000)
     written = series(3000)
-    with pytest.raises(BagError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)"):
+    with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)") as failure:
         write_joint_states(tmp_path / "bag", [written], storage=storage)
+    assert failure.value.exit_code == FAILED
     read = read_joint_states(tmp_path / "bag", "joint_states")
     assert 0 < len(read.stamp_ns) < 3000
     np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])
@@ -135,14 +150,16 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
 def test_failed_writes_are_one_clear_line(tmp_path: Path, storage: str) -> None:
     """When the system refuses to write on, the error is one line that names the bag."""
     code = f"""
+import errno
+import os
 import resource
 from bag_making import series
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagWriteError
 resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, {resource.RLIM_INFINITY}))
 try:
     write_joint_states({str(tmp_path / "bag")!r}, [series(30000)], storage={storage!r})
-except BagError as error:
+except BagWriteError as error:
     print(error)
 """
     tests = Path(__file__).parents[2] / "support"
@@ -151,7 +168,7 @@ except BagError as error:
         capture_output=True,
         text=True,
         check=True,
-        env={"PYTHONPATH": f"{tests}:{tests.parent}"},
+        env={"PYTHONPATH": f"{tests}:{tests.parents[1]}"},
     )
     assert done.stdout.startswith(f"{tmp_path / 'bag'}: cannot be written (")
     assert done.stdout.count("\n") == 1

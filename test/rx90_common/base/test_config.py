@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rx90_common.base.config import PROVENANCE, Section, load_yaml
+from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.errors import ConfigError, Rx90Error
 
 
@@ -114,7 +114,17 @@ def test_a_bad_entry_of_a_list_is_named(write: Write) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "number"), [("1e5", 1e5), ("1.0e5", 1e5), ("-2E-3", -2e-3), ("1e+5", 1e5), (".5", 0.5), ("010", 10.0)]
+    ("text", "number"),
+    [
+        ("1e5", 1e5),
+        ("1.0e5", 1e5),
+        ("-2E-3", -2e-3),
+        ("1e+5", 1e5),
+        (".5", 0.5),
+        ("010", 10.0),
+        ("0x1F", 31.0),
+        ("0o17", 15.0),
+    ],
 )
 def test_numbers_are_what_they_look_like(write: Write, text: str, number: float) -> None:
     """Every usual way to write a number is one, with or without point and sign of the exponent."""
@@ -141,6 +151,29 @@ def test_integers_switches_and_texts(write: Write) -> None:
     assert "whole is 3; accepted: true or false" in refusal(lambda: root.boolean("whole"), path)
     assert "word is 'blue'; accepted: one of red" in refusal(lambda: root.text("word", ("red",)), path)
     assert "whole is 3; accepted: a text" in refusal(lambda: root.text("whole"), path)
+
+
+@pytest.mark.parametrize("text", ["yes", "no", "on", "off", "y", "1:30", "2001-01-01", "1_0", "="])
+def test_words_of_yaml_1_1_are_texts(write: Write, text: str) -> None:
+    """What YAML 1.1 takes for switches, times, dates and grouped digits is a text, as in YAML 1.2."""
+    assert load_yaml(write(f"{text}: {text}")).text(text) == text
+
+
+def test_the_first_of_several_documents(write: Write) -> None:
+    """Where a stream of documents is expected the first one counts, and it has to be a mapping."""
+    assert load_yaml(write("a: 1\n---\nb: 2\n---\n"), first=True).content == {"a": 1}
+    path = write("")
+    assert refusal(lambda: load_yaml(path, "a trajectory", first=True), path).endswith(
+        "NoneType; accepted: a trajectory"
+    )
+
+
+def test_a_list_that_is_used_twice_is_written_twice(write: Write) -> None:
+    """No anchors stand in what is written: other programs read the files, too."""
+    both = [1.0, 2.0]
+    text = yaml_text({"a": both, "b": both})
+    assert "&" not in text
+    assert load_yaml(write(text)).content == {"a": both, "b": both}
 
 
 def test_keys_that_nobody_asked_for_are_refused(write: Write) -> None:

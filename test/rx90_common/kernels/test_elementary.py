@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import os
 import subprocess
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from rx90_common.base.sources import ROOT
+from rx90_common.kernels import elementary
 from rx90_common.kernels.elementary import exponential, power, sine_cosine
 from rx90_common.kernels.lanes import load, store
 
@@ -45,6 +48,19 @@ def samples() -> Array:
     spread = rng.choice([-1, 1], 4000) * 10.0 ** rng.uniform(-12, 3, 4000)
     x = np.concatenate([*beside, spread, rng.uniform(-7, 7, 4000), [0.0, -0.0]])
     return x[: x.size // 8 * 8]
+
+
+def test_the_constants_are_those_that_the_script_derives() -> None:
+    """The script in tools/ gives every constant of the polynomials and of the reduction to the last bit."""
+    script = ROOT / "tools" / "elementary_coefficients.py"
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True)
+    derived = {
+        assignment.targets[0].id: ast.literal_eval(assignment.value)
+        for assignment in ast.parse(done.stdout).body
+        if isinstance(assignment, ast.Assign) and isinstance(assignment.targets[0], ast.Name)
+    }
+    assert derived.keys() == {"_LOG2_E", "_TWO_BY_PI", "_LN2", "_HALF_PI", "_E", "_S", "_C"}
+    assert derived == {name: getattr(elementary, name) for name in derived}
 
 
 @pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="needs an extended precision to compare with")

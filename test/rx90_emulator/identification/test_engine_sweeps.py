@@ -17,7 +17,6 @@ from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.run_bag import run_series
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -60,8 +59,7 @@ def bags(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
         )
         result = simulate(shipped, points, HOME, times[-1] + 0.2, 0.1, record_fast=True)
         paths.append(folder / f"bag_{k}")
-        motors = [series for series in run_series(result) if series.topic == "/motor_states"]
-        write_joint_states(paths[-1], motors)
+        write_joint_states(paths[-1], [result.series["motor_states"]])
     return paths
 
 

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import yaml
 from foreign_arms import Curve, Program, drive_torque, micro_oscillation, urdf_text, write, write_fallback
 
-from rx90_emulator.cli import identify as command
+from rx90_common.base.errors import DONE
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_emulator.cli.frame import run
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 SPEEDS = np.geomspace(0.006, 1.2, 9).tolist()
@@ -24,15 +25,14 @@ C0, C1 = 2e4, 25.0
 
 def identified(arguments: Sequence[object], output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """Run the command and return the friction file's parameters, which are also those that the simulation loads."""
-    code = command.main([*map(str, arguments), "--output", str(output)])
-    assert code == command.CONFIRMED, capsys.readouterr().err
-    content = yaml.safe_load(output.read_text(encoding="utf-8"))
-    parameters: dict[str, Any] = content["identification"]["parameters"]
+    code = run("rx90_identify", [*map(str, arguments), "--output", str(output)])
+    assert code == DONE, capsys.readouterr().err
+    file = FrictionFile.read(output)
+    assert file.identification is not None
+    parameters: dict[str, Any] = file.identification["parameters"]
     for element, values in parameters.items():
         for name, entry in values.items():
-            key, _, sign = name.rpartition("_")
-            loaded = content["elements"][element]
-            assert (loaded[key][sign] if key in ("tau_c", "tau_s") else loaded[name]) == entry["value"], (element, name)
+            assert getattr(file.elements[element], name) == entry["value"], (element, name)
     return parameters
 
 

@@ -17,7 +17,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.records.reading import BagLayout, read_record
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.run_bag import write_run
+from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def test_both_topics_of_this_project_agree(shipped: Setup, tmp_path: Path) -> No
     goal = np.array([0.1, 0.4, 1.0, -0.2, 0.6, 0.3])
     points = TrajectoryPoints.create(names, names, [0.5], [goal], [zero], [zero])
     result = simulate(shipped, points, goal - 0.1, 0.7, record_fast=True)
-    write_run(result, tmp_path / "run")
+    write_bag(result, tmp_path / "run")
     motors = read_record(tmp_path / "run", BagLayout.rx90_motors(shipped))
     joints = read_record(tmp_path / "run", BagLayout.rx90_joints(shipped))
     same = np.isin(motors.time, joints.time)

@@ -14,7 +14,8 @@ from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.closed_loop import RunResult, simulate
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

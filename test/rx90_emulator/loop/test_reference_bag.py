@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from rx90_common.bags.comparison import Scope, Verdict, compare_bags
-from rx90_common.bags.comparison_report import as_text
-from rx90_common.bags.tolerance import Tolerances, parse_rule
+from rx90_common.bags.tables import comparison_text
+from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.loop.run_bag import write_run
+from rx90_emulator.loop.line import path_accuracy, run_line
+from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import path_accuracy, run_task
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
 """Written by `rx90_run --slow-only --decimation 20`; see the README beside it."""
@@ -39,16 +39,16 @@ def task() -> LineTask:
 
 def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:
     """Joint, friction, reference and error series stay within what rounding can do."""
-    write_run(run_task(shipped, task), tmp_path / "new", decimation=20)
-    tolerances = Tolerances(tuple(parse_rule(text) for text in TOLERANCES))
+    write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
+    tolerances = Tolerances.parse(*TOLERANCES)
     comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances, Scope(same_range=True))
-    assert comparison.verdict is Verdict.SAME, as_text(comparison)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == 4
 
 
 def test_the_reference_task_stays_within_a_tenth_of_a_millimetre(shipped: Setup, task: LineTask) -> None:
     """With feed-forward the laser spot keeps to the line within 0.1 mm at 100 mm/s."""
-    result = run_task(shipped, task)
+    result = run_line(shipped, task)
     accuracy = path_accuracy(shipped.robot, task, result.times, result.slow.joint_states[:, 0])
     assert task.speed == 0.1
     assert accuracy.worst <= 1e-4

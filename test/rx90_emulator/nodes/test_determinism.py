@@ -6,12 +6,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from line_run import run_line
+from line_run import run_both_ways
 from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import Verdict
-from rx90_common.bags.comparison_report import as_text
+from rx90_common.bags.tables import comparison_text
 from rx90_emulator.loop.setup import Setup
 
 
@@ -22,8 +22,8 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
     """With both cores busy, every recorded number equals the closed loop without ROS, to the last bit."""
     for _ in range(2):
         processes.start(sys.executable, "-c", "while True: pass")
-    comparison = run_line(processes, client, shipped, tmp_path)
-    assert comparison.verdict is Verdict.SAME, as_text(comparison)
+    comparison = run_both_ways(processes, client, shipped, tmp_path)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == {
         "/friction_states",
         "/joint_states",

@@ -9,12 +9,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from line_run import run_line
+from line_run import run_both_ways
 from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import Verdict
-from rx90_common.bags.comparison_report import as_text
+from rx90_common.bags.tables import comparison_text
 from rx90_emulator.loop.setup import Setup
 
 SHARE = 0.02
@@ -51,9 +51,9 @@ def test_lost_datagrams_cost_time_and_nothing_else(
         "LOSSY_SEED=1",
         f"LOSSY_COUNTS={counts}",
     )
-    comparison = run_line(processes, client, shipped, tmp_path, around)
+    comparison = run_both_ways(processes, client, shipped, tmp_path, around)
     sent, lost = struct.unpack("QQ", counts.read_bytes())
     print(f"{lost} of {sent} datagrams lost")
     assert lost > LEAST_LOST
     assert lost / sent == pytest.approx(SHARE, rel=0.5)
-    assert comparison.verdict is Verdict.SAME, as_text(comparison)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)

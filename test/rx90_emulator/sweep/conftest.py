@@ -1,4 +1,4 @@
-"""A short line, so that a run takes milliseconds, and a small sweep over it."""
+"""A small sweep over a short line."""
 
 from __future__ import annotations
 
@@ -6,52 +6,20 @@ from pathlib import Path
 
 import pytest
 
-from rx90_controller.lines.task import LineTask, load_task
-from rx90_emulator.loop.setup import Setup
-from rx90_emulator.sweep.catalogue import Catalogue
-from rx90_emulator.sweep.plan import Block, Parameter, SweepBase, SweepPlan
+from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
-
-SHORT_TASK = """
-line:
-  start: [0.6, -0.3, 0.2]
-  end: [0.6034, -0.2808, 0.1955]
-  speed: 0.1
-  acceleration: 2.0
-  tool_rpy_degrees: [0.0, 180.0, 0.0]
-  rest_before: 0.05
-  rest_after: 0.05
-"""
-
-
-@pytest.fixture(scope="session")
-def task_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the file of a line of 20 mm."""
-    file = tmp_path_factory.mktemp("task") / "short.yaml"
-    file.write_text(SHORT_TASK, encoding="utf-8")
-    return file
-
-
-@pytest.fixture(scope="session")
-def task(task_file: Path) -> LineTask:
-    """Return a line of 20 mm."""
-    return load_task(task_file)
-
-
-@pytest.fixture(scope="session")
-def catalogue(shipped: Setup, task: LineTask) -> Catalogue:
-    """Return the paths of the shipped setup and the short line."""
-    return Catalogue(shipped, task)
 
 
 @pytest.fixture(scope="session")
 def plan(task_file: Path) -> SweepPlan:
     """Return 40 runs, four of which fail: a grid of two switches by ten draws, twenty draws of one robot."""
-    stiffness = Parameter("friction.*.c0", ("friction.*.c0",), True, LogUniform(0.5, 2.0))
-    inertia = Parameter("rotors", ("drives.rotor_inertia[*]",), True, Uniform(0.8, 1.2), each=True)
-    switch = Parameter("viscous", ("controller.feed_forward.viscous",), False, Values((True, False)))
-    masses = Parameter("arm.link_3.mass", ("arm.link_3.mass",), False, Values((8.0, 12.0, -1.0, 16.0, 20.0)))
+    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(0.5, 2.0))
+    inertia = SweptParameter(
+        "rotors", paths=("drives.rotor_inertia[*]",), factor=True, space=Uniform(0.8, 1.2), each=True
+    )
+    switch = SweptParameter("viscous", paths=("controller.feed_forward.viscous",), space=Values((True, False)))
+    masses = SweptParameter("arm.link_3.mass", space=Values((8.0, 12.0, -1.0, 16.0, 20.0)))
     return SweepPlan(
         (
             Block("scatter", (switch,), (stiffness, inertia), draws=10),

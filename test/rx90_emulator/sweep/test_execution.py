@@ -15,13 +15,11 @@ import pytest
 
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep import execution
-from rx90_emulator.sweep.execution import dask_pool, local_pool
-from rx90_emulator.sweep.plan import Block, Parameter, SweepBase, SweepPlan
-from rx90_emulator.sweep.running import run_sweep
+from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
+from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Values
-from rx90_emulator.sweep.store import read_results
+from rx90_emulator.sweep.store import read_results, schema_of, table_of
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
-from rx90_emulator.sweep.table import schema_of, table_of
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +108,7 @@ def test_a_failing_run_is_a_row(
     tmp_path: Path, task_file: Path, path: str, factor: bool, values: tuple[float, ...], said: str
 ) -> None:
     """Divergence, a bad value, a line out of reach and a refused trajectory end their own run alone."""
-    swept = Parameter("swept", (path,), factor, Values(values))
+    swept = SweptParameter("swept", paths=(path,), factor=factor, space=Values(values))
     sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(task=task_file)))
     assert run_sweep(sweep, tmp_path / "out.parquet", workers=1, quiet=True) == (2, 1)
     good, bad = read_results(tmp_path / "out.parquet").to_pylist()

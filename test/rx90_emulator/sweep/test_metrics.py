@@ -6,9 +6,9 @@ import numpy as np
 
 from rx90_common.description.kinematics import forward
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.closed_loop import RunResult
+from rx90_emulator.loop.line import path_accuracy, run_line
+from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.task_run import path_accuracy, run_task
 from rx90_emulator.sweep.metrics import measure, metrics_of, tip_position
 
 
@@ -27,7 +27,7 @@ def named(setup: Setup, task: LineTask, result: RunResult) -> dict[str, float]:
 
 def test_metrics_of_a_run(shipped: Setup, task: LineTask) -> None:
     """The metrics are those that the series of the run give, from the line's start until it has settled."""
-    result = run_task(shipped, task)
+    result = run_line(shipped, task)
     found = named(shipped, task, result)
     accuracy = path_accuracy(shipped.robot, task, result.times, result.slow.joint_states[:, 0])
     # The error that remains of two ways to the same sum, against 1e-5 m.

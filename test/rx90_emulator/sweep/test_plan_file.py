@@ -108,7 +108,7 @@ def test_shipped_plans_fit(name: str) -> None:
             "both set friction.joint_1.c0",
         ),
         ("blocks: {a: {grid: {x: {paths: [task.speed, task.speed], value: [1]}}}}", "set a value twice"),
-        ("blocks: {a: {grid: {x: {paths: [], value: [1]}}}}", "has no paths"),
+        ("blocks: {a: {grid: {x: {paths: [], value: [1]}}}}", "paths is []; accepted: at least one path"),
         ("blocks: {a: {grid: {seed: {paths: [task.speed], value: [1]}}}}", "the name 'seed' of a result"),
         ("blocks: {a: {grid: {controller.feed_forward.coulomb: {factor: [2]}}}}", "accepted: value"),
         ("blocks: {a: {grid: {x: {paths: [task.speed, 'task.end[0]'], value: [1]}}}}", "different units"),

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
-from rx90_emulator.sweep.catalogue import Catalogue
-from rx90_emulator.sweep.plan import Block, Parameter, SweepPlan
+from rx90_emulator.loop.catalogue import Catalogue
+from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
 from rx90_emulator.sweep.runs import RunDescription, RunList
 from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
 
 
-def parameter(path: str, *values: float, factor: bool = True) -> Parameter:
+def parameter(path: str, *values: float, factor: bool = True) -> SweptParameter:
     """Return a grid's parameter."""
-    return Parameter(path, (path,), factor, Values(values))
+    return SweptParameter(path, factor=factor, space=Values(values))
 
 
-def drawn(path: str, *, each: bool = False) -> Parameter:
+def drawn(path: str, *, each: bool = False) -> SweptParameter:
     """Return a random factor between 1 and 2."""
-    return Parameter(path, (path,), True, Uniform(1.0, 2.0), each)
+    return SweptParameter(path, factor=True, space=Uniform(1.0, 2.0), each=each)
 
 
 def all_runs(plan: SweepPlan, catalogue: Catalogue) -> list[RunDescription]:
@@ -69,7 +69,7 @@ def test_points_of_the_grid_share_their_draws(catalogue: Catalogue) -> None:
 def test_the_seed_gives_the_draws(catalogue: Catalogue) -> None:
     """NumPy's default generator, seeded with a run's seed, gives the shares that its values stand for."""
     low, high = 0.5, 2.0
-    stiffness = Parameter("friction.*.c0", ("friction.*.c0",), True, LogUniform(low, high), each=True)
+    stiffness = SweptParameter("friction.*.c0", factor=True, space=LogUniform(low, high), each=True)
     for run in all_runs(SweepPlan((Block("a", (), (stiffness,), draws=3),), seed=3), catalogue):
         shares = np.random.default_rng(run.seed).random(7)
         expected = low * (high / low) ** shares
@@ -82,7 +82,7 @@ def test_factor_and_value(catalogue: Catalogue) -> None:
     plan = SweepPlan((Block("a", (parameter("friction.*.c0", 2.0), parameter("drives.gear[*]", 50.0, factor=False))),))
     runs = RunList(plan, catalogue)
     changes = runs.changes(runs.describe(0))
-    friction = [value for target, value in changes.items() if target.key[0] == "friction"]
+    friction = [value for leaf, value in changes.items() if leaf.key[0] == "friction"]
     assert friction == [2.0e5, 2.2e5, 1.4e5, 3.0e4, 2.0e4, 1.0e4, 8.0e3]
     assert [v for t, v in changes.items() if t.key[0] == "drives"] == [50.0] * 6
     assert runs.columns[0].unit == "1"

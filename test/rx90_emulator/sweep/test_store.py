@@ -13,12 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import SweepError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep import store
-from rx90_emulator.sweep.info import summary
-from rx90_emulator.sweep.store import ResultStore, parts_folder, read_results
+from rx90_emulator.sweep.info import describe_results
+from rx90_emulator.sweep.store import KEY, ResultStore, parts_folder, read_results
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
-from rx90_emulator.sweep.table import KEY
 
 
 @pytest.fixture
@@ -63,7 +62,7 @@ def test_parts_are_readable_before_the_end(
         (parts_folder(file) / ".part-000009.parquet").write_bytes(b"PAR1 torn")
         assert pd.read_parquet(parts_folder(file))["index"].tolist() == list(range(12))
         assert len(read_results(file)) == 12
-        assert "12 of 40 runs; go on with --resume" in summary(file)[0]
+        assert "12 of 40 runs; go on with --resume" in describe_results(file)[0]
         with pytest.raises(SweepError, match=r"out\.parquet\.parts exists; accepted: another output"):
             ResultStore(file, sweep)
     assert len(read_results(file)) == 12
@@ -159,13 +158,13 @@ def test_a_lock_that_went_with_its_folder_locks_nothing(
 
 def test_no_place_to_write(tmp_path: Path, sweep: Sweep) -> None:
     """An output in a folder that does not exist is refused before any run."""
-    with pytest.raises(SweepError, match="cannot be written"):
+    with pytest.raises(ConfigError, match="cannot be written"):
         ResultStore(tmp_path / "no" / "out.parquet", sweep)
 
 
 def test_summary(output: Path) -> None:
     """The summary tells state, failures and each column's unit and range."""
-    lines = summary(output)
+    lines = describe_results(output)
     assert lines[0].endswith("all 40 runs")
     assert any(line.startswith("4 runs failed (ConfigError 4), for example: ConfigError: arm") for line in lines)
     mass = next(line for line in lines if line.startswith("arm.link_3.mass"))

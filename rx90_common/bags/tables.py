@@ -1,0 +1,160 @@
+"""Comparisons and summaries of bags as tables for a person and as JSON for a program."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import groupby
+from typing import Any
+
+from rx90_common.bags.alignment import Side
+from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
+from rx90_common.bags.summary import BagSummary, TopicSummary
+from rx90_common.bags.topics import UNITS
+from rx90_common.base.rates import NANOSECONDS
+
+_WORDS = {
+    Verdict.SAME: "same",
+    Verdict.DIFFERS: "DIFFERS",
+    Verdict.INCOMPARABLE: "CANNOT BE COMPARED",
+}
+_COMPARED = ("field", "joint", "max", "at t (s)", "RMS", "unit", "tolerance", "beyond")
+_SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)", "gaps", "remarks")
+
+
+def comparison_text(comparison: BagComparison) -> str:
+    """Return a table of the differences, topic by topic, and the verdict in the last line."""
+    blocks = [_topic_text(topic) for topic in comparison.topics]
+    if comparison.skipped:
+        blocks.append(f"not compared, as they are no JointState: {', '.join(comparison.skipped)}")
+    blocks.append(f"{comparison.path_a} against {comparison.path_b}: {_WORDS[comparison.verdict]}")
+    return "\n\n".join(blocks)
+
+
+def comparison_json(comparison: BagComparison) -> str:
+    """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
+    content = {
+        "a": str(comparison.path_a),
+        "b": str(comparison.path_b),
+        "verdict": comparison.verdict.name.lower(),
+        "exit_code": int(comparison.verdict),
+        "topics": [_topic_dict(topic) for topic in comparison.topics],
+        "not_compared": list(comparison.skipped),
+    }
+    return json.dumps(content, indent=2, allow_nan=False)
+
+
+def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
+    content = asdict(topic)
+    content["verdict"] = topic.verdict.name.lower()
+    for value in content["values"]:
+        value["unit"] = UNITS[value["field"]]
+    return content
+
+
+def _topic_text(topic: TopicComparison) -> str:
+    lines = [f"{topic.topic}: {_WORDS[topic.verdict]}"]
+    if topic.range_ns is not None:
+        low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
+        lines[0] += f", {topic.pairs} messages compared, t = {low} to {high} s"
+    lines += [f"  {reason}" for reason in topic.reasons]
+    for side, where in ((topic.a, "first"), (topic.b, "second")):
+        if side is not None and (note := _side_note(side)):
+            lines.append(f"  {where} bag: {note}")
+    rows = [row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(list(values))]
+    if rows:
+        lines.append(_table(_COMPARED, rows, indent=2))
+    return "\n".join(lines)
+
+
+def _side_note(side: Side) -> str:
+    parts = [
+        (side.outside, "messages outside the common range"),
+        (side.repeats, "exact repetitions, counted once"),
+        (side.ambiguous, "messages that share a stamp with another one"),
+    ]
+    return "; ".join(f"{count} {what}" for count, what in parts if count)
+
+
+def _field_rows(values: list[ValueDifference]) -> list[tuple[str, ...]]:
+    """Return one row per joint; one for all when none of them differs at all."""
+    first = values[0]
+    if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):
+        tolerances = {v.tolerance for v in values}
+        tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
+        return [(first.field, f"all {len(values)}", "0", "", "0", UNITS[first.field], tolerance, "")]
+    return [_value_row(value) for value in values]
+
+
+def _value_row(value: ValueDifference) -> tuple[str, ...]:
+    beyond = f"{value.beyond}" if value.beyond else ""
+    if value.not_finite:
+        beyond += f" ({value.not_finite} not finite)"
+    return (
+        value.field,
+        value.joint,
+        f"{value.maximum:.3e}" if value.maximum else "0",
+        "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
+        f"{value.rms:.3e}" if value.rms else "0",
+        UNITS[value.field],
+        f"{value.tolerance:g}",
+        beyond,
+    )
+
+
+def summary_json(summary: BagSummary) -> str:
+    """Return all figures as JSON: times in ns, rates in Hz."""
+    content = asdict(summary) | {"path": str(summary.path), "count": summary.count}
+    return json.dumps(content, indent=2, allow_nan=False)
+
+
+def summary_text(summary: BagSummary) -> str:
+    """Return a table of the topics below one line about the whole bag."""
+    head = f"{summary.path}: {summary.storage}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
+    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
+
+
+def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
+    return (
+        topic.topic,
+        topic.msgtype,
+        f"{topic.count}",
+        "" if topic.rate is None else f"{topic.rate:.3f}",
+        _seconds(topic.first_ns),
+        _seconds(topic.last_ns),
+        f"{topic.gaps}" if topic.gaps else "",
+        _remarks(topic),
+    )
+
+
+def _remarks(topic: TopicSummary) -> str:
+    remarks = []
+    if topic.longest_gap_ns is not None:
+        where = _seconds(topic.longest_gap_at_ns)
+        remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
+    if topic.backward:
+        remarks.append(f"time goes back {topic.backward} times")
+    if topic.repeated:
+        remarks.append(f"{topic.repeated} repeated times")
+    if topic.time == "log" and topic.count:
+        remarks.append("by log time")
+    return "; ".join(remarks)
+
+
+def _seconds(time_ns: int | None) -> str:
+    return "" if time_ns is None else f"{time_ns / NANOSECONDS:.6f}"
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], indent: int = 0) -> str:
+    """Return headings and rows in columns as wide as their widest cell; figures stand to the right."""
+    widths = [max(len(row[i]) for row in (headings, *rows)) for i in range(len(headings))]
+    figures = [all(not row[i] or row[i][0] in "-0123456789" for row in rows) for i in range(len(headings))]
+    lines = []
+    for row in (headings, *rows):
+        cells = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(row, widths, figures, strict=True)
+        ]
+        lines.append(" " * indent + "  ".join(cells).rstrip())
+    return "\n".join(lines)

@@ -1,0 +1,127 @@
+"""The friction file: one reader and one writer for all who have friction parameters in a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rx90_common.base.config import Section, load_yaml, yaml_text
+from rx90_common.base.errors import ConfigError
+from rx90_common.friction.friction_set import FrictionSet, element_names
+from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS, legend
+
+
+@dataclass(frozen=True)
+class FrictionFile:
+    """The content of a friction file.
+
+    Attributes:
+        elements: by their names.
+        provenance: published, derived, assumed or identified; None where the file does not say.
+        source: the sentence that names the source; None where there is none.
+        identification: how the values were found and how well they are known, for readers; None where there is none.
+        path: where it was read, if it was.
+    """
+
+    elements: Mapping[str, LuGreElement]
+    provenance: str | None = None
+    source: str | None = None
+    identification: Mapping[str, Any] | None = None
+    path: Path | None = field(default=None, compare=False)
+
+    @classmethod
+    def read(cls, path: Path) -> FrictionFile:
+        """Read a file with any elements.
+
+        Raises:
+            ConfigError: naming file, element, value and accepted range.
+        """
+        root = load_yaml(path)
+        section = root.section("elements")
+        elements = {name: read_element(section.section(name)) for name in section}
+        identification = root.section("identification").content if "identification" in root else None
+        root.finish()
+        return cls(elements, root.provenance, root.source, identification, path)
+
+    def select(self, names: Sequence[str]) -> tuple[LuGreElement, ...]:
+        """Return the elements of these names.
+
+        Raises:
+            ConfigError: naming file and the element that is missing.
+        """
+        missing = [name for name in names if name not in self.elements]
+        if missing:
+            raise ConfigError(
+                f"{self.path}: elements.{missing[0]} is missing; accepted: one element for each of {', '.join(names)}"
+            )
+        return tuple(self.elements[name] for name in names)
+
+    def text(self, remarks: str = "") -> str:
+        """Return the file's text, which `read` gives back to the same bits.
+
+        Args:
+            remarks: lines of comment to put below the legend of the parameters.
+        """
+        content = {
+            "provenance": self.provenance,
+            "source": self.source,
+            "elements": {name: _values(element) for name, element in self.elements.items()},
+            "identification": self.identification,
+        }
+        head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
+        given = {key: value for key, value in content.items() if value is not None}
+        return head + legend() + remarks + yaml_text(given)
+
+
+def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
+    """Read the friction file of a robot: its six joints, and joints 5 and 6 together.
+
+    Raises:
+        ConfigError: naming file, element, value and accepted range.
+    """
+    file = FrictionFile.read(path)
+    names = element_names(joint_names)
+    elements = file.select(names)
+    for name in file.elements:
+        if name not in names:
+            raise ConfigError(f"{path}: elements.{name} is not a known key; accepted: {', '.join(names)}")
+    return FrictionSet(names, elements, path)
+
+
+def read_element(section: Section) -> LuGreElement:
+    """Read one element.
+
+    Raises:
+        ConfigError: naming file, element, value and accepted range.
+    """
+    values: dict[str, float] = {}
+    for parameter in FRICTION_PARAMETERS:
+        name, above = parameter.name, parameter.positive
+        if parameter.signed and section.holds_mapping(name):
+            pair = section.section(name)
+            numbers = [pair.number(sign, 0.0, above=above) for sign in SIGNS]
+            pair.finish()
+            values |= zip(parameter.attributes, numbers, strict=True)
+        elif name in section or not parameter.optional:
+            values |= dict.fromkeys(parameter.attributes, section.number(name, 0.0, above=above))
+    section.finish()
+    try:
+        return LuGreElement(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
+
+
+def _values(element: LuGreElement) -> dict[str, Any]:
+    """Return an element as `read_element` takes it."""
+    values: dict[str, Any] = {}
+    for parameter in FRICTION_PARAMETERS:
+        numbers = [float(getattr(element, name)) for name in parameter.attributes]
+        if len(set(numbers)) > 1:
+            values[parameter.name] = dict(zip(SIGNS, numbers, strict=True))
+        elif math.isfinite(numbers[0]):
+            values[parameter.name] = numbers[0]
+    return values

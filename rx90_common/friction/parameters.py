@@ -1,0 +1,87 @@
+"""The parameters of a LuGre element, in one table: checks, messages, reader, writer and legends come from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from rx90_common.base.errors import ConfigError
+
+SIGNS = ("positive", "negative")
+"""Of the velocity, in the order in which everything keeps them."""
+
+
+@dataclass(frozen=True)
+class FrictionParameter:
+    """One parameter, joint side, SI units.
+
+    Attributes:
+        name: its key in friction files.
+        meaning: in words.
+        unit: its unit, 1 for a pure number.
+        positive: whether 0 is refused; negative values always are.
+        signed: whether it has a value for each sign of the velocity.
+        optional: whether it may be left out, which means infinity.
+        remark: what else is to know; empty for nothing.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    positive: bool = True
+    signed: bool = False
+    optional: bool = False
+    remark: str = ""
+
+    @property
+    def attributes(self) -> tuple[str, ...]:
+        """Return the attributes of LuGreElement that hold it: one, or one for each of SIGNS."""
+        return tuple(f"{self.name}_{sign}" for sign in SIGNS) if self.signed else (self.name,)
+
+    @property
+    def accepted(self) -> str:
+        """Return its range in words."""
+        return f"a {'' if self.optional else 'finite '}number {'>' if self.positive else '>='} 0"
+
+    def check(self, attribute: str, value: float) -> None:
+        """Refuse a value that is not in the range.
+
+        Raises:
+            ConfigError: naming attribute, value and range.
+        """
+        above = value > 0.0 if self.positive else value >= 0.0
+        if not above or (math.isinf(value) and not self.optional):
+            raise ConfigError(f"{attribute} is {value}; accepted: {self.accepted}")
+
+
+FRICTION_PARAMETERS = (
+    FrictionParameter("tau_c", "Coulomb friction torque", "Nm", signed=True),
+    FrictionParameter("tau_s", "static friction torque", "Nm", positive=False, signed=True, remark="at least tau_c"),
+    FrictionParameter("omega_s", "Stribeck velocity", "rad/s"),
+    FrictionParameter("delta", "Stribeck exponent", "1"),
+    FrictionParameter("c0", "bristle stiffness", "Nm/rad"),
+    FrictionParameter("c1", "micro-viscous damping at rest", "Nm s/rad", positive=False),
+    FrictionParameter("c2", "viscous friction", "Nm s/rad", positive=False),
+    FrictionParameter(
+        "omega_d",
+        "velocity at which c1 has fallen to 1/e",
+        "rad/s",
+        optional=True,
+        remark="c1 fades as exp(-(v/omega_d)^2); without it, as in the paper, c1 is constant and not passive at speed",
+    ),
+)
+
+FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
+"""Units of the attributes of LuGreElement."""
+
+
+def legend() -> str:
+    """Return the table as lines of comment, as they stand at the head of friction files."""
+    lines = []
+    for parameter in FRICTION_PARAMETERS:
+        accepted = f"{'>' if parameter.positive else '>='} 0{', optional' if parameter.optional else ''}"
+        lines.append(f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}")
+        signs = "one value, or {positive: x, negative: y}" if parameter.signed else ""
+        remark = "; ".join(filter(None, (parameter.remark, signs)))
+        lines += [f"#          {remark}"] if remark else []
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,109 @@
+"""The parser of every command, and the options that several of them have."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+_EXIT_CODES = """
+exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
+is no (bags differ, messages lost, not confirmed); 2 refused, nothing was written; 3 could not be carried out (nodes
+gone, disk full); 130 interrupted; 141 the reader of the output has gone.
+"""
+_LONGEST_DELAY = 0.05  # s; more is a slip of the unit
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose help, also that of each verb, ends with what the exit codes mean."""
+
+    def format_help(self) -> str:
+        """Return the help."""
+        return super().format_help() + _EXIT_CODES
+
+
+def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Separate a command's own arguments from those for ROS: from --ros-args, which is kept, to -- or the end."""
+    own: list[str] = []
+    ros: list[str] = []
+    target = own
+    for word in words:
+        if word == "--ros-args":
+            target = ros
+        elif word == "--" and target is ros:
+            target = own
+            continue
+        target.append(word)
+    return own, ros
+
+
+def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Callable[[str], float]:
+    """Return a type for argparse: finite numbers for which `good` holds.
+
+    Args:
+        accepted: what is, in words, for the refusal.
+        good: which finite numbers are.
+    """
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and good(value)):
+            raise argparse.ArgumentTypeError(f"{text!r}; accepted: {accepted}")
+        return value
+
+    return parse
+
+
+_NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
+_FINITE = number("a finite number")
+
+
+def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe the robot."""
+    robot = parser.add_argument_group("this project's robot")
+    robot.add_argument("--tool", help="tool file, or none (shipped laser head)")
+    robot.add_argument("--drives", help="drives file")
+    either = parser.add_argument_group("any robot")
+    either.add_argument("--fallback", metavar="FILE",
+                        help="friction file for omega_d and for what the bags do not tell, or none (shipped for this "
+                        "project's robot, none for another)")  # fmt: skip
+    either.add_argument("--torque-delay", metavar="S", default=0.0,
+                        type=number(f"s, from {-_LONGEST_DELAY:g} to {_LONGEST_DELAY:g}",
+                                    lambda value: abs(value) <= _LONGEST_DELAY),
+                        help="how much later a recorded torque acted than in the sample period that ends at its stamp, "
+                        "s: half a period for torques of the very instant (%(default)g)")  # fmt: skip
+    either.add_argument("--record-time", action="store_true",
+                        help="take the times at which messages were recorded, not the stamps in "
+                        "their headers")  # fmt: skip
+    other = parser.add_argument_group(
+        "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
+        "URDF's root link."
+    )  # fmt: skip
+    other.add_argument("--urdf", type=Path, metavar="FILE",
+                       help="its URDF with <inertial>, no xacro; turns the options of this group on")  # fmt: skip
+    other.add_argument("--topic", help="JointState topic (joint_states)")
+    other.add_argument("--joints", nargs="+", metavar="NAME",
+                       help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
+                       "ones)")  # fmt: skip
+    other.add_argument("--names", nargs="+", metavar="NAME",
+                       help="what the messages call these joints, or their motors with --gear; their order there is "
+                       "free, and others may be there, too (as --joints)")  # fmt: skip
+    other.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
+                       help="motor turns per joint turn, negative where they turn against each other; says that "
+                       "the messages hold the motors' positions, velocities and efforts (the joints')")  # fmt: skip
+    other.add_argument("--coupling", nargs="+", type=_FINITE, metavar="C",
+                       help="where motors turn with several joints: turns of each motor per joint turn without the "
+                       "gears, row by row, n x n; such a motor has a friction element of its own "
+                       "(identity)")  # fmt: skip
+    other.add_argument("--torque-constant", nargs="+", type=_NOT_ZERO, metavar="K",
+                       help="torque per unit of effort, where effort is a current: Nm/A of the motor with --gear, else "
+                       "at the joint (1)")  # fmt: skip
+    other.add_argument("--rotor-inertia", nargs="+", metavar="J",
+                       type=number("0 or a positive number", lambda value: value >= 0.0),
+                       help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
+    other.add_argument("--spring", nargs="+", type=_FINITE, metavar="K",
+                       help="gravity-compensation springs, torque -K sin(q) on each joint, Nm (0)")  # fmt: skip

@@ -1,0 +1,207 @@
+"""Names of everything that can be changed: dotted paths to single values of a setup and a task.
+
+`friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `controller.kp[*]`, `arm.link_3.mass`,
+`controller.feed_forward.coulomb`, `task.speed`. A `*` stands for every name or index in its place; an index
+counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
+from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.setup import Setup
+
+Key = tuple[str, ...]
+Value = float | bool
+
+SWITCH = "switch"
+"""Stands where the unit would, for values that are true or false."""
+
+DRIVES_UNITS = {
+    "gear": "1",
+    "rotor_inertia": "kg m^2",
+    "torque_constant": "Nm/A",
+    "peak_current": "A",
+    "encoder_counts": "1",
+    "velocity_bandwidth": "Hz",
+    "brake_torque": "Nm",
+    "brake_stiffness": "Nm/rad",
+    "brake_damping": "Nm s/rad",
+    "spring_torque": "Nm",
+    "stop_stiffness": "Nm/rad",
+    "stop_damping": "Nm s/rad",
+}
+CONTROLLER_UNITS = {
+    "inertia": "kg m^2",
+    "kp": "1/s",
+    "kv": "1/s",
+    "ki": "1/s^3",
+    "integrator_limit": "Nm",
+    "coulomb": "Nm",
+    "coulomb_velocity": "rad/s",
+    "viscous": "Nm s/rad",
+    "current_bandwidth": "Hz",
+    "current_slew": "A/s",
+    "start_tolerance": "rad",
+}
+FEED_FORWARD_UNITS = dict.fromkeys(("acceleration", "coulomb", "viscous"), SWITCH)
+ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
+TASK_UNITS = {
+    "start": "m",
+    "end": "m",
+    "speed": "m/s",
+    "acceleration": "m/s^2",
+    "start_rpy": "rad",
+    "end_rpy": "rad",
+    "rest_before": "s",
+    "rest_after": "s",
+    "singularity_margin": "1",
+}
+
+_PATH = re.compile(r"(?P<names>[^\[\]]+)(?:\[(?P<index>\d+|\*)\])?")
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """One value: the key of its leaf, and the index where the leaf is an array."""
+
+    key: Key
+    index: int | None = None
+
+
+@dataclass(frozen=True)
+class Place:
+    """What one path without `*` names.
+
+    Attributes:
+        path: the path.
+        leaves: the values that it sets, two for `tau_c` and `tau_s`.
+        unit: their unit, or SWITCH.
+    """
+
+    path: str
+    leaves: tuple[Leaf, ...]
+    unit: str
+
+    def check(self, value: Value) -> None:
+        """Refuse a value of the wrong kind.
+
+        Raises:
+            ConfigError: with what is accepted.
+        """
+        switch = self.unit == SWITCH
+        if not isinstance(value, int | float) or isinstance(value, bool) != switch:
+            raise ConfigError(f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}")
+
+
+class ParameterValue(NamedTuple):
+    """A value and its unit; SWITCH stands for the unit of true and false."""
+
+    value: Value
+    unit: str
+
+
+def parameters(setup: Setup) -> dict[str, ParameterValue]:
+    """Return every parameter of a setup by its path: `friction.joint_2.c0`, `drives.gear[0]`, `arm.link_3.mass`, ..."""
+    catalogue = Catalogue(setup)
+    return {place.path: ParameterValue(catalogue.value(place.leaves[0]), place.unit) for place in catalogue.all()}
+
+
+class Catalogue:
+    """All values of a setup, and of a task if there is one, that have a path."""
+
+    def __init__(self, setup: Setup, task: LineTask | None = None) -> None:
+        self._units: dict[Key, str] = {}
+        self._values: dict[Key, Any] = {}
+        self._add(("drives",), setup.drives, DRIVES_UNITS)
+        self._add(("controller",), setup.controller, CONTROLLER_UNITS)
+        self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
+        if task is not None:
+            self._add(("task",), task, TASK_UNITS)
+        for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
+            self._add(("friction", name), element, FRICTION_UNITS)
+        chain = setup.robot.chain
+        for i in range(len(setup.robot.joint_names)):
+            for field, unit in ARM_UNITS.items():
+                key = ("arm", f"link_{i + 1}", field)
+                self._units[key], self._values[key] = unit, getattr(chain, field)[i]
+        self._names: dict[Key, tuple[Key, ...]] = {key: (key,) for key in self._units}
+        for element_name in setup.friction.names:
+            for parameter in FRICTION_PARAMETERS:
+                keys = tuple(("friction", element_name, field) for field in parameter.attributes)
+                self._names["friction", element_name, parameter.name] = keys
+
+    def _add(self, prefix: Key, holder: object, units: dict[str, str]) -> None:
+        for field, unit in units.items():
+            key = (*prefix, field)
+            self._units[key], self._values[key] = unit, getattr(holder, field)
+
+    def value(self, leaf: Leaf) -> Value:
+        """Return a value as the files have it."""
+        value = self._values[leaf.key]
+        if leaf.index is not None:
+            return float(value[leaf.index])
+        return value if isinstance(value, bool) else float(value)
+
+    def all(self) -> list[Place]:
+        """Return a place for each value."""
+        shapes = {key: "*" if np.ndim(value) else None for key, value in self._values.items()}
+        return [place for key, index in shapes.items() for place in self._indexed(".".join(key), key, index)]
+
+    def places(self, path: str) -> tuple[Place, ...]:
+        """Return what a path names, one place for each combination that its `*` stand for.
+
+        Raises:
+            ConfigError: if it names nothing, or values of different units; with what is accepted.
+        """
+        match = _PATH.fullmatch(path)
+        if match is None:
+            raise ConfigError(f"'{path}' is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
+        wanted = match["names"].split(".")
+        keys = [key for key in self._names if _matches(key, wanted)]
+        if not keys:
+            raise ConfigError(self._unknown(path, wanted))
+        places = [place for key in keys for place in self._indexed(path, key, match["index"])]
+        units = sorted({place.unit for place in places})
+        if len(units) > 1:
+            raise ConfigError(f"'{path}' names values of different units ({', '.join(units)}); accepted: one unit")
+        return tuple(places)
+
+    def _indexed(self, path: str, key: Key, index: str | None) -> list[Place]:
+        keys, name = self._names[key], ".".join(key)
+        unit, size = self._units[keys[0]], np.size(self._values[keys[0]])
+        if np.ndim(self._values[keys[0]]) == 0:
+            if index is not None:
+                raise ConfigError(f"'{path}': {name} is one value; accepted: {name}, without an index")
+            return [Place(name, tuple(Leaf(k) for k in keys), unit)]
+        if index is None or (index != "*" and int(index) >= size):
+            raise ConfigError(
+                f"'{path}': {name} is {size} numbers; accepted: {name}[0] to {name}[{size - 1}], or {name}[*]"
+            )
+        chosen = range(size) if index == "*" else (int(index),)
+        return [Place(f"{name}[{i}]", tuple(Leaf(k, i) for k in keys), unit) for i in chosen]
+
+    def _unknown(self, path: str, wanted: Sequence[str]) -> str:
+        """Say at which name a path goes astray, and which names there are in that place."""
+        for depth in range(len(wanted) + 1):
+            known = [key for key in self._names if _matches(key[:depth], wanted[:depth])]
+            below = sorted({key[depth] for key in known if len(key) > depth})
+            if depth == len(wanted):
+                return f"'{path}' is a group of values; accepted: {path} and one of .{', .'.join(below)}"
+            if not below:
+                return f"'{path}' goes on after a value; accepted: {'.'.join(wanted[:depth])}"
+            if wanted[depth] != "*" and wanted[depth] not in below:
+                break
+        return f"'{path}' names nothing: '{wanted[depth]}' is unknown; accepted there: {', '.join(below)}"
+
+
+def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:
+    return len(key) == len(wanted) and all(w in ("*", k) for k, w in zip(key, wanted, strict=True))

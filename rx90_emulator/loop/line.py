@@ -1,0 +1,113 @@
+"""Plan a Cartesian line, run it through the closed loop, and measure how well the tip keeps to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.description.kinematics import forward, path_error
+from rx90_common.description.robot import RobotModel
+from rx90_controller.lines import plan as planning
+from rx90_controller.lines.plan import LinePlan
+from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+SETTLING = 0.2
+"""How long after its end a line still counts for the path error, s: there the arm comes to rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathAccuracy:
+    """How far the tip strays from the line, from its start until it has settled at its end.
+
+    Attributes:
+        times: s, shape (n,).
+        along: distance from the line's start, measured along it, m, shape (n,).
+        perpendicular: distance from the line, m, shape (n,).
+    """
+
+    times: Array
+    along: Array
+    perpendicular: Array
+
+    @property
+    def worst(self) -> float:
+        """Return the largest distance from the line, m."""
+        return float(self.perpendicular.max())
+
+    @property
+    def rms(self) -> float:
+        """Return the root mean square distance from the line, m."""
+        return math.sqrt(float(np.mean(self.perpendicular**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class LineRun(RunResult):
+    """A run of the closed loop along a line.
+
+    Attributes:
+        task: the line.
+        start_time: when its trajectory started, s.
+    """
+
+    task: LineTask
+    start_time: float
+
+    @cached_property
+    def path_accuracy(self) -> PathAccuracy:
+        """Return how far the tip strayed from the line."""
+        position = self.slow.joint_states[:, 0]
+        return path_accuracy(self.setup.robot, self.task, self.times, position, self.start_time)
+
+
+def plan_line(setup: Setup, task: LineTask) -> LinePlan:
+    """Plan a line for the arm of a setup and the rate of its set-points.
+
+    Raises:
+        LineError: saying where on the line the arm cannot go and why.
+    """
+    return planning.plan_line(setup.robot, task, setup.rates.position_period)
+
+
+def run_line(
+    setup: Setup, task: LineTask, *, start_time: float = 0.0, substeps: int = 1, record_fast: bool = False
+) -> LineRun:
+    """Plan a line, put the arm at rest at its beginning, and run it through the closed loop to its end.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        task: the line.
+        start_time: when the trajectory, that is the rest before the line, starts, s.
+        substeps: plant steps in a tick.
+        record_fast: also keep the series on base ticks.
+
+    Raises:
+        LineError: if the arm cannot travel the line.
+        DivergenceError: naming joint and tick.
+    """
+    points = plan_line(setup, task).points
+    run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
+    return LineRun(run.setup, run.fast, run.slow, run.saturated, task, start_time)
+
+
+def path_accuracy(
+    robot: RobotModel, task: LineTask, times: Array, joint_position: Array, start_time: float = 0.0
+) -> PathAccuracy:
+    """Measure the path error of joint positions, rad, shape (n, 6), at `times`, s, shape (n,).
+
+    The trajectory, that is the rest before the line, starts at `start_time`, s.
+    """
+    begin = start_time + task.rest_before
+    end = begin + task.profile().duration + min(SETTLING, task.rest_after)
+    window = (times >= begin) & (times <= end)
+    tip = forward(robot.chain, joint_position[window]).position
+    error = path_error(tip, np.array(task.start), np.array(task.end))
+    return PathAccuracy(times[window], error.along, error.perpendicular)

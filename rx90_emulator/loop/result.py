@@ -1,0 +1,157 @@
+"""What a run of the closed loop gives: series by topic with names and units, also as a bag and as a NumPy file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.errors import write_error
+from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+_ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
+
+
+class FastSeries(NamedTuple):
+    """What is sampled on every base tick, motor side; position, velocity, torque, each shape (n, 3, 6)."""
+
+    motor_states: Array
+    motor_commands: Array
+
+
+class SlowSeries(NamedTuple):
+    """What is sampled on every position tick; each row holds position, velocity, effort.
+
+    Attributes:
+        joint_states: rad, rad/s, drive torque at the joint Nm, shape (m, 3, 6).
+        friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
+        reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
+        tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
+    """
+
+    joint_states: Array
+    friction_states: Array
+    reference: Array
+    tracking_error: Array
+
+
+def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
+    """Return arrays for a run of `ticks` base ticks."""
+    rows = -(-ticks // ratio)
+    fast_rows = ticks if record_fast else 0
+    fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
+    slow = SlowSeries(np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6)))
+    return fast, slow
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """One run of the closed loop.
+
+    Attributes:
+        setup: what ran.
+        fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
+        slow: series on position ticks 0, 1, ...
+        saturated: ticks in which each amplifier was at its limit, shape (6,).
+    """
+
+    setup: Setup
+    fast: FastSeries | None
+    slow: SlowSeries
+    saturated: NDArray[np.int64]
+
+    @property
+    def times(self) -> Array:
+        """Return the times of the slow series, s, shape (m,)."""
+        rows = np.arange(len(self.slow.joint_states), dtype=np.float64)
+        return np.asarray(rows * self.setup.rates.position_period)
+
+    @cached_property
+    def series(self) -> dict[str, JointSeries]:
+        """Return the series by topic, as a bag of the nodes holds them; those on base ticks if the run kept them."""
+        joints, rates = self.setup.robot.joint_names, self.setup.rates
+        position_period = rates.period_ns * rates.ratio
+        slow = self.slow
+        series = [
+            _series("/joint_states", joints, slow.joint_states, position_period),
+            _series("/friction_states", self.setup.friction.names, slow.friction_states, position_period),
+            _series("/rx90_controller/reference", joints, slow.reference, position_period),
+            _series("/rx90_controller/tracking_error", joints, slow.tracking_error, position_period),
+        ]
+        if self.fast is not None:
+            series.append(_series(f"/{MOTOR_STATES}", MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
+            commands = self.fast.motor_commands
+            series.append(
+                JointSeries(f"/{MOTOR_COMMANDS}", MOTOR_NAMES, _stamps(commands, rates.period_ns), effort=commands)
+            )
+        return {one.topic.removeprefix("/"): one for one in series}
+
+
+def _series(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
+    return JointSeries(topic, names, _stamps(rows, period_ns), *(rows[:, k] for k in range(3)))
+
+
+def _stamps(rows: Array, period_ns: int) -> NDArray[np.int64]:
+    return np.arange(len(rows), dtype=np.int64) * period_ns
+
+
+def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimation: int = 1) -> None:
+    """Write a run to a new bag folder, as if the nodes had been recorded.
+
+    Args:
+        run: the run.
+        path: folder to make; must not exist.
+        storage: "mcap" or "sqlite3".
+        decimation: keep every n-th message of the topics on position ticks.
+
+    Raises:
+        BagError: if the folder exists or cannot be written.
+    """
+    from rx90_common.bags.writing import string_message, write_joint_states  # takes as long as the plant's import
+
+    description = string_message("/robot_description", run.setup.robot.urdf)
+    kept = slice(None, None, decimation)
+    series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
+    write_joint_states(path, series, storage=storage, messages=[description])
+
+
+def named_arrays(run: RunResult) -> dict[str, Array]:
+    """Return a run as arrays by `<series> <quantity> [unit]`; the series are named as the topics, less their node.
+
+    `time [s]`, shape (m,), belongs to the series on position ticks, shape (m, joints); `base time [s]`, shape (n,), to
+    `motor_states` and `motor_commands`, which are there if the run kept them.
+    """
+    arrays: dict[str, Array] = {"time [s]": run.times}
+    for topic, series in run.series.items():
+        if topic == MOTOR_STATES:
+            ticks = np.arange(len(series.stamp_ns), dtype=np.float64)
+            arrays["base time [s]"] = np.asarray(ticks * run.setup.rates.period)
+        for field, values in series.fields.items():
+            arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
+    return arrays
+
+
+def save_arrays(run: RunResult, file: Path) -> None:
+    """Write the arrays and the joints' names to a compressed NumPy file, `.npz`.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
+    """
+    contents: dict[str, Any] = {
+        "joint names": np.array(run.setup.robot.joint_names),
+        "element names": np.array(run.setup.friction.names),
+        **named_arrays(run),
+    }
+    try:
+        with file.open("xb") as stream:
+            np.savez_compressed(stream, **contents)
+    except OSError as error:
+        raise write_error(file, error, "a new file") from error

@@ -1,0 +1,181 @@
+"""One step of the bristle: exact at constant velocity, second order otherwise, passive, never NaN."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import bristle_step, damping, friction_torque, one_element
+from rx90_common.friction.lugre import element_arrays
+
+Record = Callable[[LuGreElement], Any]
+ELEMENT = LuGreElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+CONSTANT_C1 = dataclasses.replace(ELEMENT, omega_d=math.inf)
+COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
+STORE = 0.5 * ELEMENT.c0
+
+
+def closed_form(element: LuGreElement, z: float, v: float, step: float) -> tuple[float, float]:
+    """Return deflection and mean torque at constant velocity, in extended precision."""
+    wide = np.longdouble
+    g = wide(element.sliding_torque(v)) / wide(element.c0)
+    x = wide(abs(v)) / g * wide(step)
+    settled = g * np.sign(wide(v))
+    end = settled + (wide(z) - settled) * np.exp(-x)
+    mean = settled + (wide(z) - settled) * -np.expm1(-x) / x if x > 0 else wide(z)
+    c1 = wide(element.damping(v))
+    torque = wide(element.c0) * mean + c1 * (end - wide(z)) / wide(step) + wide(element.c2) * wide(v)
+    return float(end), float(torque)
+
+
+@pytest.mark.parametrize("v", [s * v for v in (1e-12, 1e-6, 1e-3, 0.0199, 0.3, 4.0, 100.0) for s in (1, -1)])
+@pytest.mark.parametrize("step", [1e-5, 2.5e-4, 0.1])
+@pytest.mark.parametrize("z", [0.0, 2.1e-4, -1.7e-4])
+def test_a_step_at_constant_velocity_is_exact(v: float, step: float, z: float) -> None:
+    """Deflection and mean torque equal the closed solution of equations 17 and 18 to rounding."""
+    end, torque = bristle_step(COMPILED, z, v, step)
+    exact_end, exact_torque = closed_form(ELEMENT, z, v, step)
+    assert end == pytest.approx(exact_end, rel=1e-13, abs=1e-18)
+    # What c1 adds is a difference of deflections over the step, so it carries their rounding.
+    assert torque == pytest.approx(exact_torque, rel=1e-12, abs=1e-12)
+
+
+def test_the_series_joins_the_exponential() -> None:
+    """Around the product of rate and step where the series takes over nothing jumps beyond rounding."""
+    for x in np.linspace(0.0195, 0.0205, 41):
+        v = 0.3
+        step = x * float(ELEMENT.sliding_torque(v)) / ELEMENT.c0 / v
+        got = bristle_step(COMPILED, 1e-4, v, step)
+        want = closed_form(ELEMENT, 1e-4, v, step)
+        assert got[0] == pytest.approx(want[0], rel=1e-14)
+        assert got[1] == pytest.approx(want[1], rel=1e-12)
+
+
+def test_many_small_steps_make_one_large_step() -> None:
+    """At constant velocity the result does not depend on the step size."""
+    z, total, parts = -1e-4, 0.0, 64
+    for _ in range(parts):
+        z, torque = bristle_step(COMPILED, z, 0.02, 0.05 / parts)
+        total += torque / parts
+    assert (z, total) == pytest.approx(bristle_step(COMPILED, -1e-4, 0.02, 0.05), rel=1e-12)
+
+
+@pytest.mark.parametrize("element", [ELEMENT, CONSTANT_C1], ids=["fading c1", "constant c1"])
+@pytest.mark.parametrize("shape", ["sine", "ramp"])
+def test_second_order_for_a_changing_velocity(record: Record, element: LuGreElement, shape: str) -> None:
+    """Against a stiff solver the error falls fourfold per halving, through reversals of both signs."""
+
+    def velocity(t: float) -> float:
+        return 0.4 * math.sin(40.0 * t + 0.3) if shape == "sine" else 0.2 - 3.0 * t
+
+    def rhs(t: float, y: NDArray[np.float64]) -> list[float]:
+        v = velocity(t)
+        z_dot = v - abs(v) * element.c0 / float(element.sliding_torque(v)) * y[0]
+        torque = element.c0 * y[0] + float(element.damping(v)) * z_dot + element.c2 * v
+        return [z_dot, torque]
+
+    end = 0.2
+    # Reversals are kinks of |v|: the solver is stopped and started there.
+    kinks = [t for t in (math.pi * k / 40 - 0.3 / 40 for k in range(1, 4)) if t < end] if shape == "sine" else [0.2 / 3]
+    y = np.array([0.0, 0.0])
+    for start, stop in zip([0.0, *kinks], [*kinks, end], strict=True):
+        y = solve_ivp(rhs, (start, stop), y, "Radau", rtol=1e-10, atol=[1e-16, 1e-11]).y[:, -1]
+    compiled = record(element)
+    errors, counts = [], np.array([200, 400, 800, 1600, 3200])
+    for steps in counts:
+        h = end / steps
+        z = impulse = 0.0
+        for k in range(steps):
+            z, torque = bristle_step(compiled, z, velocity((k + 0.5) * h), h)
+            impulse += torque * h
+        errors.append((abs(z - y[0]) * element.c0, abs(impulse - y[1])))
+    deflection, total = -np.polyfit(np.log(counts), np.log(np.array(errors)), 1)[0]
+    assert deflection == pytest.approx(2.0, abs=0.1)
+    # Where in a step the reversal falls changes the constant of the impulse's error, not its order.
+    assert total == pytest.approx(2.0, abs=0.5)
+    assert errors[1][0] < 1e-3  # Nm of 30
+
+
+@given(
+    v=st.floats(-1e6, 1e6) | st.sampled_from([0.0, -0.0, 5e-324, -1e-300, 1e-300, 1e6, -1e6]),
+    part=st.floats(-1.0, 1.0),
+    step=st.floats(1e-9, 0.1),
+)
+@settings(max_examples=500, deadline=None)
+def test_every_velocity_gives_numbers_within_the_bristle_s_range(v: float, part: float, step: float) -> None:
+    """No velocity gives NaN or infinity, and a deflection within the static range never leaves it."""
+    low, high = -47.0 / ELEMENT.c0, 32.0 / ELEMENT.c0
+    z, torque = bristle_step(COMPILED, part * high if part > 0 else -part * low, v, step)
+    assert math.isfinite(torque)
+    assert low * (1 + 1e-12) <= z <= high * (1 + 1e-12)
+    assert math.isfinite(friction_torque(COMPILED, z, v))
+
+
+@given(
+    tau=st.floats(1e-6, 1e6),
+    ratio=st.floats(1.0, 100.0),
+    omega_s=st.floats(1e-9, 1e6),
+    delta=st.floats(0.01, 50.0),
+    c0=st.floats(1e-6, 1e12),
+    v=st.floats(-1e6, 1e6),
+)
+@settings(max_examples=300, deadline=None)
+def test_every_parameter_set_gives_numbers(
+    tau: float, ratio: float, omega_s: float, delta: float, c0: float, v: float
+) -> None:
+    """Any accepted parameters, however far from a robot's, give finite deflection and torque."""
+    static = tau * ratio
+    element = LuGreElement(tau, tau, static, static, omega_s, delta, c0, 1.0, 1.0)
+    compiled = one_element(element_arrays((element,))[0], 0)
+    z, torque = bristle_step(compiled, 0.5 * tau / c0, v, 2.5e-4)
+    assert math.isfinite(z)
+    assert math.isfinite(torque)
+
+
+@given(history=st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(1e-6, 1e-2)), min_size=1, max_size=60))
+@settings(max_examples=200, deadline=None)
+def test_fading_damping_never_gives_energy_back(history: list[tuple[float, float]]) -> None:
+    """Over any velocity history the work done on the element exceeds what its bristle stores."""
+    z = work = 0.0
+    for v, step in history:
+        z, torque = bristle_step(COMPILED, z, v, step)
+        work += torque * v * step
+        assert work - STORE * z * z >= -1e-12 * (1.0 + work)
+
+
+def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> None:
+    """A jump from stiction to sliding dissipates below the reported speed and creates energy above it.
+
+    With tau_s = 2 tau_c the loaded bristle starts at z = 2 g(v), where c1 |v| < 4 c0 g is sharp.
+    """
+    element = LuGreElement(25.0, 25.0, 50.0, 50.0, 0.01, 1.0, 1e5, 100.0, 0.0)
+    compiled = record(element)
+    limit = element.passivity_limit(10.0)
+    assert limit == pytest.approx(1.0, rel=0.01)  # c1 v = 4 c0 g: 100 v = 4 * 25
+
+    def dissipated(v: float) -> float:
+        step, stored = 1e-8, 50.0 / element.c0
+        z, torque = bristle_step(compiled, stored, v, step)
+        return float(torque * v * step - STORE * (z - stored) * (z + stored))
+
+    assert dissipated(0.97 * limit) > 0.0
+    assert dissipated(1.03 * limit) < 0.0
+    assert math.isinf(dataclasses.replace(element, omega_d=1.0).passivity_limit(10.0))
+
+
+def test_damping_fades_as_documented(record: Record) -> None:
+    """The damping is c1 at rest, c1/e at omega_d, and constant where omega_d is infinite."""
+    fading, constant = record(ELEMENT), record(CONSTANT_C1)
+    assert damping(fading, 0.0) == 100.0
+    assert damping(fading, -1.0) == pytest.approx(100.0 / math.e, rel=1e-15)
+    assert damping(constant, 1e6) == 100.0

@@ -1,0 +1,241 @@
+"""The friction file: what is refused, in which words, and what is warned of."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from refusals import refusal_by
+
+from rx90_common.base.config import PROVENANCE
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
+from rx90_emulator.loop.setup import Setup
+
+Edit = Callable[..., Path]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+ELEMENTS = (*NAMES, "joint_5_6")
+KEYS = ("tau_c", "tau_s", "omega_s", "delta", "c0", "c1", "c2", "omega_d")
+MAY_BE_ZERO = {"c1", "c2"}
+
+
+def refusal(path: Path) -> str:
+    """Return the one line with which the file is refused."""
+    return refusal_by(lambda file: load_friction(file, NAMES), path)
+
+
+@pytest.mark.parametrize("key", KEYS)
+@pytest.mark.parametrize("value", [-1.5, 0.0, math.nan, math.inf, -math.inf, "soft", None, True, [1.0], {}])
+def test_a_bad_value_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str, value: Any) -> None:
+    """Each key of an element refuses what is not in its range, naming file, element, key and value."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_3", key), value)
+    if value == 0.0 and key in MAY_BE_ZERO:
+        load_friction(path, NAMES)
+        return
+    text = refusal(path)
+    assert "elements.joint_3" in text
+    if value != {}:
+        assert key in text
+        assert repr(value) in text or str(value) in text
+
+
+@pytest.mark.parametrize("name", ELEMENTS)
+def test_a_missing_element_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, name: str) -> None:
+    """Without one of the seven elements the file is refused by the missing element's name."""
+    path = edited_yaml(shipped_files.friction, ("elements", name), None, remove=True)
+    assert f"elements.{name} is missing" in refusal(path)
+
+
+@pytest.mark.parametrize("key", [k for k in KEYS if k != "omega_d"])
+def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
+    """An element that lacks a value is refused by element and key."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", key), None, remove=True)
+    assert f"elements.joint_5_6.{key} is missing" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [("tau_z",), ("elements", "joint_7"), ("elements", "joint_1", "tauc")],
+    ids=["file", "elements", "element"],
+)
+def test_an_unknown_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
+    """A misspelt key is refused at every level instead of being ignored."""
+    other = dict.fromkeys((k for k in KEYS if k != "omega_d"), 1.0)
+    path = edited_yaml(shipped_files.friction, place, other if place[-1] == "joint_7" else 1.0)
+    assert f"{'.'.join(place)} is not a known key" in refusal(path)
+
+
+def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path: Path) -> None:
+    """A repeated key is refused: its first value would be lost silently."""
+    text = shipped_files.friction.read_text().replace("delta: 1.0,", "delta: 1.0, delta: 2.0,", 1)
+    path = tmp_path / "friction.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_friction(path, NAMES)
+    assert "'delta' stands twice" in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_static_below_coulomb_torque_is_refused(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
+    """tau_s < tau_c is refused with both values, also when only one sign of the velocity has it."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "tau_s"), 24.5)
+    assert "elements.joint_1: tau_s_positive is 24.5; accepted: a number >= tau_c_positive = 25.0" in refusal(path)
+    one_sided = {"positive": 32.0, "negative": 24.5}
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "tau_s"), one_sided)
+    assert "tau_s_negative is 24.5; accepted: a number >= tau_c_negative = 25.0" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"positive": 30.0}, "tau_c.negative is missing"),
+        ({"positive": 30.0, "negative": 30.0, "up": 1}, "tau_c.up is not a known key"),
+        ({"positive": 30.0, "negative": "x"}, "tau_c.negative is 'x'"),
+        ({"positive": 30.0, "negative": -30.0}, "tau_c.negative is -30.0; accepted: a number > 0"),
+    ],
+)
+def test_one_sided_torques_are_checked_too(
+    shipped_files: RobotFiles, edited_yaml: Edit, value: Any, words: str
+) -> None:
+    """A pair of torques needs both signs, no others, and positive numbers."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_2", "tau_c"), value)
+    assert words in refusal(path)
+
+
+def test_each_sign_gets_its_own_torques(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
+    """A pair {positive, negative} reaches the element of each sign; a single value reaches both."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "tau_c"), {"positive": 6.0, "negative": 7.0})
+    element = load_friction(path, NAMES).elements[3]
+    assert (element.tau_c_positive, element.tau_c_negative) == (6.0, 7.0)
+    assert (element.tau_s_positive, element.tau_s_negative) == (7.5, 7.5)
+
+
+def test_the_shipped_file_says_that_it_is_assumed_and_is_passive(shipped: Setup, shipped_files: RobotFiles) -> None:
+    """The shipped set carries its provenance and gives no passivity warning at any joint speed."""
+    assert "provenance: assumed" in shipped_files.friction.read_text()
+    assert shipped.friction.names == ELEMENTS
+    assert shipped.friction.passivity_warnings(shipped.robot.max_velocity.tolist()) == []
+
+
+def test_a_damping_that_is_not_passive_is_warned_of(
+    shipped: Setup, shipped_files: RobotFiles, edited_yaml: Edit
+) -> None:
+    """The paper's constant c1 gives one line with file, element, value and the c1 that is accepted."""
+    path = edited_yaml(shipped_files.friction, ("elements", "joint_1", "omega_d"), None, remove=True)
+    friction = load_friction(path, NAMES)
+    speeds = shipped.robot.max_velocity.tolist()
+    (line,) = friction.passivity_warnings(speeds)
+    assert line.startswith(f"{path}: elements.joint_1.c1 is 100 ")
+    assert "\n" not in line
+    # At full speed the Stribeck part is gone: c1 < 4 tau_c / v.
+    accepted = 4 * 25.0 / speeds[0]
+    assert f"accepted: below {accepted:.3g} " in line
+    better = dataclasses.replace(friction.elements[0], c1=0.99 * accepted)
+    assert math.isinf(better.passivity_limit(speeds[0]))
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, 0.0])
+@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(LuGreElement)])
+def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
+    """LuGreElement refuses the same values when no file is involved."""
+    good = LuGreElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+    if value == 0.0 and name in MAY_BE_ZERO:
+        assert getattr(dataclasses.replace(good, **{name: value}), name) == 0.0
+    else:
+        with pytest.raises(ConfigError, match=rf"{name} is {value}; accepted"):
+            dataclasses.replace(good, **{name: value})
+
+
+def test_the_range_stands_in_the_message_as_in_the_table() -> None:
+    """Each parameter refuses what its own words exclude, and takes what they include."""
+    for parameter in FRICTION_PARAMETERS:
+        if parameter.positive:
+            assert parameter.accepted.endswith("number > 0")
+            with pytest.raises(ConfigError, match=rf"x is 0\.0; accepted: {parameter.accepted}"):
+                parameter.check("x", 0.0)
+        else:
+            assert parameter.accepted.endswith("number >= 0")
+            parameter.check("x", 0.0)
+        parameter.check("x", 5e-324)
+        if parameter.optional:
+            parameter.check("x", math.inf)
+        else:
+            with pytest.raises(ConfigError, match="x is inf; accepted: a finite number"):
+                parameter.check("x", math.inf)
+
+
+def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles) -> None:
+    """Table, attributes, their description and the head of the shipped file name the same parameters and units."""
+    attributes = [name for parameter in FRICTION_PARAMETERS for name in parameter.attributes]
+    assert [field.name for field in dataclasses.fields(LuGreElement)] == attributes
+    for parameter in FRICTION_PARAMETERS:
+        assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(LuGreElement.__doc__)
+        assert f"{parameter.meaning}, {parameter.unit}" in str(LuGreElement.__doc__)
+    assert legend() in shipped_files.friction.read_text()
+
+
+POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+
+
+@st.composite
+def elements(draw: st.DrawFn) -> LuGreElement:
+    """Return any element at all, with equal or with different values for the signs."""
+    up = sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))
+    down = draw(st.sampled_from([up, sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))]))
+    omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
+    c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
+    return LuGreElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, draw(POSITIVE | st.just(math.inf)))
+
+
+WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
+    ["1e5", "010", "1:30", "yes", "no", "null", "~", "2001-01-01", "0x1F", "0o17", ".inf", "1_0", "<<", "=", "a: b"]
+)
+NUMBERS = st.floats(allow_nan=False) | st.integers(-(10**12), 10**12)
+REMARKS = st.recursive(
+    NUMBERS | WORDS | st.booleans() | st.none(), lambda x: st.lists(x) | st.dictionaries(WORDS, x), max_leaves=12
+)
+NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance", "note"})
+
+
+@given(
+    st.dictionaries(NAMES_OF_ELEMENTS, elements(), min_size=1, max_size=3),
+    st.sampled_from([None, *PROVENANCE]),
+    st.none() | WORDS,
+    st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
+)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_what_is_written_is_read_back(
+    content: dict[str, LuGreElement], provenance: str | None, source: str | None, identification: dict[str, Any] | None
+) -> None:
+    """Any file comes back to the same bits, and a reader of YAML 1.1 sees the same numbers and texts."""
+    file = FrictionFile(content, provenance, source, identification)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "friction.yaml"
+        path.write_text(file.text("# a remark\n"), encoding="utf-8")
+        again = FrictionFile.read(path)
+        assert again == file
+        assert repr(again.elements) == repr(file.elements)  # tells 0.0 from -0.0, which == does not
+        old = yaml.safe_load(path.read_text(encoding="utf-8"))
+    assert old.get("source") == source
+    assert old.get("identification") == identification
+    assert [values["c0"] for values in old["elements"].values()] == [element.c0 for element in content.values()]
+
+
+def test_a_set_has_seven_elements(shipped: Setup) -> None:
+    """Six or eight elements are no friction set."""
+    with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: 7"):
+        FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
+    assert np.all([e.c0 > 0 for e in shipped.friction.elements])

@@ -1,0 +1,41 @@
+"""The frame that all reports share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from jinja2 import UndefinedError
+
+from rx90_common.report.page import render_page
+
+ROOT = Path(__file__).resolve().parents[3]
+REPORTS = {
+    path.name: path
+    for path in sorted(ROOT.glob("*/**/templates/*.j2"))
+    if path.parents[1] != ROOT / "rx90_common" / "report"
+}
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_every_report_stands_in_the_one_frame(name: str) -> None:
+    """A report's template extends the shared page and has neither a head nor a style of its own."""
+    text = REPORTS[name].read_text(encoding="utf-8")
+    assert text.startswith('{% extends "page.html.j2" %}')
+    assert not any(tag in text for tag in ("<html", "<head", "<style", 'style="', "<h1"))
+
+
+def test_the_frame_loads_nothing_from_elsewhere() -> None:
+    """The page is complete: it refers to no script, sheet, font or image outside its own text."""
+    page = render_page("rx90_common.report", "page.html.j2")
+    assert page.startswith("<!doctype html>")
+    assert len(REPORTS) == 3
+    assert not any(word in page for word in ("http", "src=", "<link", "@import", "url("))
+
+
+@pytest.mark.parametrize("name", REPORTS)
+def test_a_value_that_is_missing_is_an_error(name: str) -> None:
+    """A template never shows a gap where a value was forgotten."""
+    package = ".".join(REPORTS[name].relative_to(ROOT).parts[:-2])
+    with pytest.raises(UndefinedError):
+        render_page(package, name)

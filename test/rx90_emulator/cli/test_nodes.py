@@ -1,0 +1,111 @@
+"""The frame of the nodes' executables, run as a process with a stand-in for the node's module."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+NODE = """
+import sys, time
+import rclpy
+from rclpy.node import Node
+from rx90_common.base.errors import ConfigError
+from rx90_common.exchange import node_tools
+
+class Stub:
+    def __init__(self):
+        self.node = Node("stub")
+        self.value = node_tools.declare(self.node, "value", 1.0, "a number", low=0.0, high=2.0)
+        if self.value == 2.0:
+            raise ConfigError("value is 2; accepted: less")
+        self.running = True
+    def tick_loop(self):
+        print("up", flush=True)
+        while self.running:
+            time.sleep(0.01)
+            if self.value == 0.5:
+                raise ConfigError("the ticks have ended")
+    def stop(self):
+        self.running = False
+
+def spin(args):
+    print("importing done", flush=True)
+    node_tools.spin(Stub, args)
+"""
+RUN = """
+import sys
+from rx90_emulator.cli import frame, node
+node.NODES["stub"] = "stub_node"
+frame.EXECUTABLES["stub"] = "rx90_emulator.cli.node"
+sys.exit(frame.stub())
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path, ros_domain: int):  # type: ignore[no-untyped-def]  # noqa: ARG001
+    """Start the stub with arguments; it is killed at the end."""
+    (tmp_path / "stub_node.py").write_text(NODE, encoding="utf-8")
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(*arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-c", RUN, *arguments],
+            env=dict(os.environ, PYTHONPATH=f"{ROOT}:{tmp_path}"),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def read_until(process: subprocess.Popen[str], line: str) -> None:
+    """Read lines up to this one."""
+    assert process.stdout is not None
+    assert any(read == f"{line}\n" for read in process.stdout)
+
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("moment", ["importing done", "up"])
+def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.Signals) -> None:  # type: ignore[no-untyped-def]
+    """Ctrl-C and SIGTERM, also twice, give exit code 0 and nothing on stderr, while starting and while running."""
+    process = start()
+    read_until(process, moment)
+    process.send_signal(number)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--ros-args", "-p", "value:=2.0"), "value is 2; accepted: less"),
+        (("--ros-args", "-p", "value:=0.5"), "the ticks have ended"),
+        (("--ros-args", "-p", "value:=5.0"), "parameter value is 5.0; accepted: float in [0, 2]"),
+        (("--ros-args", "-p", "value:=high"), "parameter value is 'high'; accepted: float in [0, 2]"),
+        (("--ros-args", "-p", "value"), "ROS arguments --ros-args -p value: refused ("),
+    ],
+)
+def test_a_user_mistake_is_one_line(start, arguments: tuple[str, ...], complaint: str) -> None:  # type: ignore[no-untyped-def]
+    """A refused value, from ROS, the constructor or the ticks, is one line on stderr and exit code 2."""
+    process = start(*arguments)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert errors.startswith("stub: ")
+    assert complaint in errors
+    assert errors.count("\n") == 1

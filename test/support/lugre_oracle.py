@@ -1,0 +1,67 @@
+"""Equations 17 to 19 once more, independent of the product, and elements for the tests of friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import one_element
+from rx90_common.friction.lugre import element_arrays
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LuGreOracle:
+    """Equations 17 to 19, written down from the paper for n elements, for a stiff solver."""
+
+    elements: Sequence[LuGreElement]
+
+    def _values(self, name: str) -> Array:
+        return np.array([getattr(element, name) for element in self.elements])
+
+    def stribeck(self, v: Array) -> Array:
+        """Return c0 g(v), equation 19."""
+        side = [
+            np.where(v >= 0, self._values(f"{n}_positive"), self._values(f"{n}_negative")) for n in ("tau_c", "tau_s")
+        ]
+        coulomb, static = side
+        return np.asarray(
+            coulomb + (static - coulomb) * np.exp(-((np.abs(v) / self._values("omega_s")) ** self._values("delta")))
+        )
+
+    def rates(self, z: Array, v: Array) -> tuple[Array, Array]:
+        """Return dz/dt (equation 17) and the friction torque (equation 18)."""
+        c0 = self._values("c0")
+        z_dot = v - np.abs(v) * c0 / self.stribeck(v) * z
+        c1 = self._values("c1") * np.exp(-((v / self._values("omega_d")) ** 2))
+        return z_dot, c0 * z + c1 * z_dot + self._values("c2") * v
+
+
+@pytest.fixture(scope="session")
+def lugre_oracle() -> type[LuGreOracle]:
+    """Return the independent LuGre equations."""
+    return LuGreOracle
+
+
+@pytest.fixture(scope="session")
+def paper_element() -> LuGreElement:
+    """Return the values of Canudas de Wit, Olsson, Astrom, Lischinsky (1995), table 1: N, m, kg, s."""
+    return LuGreElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
+
+
+@pytest.fixture
+def record() -> Callable[[LuGreElement], Any]:
+    """Return what makes one element as compiled code has it."""
+
+    def make(element: LuGreElement) -> Any:
+        return one_element(element_arrays((element,))[0], 0)
+
+    return make

@@ -1,0 +1,131 @@
+"""The package as a wheel: complete, and at work in an empty environment without the source tree."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import venv
+import zipfile
+from importlib.metadata import distribution
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import TIMEOUT
+
+import rx90_emulator as rx
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = "rx90_emulator"
+PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
+EXECUTABLES = {e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts"}
+DATA = ("config", "launch", "firmware")
+NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "out", "test")
+TASK = """
+line:
+  start: [0.6, -0.3, 0.2]
+  end: [0.6034, -0.2808, 0.1955]
+  speed: 0.1
+  acceleration: 2.0
+  tool_rpy_degrees: [0.0, 180.0, 0.0]
+  rest_before: 0.05
+  rest_after: 0.05
+"""
+
+
+def run(*command: object, folder: Path) -> str:
+    """Run a command in a folder, in an environment that names no Python path and no ROS, and return what it printed."""
+    hidden = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH")
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
+    environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=TIMEOUT,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def pip(*arguments: object, folder: Path) -> None:
+    """Run the test environment's pip without a network."""
+    run(sys.executable, "-m", "pip", "--disable-pip-version-check", *arguments, folder=folder)
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from a copy of the source tree: an old build/ would leave its modules in the wheel."""
+    folder = tmp_path_factory.mktemp("wheel")
+    shutil.copytree(ROOT, folder / "source", ignore=NOT_SOURCES)
+    pip("wheel", "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder, "./source", folder=folder)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def binaries(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install the wheel into a new environment that borrows the libraries alone; return its folder of executables."""
+    prefix = tmp_path_factory.mktemp("environment")
+    venv.create(prefix, symlinks=True)
+    python = prefix / "bin/python"
+    pip("--python", python, "install", "--no-deps", "--no-index", wheel, folder=prefix)
+    site = next((prefix / "lib").glob("python*/site-packages"))
+    # These folders come last, and .pth files in them, such as that of an editable install, do not count.
+    libraries = [path for path in sys.path if path.endswith("site-packages")]
+    (site / "libraries.pth").write_text("\n".join(libraries) + "\n", encoding="utf-8")
+    return prefix / "bin"
+
+
+def test_the_wheel_holds_all_modules_and_data_and_no_more(wheel: Path) -> None:
+    """Modules, type markers, templates, config/, launch/, firmware/ and the ament marker are in it; tests are not."""
+    share = f"{PACKAGE}-{distribution(PACKAGE).version}.data/data/share"
+    modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*") if path.is_file()]
+    wanted = {
+        str(path.relative_to(ROOT))
+        for path in modules
+        if path.suffix in {".py", ".j2"} or path.name == "py.typed" or path.parent.name == "templates"
+    }
+    for folder in DATA:
+        files = (path for path in (ROOT / folder).rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+        wanted |= {f"{share}/{PACKAGE}/{path.relative_to(ROOT)}" for path in files if "build" not in path.parts}
+    wanted |= {f"{share}/{PACKAGE}/package.xml", f"{share}/ament_index/resource_index/packages/{PACKAGE}"}
+    held = {name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    assert held == wanted
+
+
+def test_every_command_is_installed(binaries: Path) -> None:
+    """The environment has a script for each command, and the node's and the tool's explain themselves."""
+    assert {path.name for path in binaries.iterdir()} >= EXECUTABLES
+    for name in ("rx90_sweep", "rx90_identify"):
+        assert run(binaries / name, "--help", folder=binaries.parent).startswith("usage:")
+
+
+def test_modules_and_data_come_from_the_wheel(binaries: Path) -> None:
+    """All packages and the shipped files are found in the environment, and the shipped robot loads."""
+    code = (
+        f"import importlib\nfor name in {PACKAGES}:\n    print(importlib.import_module(name).__file__)\n"
+        "import rx90_emulator as rx\nfrom rx90_common.base.share import config_path\n"
+        "print(config_path('robot/friction.yaml'))\nprint(rx.load_setup().friction.file)"
+    )
+    found = [Path(line) for line in run(binaries / "python", "-c", code, folder=binaries.parent).splitlines()]
+    assert len(found) == len(PACKAGES) + 2
+    assert all(path.is_file() and path.is_relative_to(binaries.parent) for path in found), found
+
+
+def test_a_line_runs_from_the_wheel(binaries: Path, tmp_path: Path) -> None:
+    """`rx90_run` of the wheel, in a folder of its own, writes the bag and the arrays that the source tree would."""
+    (tmp_path / "task.yaml").write_text(TASK, encoding="utf-8")
+    words = ("--task", "task.yaml", "--output", "bag", "--arrays", "run.npz")
+    assert "path error: worst 0.2" in run(binaries / "rx90_run", *words, folder=tmp_path)
+    here = rx.run_line(rx.load_setup(), rx.load_task(tmp_path / "task.yaml"), record_fast=True)
+    rx.write_bag(here, tmp_path / "here")
+    comparison = rx.compare_bags(tmp_path / "bag", tmp_path / "here")
+    assert comparison.verdict is rx.Verdict.SAME, rx.comparison_text(comparison)
+    with np.load(tmp_path / "run.npz") as arrays:
+        assert arrays["joint_states position [rad]"].tobytes() == here.series["joint_states"].position.tobytes()
