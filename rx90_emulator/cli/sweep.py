@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from rx90_common.base.errors import Rx90Error
-from rx90_common.base.share import resolve_config
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -50,10 +49,10 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> None:
     # What needs pyarrow is imported once it is known to be there.
     from rx90_emulator.sweep.execution import run_sweep
-    from rx90_emulator.sweep.plan_file import load_plan
+    from rx90_emulator.sweep.plan_file import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
-    plan = load_plan(resolve_config(options.plan))
+    plan = load_sweep_plan(options.plan)
     sweep = Sweep(plan)
     began = time.perf_counter()
     counts = run_sweep(
