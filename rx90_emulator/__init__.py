@@ -12,7 +12,7 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy
-Series and bags read_bag, read_joint_states, write_bag, write_joint_states, JointSeries
+Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
 Friction        FrictionFile, FrictionSet, LuGreElement
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
     from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
-    from rx90_emulator.loop.result import RunResult, write_bag
+    from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
@@ -107,6 +107,7 @@ __all__ = [
     "read_sweep",
     "run_line",
     "run_sweep",
+    "save_arrays",
     "simulate",
     "with_parameters",
     "write_bag",
@@ -131,7 +132,7 @@ _HOMES = {
     "rx90_emulator.loop.catalogue": "parameters",
     "rx90_emulator.loop.closed_loop": "simulate",
     "rx90_emulator.loop.line": "LineRun PathAccuracy path_accuracy plan_line run_line",
-    "rx90_emulator.loop.result": "RunResult write_bag",
+    "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
