@@ -5,6 +5,20 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "rx90_emulator"
+EXECUTABLES = (
+    "rx90_sim",
+    "rx90_controller",
+    "friction_bench",
+    "friction_ramp",
+    "friction_rig_emulator",
+    "rx90_line",
+    "rx90_run",
+    "rx90_bag",
+    "rx90_demo",
+    "rx90_sweep",
+    "rx90_experiment",
+    "rx90_identify",
+)
 
 
 def data_files() -> list[tuple[str, list[str]]]:
@@ -68,19 +82,6 @@ setup(
         ],
     },
     entry_points={
-        "console_scripts": [
-            "rx90_sim = rx90_sim.node.sim_node:main",
-            "rx90_controller = rx90_controller.node.controller_node:main",
-            "friction_bench = friction_bench.node.entry:main",
-            "friction_ramp = rx90_emulator.cli.executables:friction_ramp",
-            "friction_rig_emulator = rx90_emulator.cli.executables:friction_rig_emulator",
-            "rx90_line = rx90_emulator.cli.executables:rx90_line",
-            "rx90_run = rx90_emulator.cli.executables:rx90_run",
-            "rx90_bag = rx90_emulator.cli.executables:rx90_bag",
-            "rx90_demo = rx90_emulator.cli.executables:rx90_demo",
-            "rx90_sweep = rx90_emulator.cli.executables:rx90_sweep",
-            "rx90_experiment = rx90_emulator.cli.executables:rx90_experiment",
-            "rx90_identify = rx90_emulator.cli.executables:rx90_identify",
-        ],
+        "console_scripts": [f"{name} = rx90_emulator.cli.frame:{name}" for name in EXECUTABLES],
     },
 )

@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.summary import summarise
+from rx90_common.process.children import executable
 
 ROOT = Path(__file__).resolve().parent.parent
 FAST = ("motor_states", "motor_commands")
@@ -75,11 +76,11 @@ def measure(seconds: float, storage: str, folder: Path) -> dict[str, float | str
         RuntimeError: if the recorder lost a message.
     """
     own = [sys.executable, __file__, "--publish", "--seconds", str(seconds)]
-    record = ["-m", "rx90_emulator.cli.bag", "record", "-o", str(folder / "bag"), "-s", storage, *FAST, *SLOW]
+    record = executable("rx90_bag", "record", "-o", folder / "bag", "-s", storage, *FAST, *SLOW)
     pipe = subprocess.PIPE
     with (
         subprocess.Popen(own, stdin=pipe, stdout=pipe, text=True, cwd=ROOT) as publisher,
-        subprocess.Popen([sys.executable, *record], stdout=pipe, text=True, cwd=ROOT) as recorder,
+        subprocess.Popen(record, stdout=pipe, text=True, cwd=ROOT) as recorder,
     ):
         try:
             assert recorder.stdout is not None

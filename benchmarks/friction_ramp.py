@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from benchmarks.report import merge, print_table
-from friction_bench.experiment.identification import identify
+from friction_bench.experiment.identification import identify_ramps
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
@@ -109,7 +109,7 @@ def experiment(job: tuple[Cell, int]) -> Outcome:
     records = [
         run_ramp(client, slope, cell.end_torque, False, f"{slope:g}") for _ in range(REPEATS) for slope in cell.slopes
     ]
-    found = identify(records, rig.scale_uncertainty)
+    found = identify_ramps(records, rig.scale_uncertainty)
     errors, hits = {}, {}
     for method, quantity in product(METHODS, QUANTITIES):
         estimate = getattr(getattr(found, method), quantity)

@@ -16,6 +16,8 @@ from scipy.integrate import odeint
 from tqdm import tqdm
 
 from rx90_common.description.wrist import to_joint_torque
+from rx90_common.friction.bristle import one_element
+from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -46,8 +48,8 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
     torque = drive - bias
     for i in range(7):
         velocity = v[i] if i < 6 else v[4] + v[5]
-        e = friction[i]
-        sign = 1 if velocity >= 0 else 0
+        e = one_element(friction[0], i)
+        sign = 0 if velocity >= 0 else 1
         stribeck = np.exp(-((abs(velocity) * e.inverse_omega_s) ** e.delta))
         g = (e.tau_c[sign] + (e.tau_s[sign] - e.tau_c[sign]) * stribeck) / e.c0
         z_dot = velocity - abs(velocity) / g * z[i]
@@ -72,7 +74,7 @@ class StiffPlant:
         state = plant.state[0]
         self._plant, self._tolerance = plant, tolerance
         self._gear, self._peak, self._period = setup.drives.gear, setup.drives.peak_torque, setup.rates.period
-        self._friction = setup.friction.records()
+        self._friction = element_arrays(setup.friction.elements)
         self._drive = np.empty(6)
         self.y: Array = np.concatenate([state["q"], state["v"], state["z"]])
 

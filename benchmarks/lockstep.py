@@ -19,6 +19,7 @@ from benchmarks.ping_pong import measure as measure_ping_pong
 from benchmarks.report import merge, print_table
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
+from rx90_common.process.children import executable
 
 ROUNDS = 3
 SIMULATED = 5.0
@@ -51,10 +52,10 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
 
 
 @contextmanager
-def _node(module: str, *parameters: str) -> Iterator[subprocess.Popen[str]]:
+def _node(name: str, *parameters: str) -> Iterator[subprocess.Popen[str]]:
     arguments = [word for parameter in parameters for word in ("-p", parameter)]
     process = subprocess.Popen(
-        [sys.executable, "-m", module, "--ros-args", *arguments],
+        executable(name, "--ros-args", *arguments),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -72,14 +73,14 @@ def _node(module: str, *parameters: str) -> Iterator[subprocess.Popen[str]]:
 def _ticks_per_second(simulated: float) -> float:
     """Return the ticks per second of wall time between the first and the last message on /clock."""
     parameters = (f"duration:={simulated}", "real_time_factor:=0.0", "clock_rate:=10")
-    with _node("rx90_controller.node.controller_node"), _node("rx90_sim.node.sim_node", *parameters) as simulation:
+    with _node("rx90_controller"), _node("rx90_sim", *parameters) as simulation:
         stamps = _clock_until(lambda _now: simulation.poll() is not None)
     return _slope(stamps) * Rates().base_hz
 
 
 def _free_running_rate(seconds: float) -> float:
     """Return the ticks per second of wall time in free-running time."""
-    with _node("rx90_controller.node.controller_node"), _node("rx90_sim.node.sim_node", "time_mode:=free_running"):
+    with _node("rx90_controller"), _node("rx90_sim", "time_mode:=free_running"):
         stamps = _clock_until(lambda now: now > seconds)
     return _slope(stamps) * Rates().base_hz
 

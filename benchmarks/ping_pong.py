@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import Rates
 from rx90_common.exchange.environment import prepare
 from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 
-PERIOD_NS = 250_000
+PERIOD_NS = Rates().period_ns
 _READY_TIMEOUT = 60.0
 _SILENCE = 5.0
 
@@ -175,21 +176,32 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepController
+    from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
     from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")
-    commands, states = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
-    encode = commands.encoder(effort=np.zeros(6))
     ends = [_WaitSet(node, *_BARE[::-1], TICK_QOS), Channel(node, *_CHANNEL[::-1], TICK_QOS)]
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
 
-    def answer(stamp: int, raw: bytes) -> bytes:
-        states.decode(raw)
-        return encode(stamp)
+    class NoLaw:
+        command = np.zeros(6)
 
-    controller = LockstepController(channel, lambda _text: None, answer, lambda _stamp, _raw: None, PERIOD_NS)
-    message = encode(0)
+        def begin(self) -> None:
+            pass
+
+        def hold(self, states: MotorStates) -> None:
+            pass
+
+        def step(self, _stamp: int, _states: MotorStates) -> bool:
+            return True
+
+        def skip(self, count: int) -> None:
+            pass
+
+    messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, Rates(), NoLaw.command, print)
+    controller = LockstepController(channel, messages, NoLaw(), lambda _text: None)
+    message = JointStateCodec(MOTOR_NAMES).encode(0, effort=NoLaw.command)
 
     def pong(channel: _WaitSet | Channel) -> None:
         while not end.is_set():

@@ -10,7 +10,6 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
-from rx90_common.description.wrist import coupled_inertia
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -31,7 +30,7 @@ class PinocchioArm:
         self._model = setup.robot.model
         self._data = self._model.createData()
         # Rotor 6 couples joints 5 and 6, which Pinocchio's armature, a diagonal, and with it aba, cannot say.
-        self._rotor = coupled_inertia(setup.drives.rotor_inertia)
+        self._rotor = setup.drives.rotor_matrix
         self._spring = setup.drives.spring_torque
         self._to_joint = _ELEMENT_INPUT[[0, 1, 2, 3, 4, 6]].T * setup.drives.gear
         self._period = setup.rates.period
@@ -39,8 +38,8 @@ class PinocchioArm:
         self._c0, self._c1, self._c2, self._omega_s, self._omega_d, self._delta = np.array(
             [(e.c0, e.c1, e.c2, e.omega_s, e.omega_d, e.delta) for e in elements]
         ).T
-        self._coulomb = np.array([(e.tau_c_negative, e.tau_c_positive) for e in elements]).T
-        self._static = np.array([(e.tau_s_negative, e.tau_s_positive) for e in elements]).T
+        self._coulomb = np.array([(e.tau_c_positive, e.tau_c_negative) for e in elements]).T
+        self._static = np.array([(e.tau_s_positive, e.tau_s_negative) for e in elements]).T
         self.q, self.v, self.z = np.array(position, dtype=np.float64), np.zeros(6), np.zeros(7)
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
@@ -61,8 +60,8 @@ class PinocchioArm:
     def _friction(self, velocity: Array) -> Array:
         """Advance the bristles; return equation 18, Nm, its mean over the step."""
         forward, speed = velocity >= 0, np.abs(velocity)
-        coulomb = np.where(forward, self._coulomb[1], self._coulomb[0])
-        static = np.where(forward, self._static[1], self._static[0])
+        coulomb = np.where(forward, self._coulomb[0], self._coulomb[1])
+        static = np.where(forward, self._static[0], self._static[1])
         sliding = coulomb + (static - coulomb) * np.exp(-((speed / self._omega_s) ** self._delta))
         x = self._c0 * speed / sliding * self._period + 1e-12  # kept from 0, where 0 / 0 would follow
         z_dot = velocity - self._c0 * speed / sliding * self.z

@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks.report import ROOT, merge, print_table
 from rx90_common.base.share import config_path
+from rx90_common.process.children import executable
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.sweep.info import describe_results
 from rx90_emulator.sweep.plan_file import load_sweep_plan
@@ -48,7 +49,7 @@ def measure() -> SweepFigures:
         arguments = ["run", str(PLAN), "--output", str(output), "--workers", str(WORKERS)]
         before = _children_time()
         began = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "rx90_emulator.cli.sweep", *arguments], cwd=ROOT, check=True)
+        subprocess.run(executable("rx90_sweep", *arguments), cwd=ROOT, check=True)
         elapsed, cores = time.perf_counter() - began, _children_time() - before
         print("\n".join(line for line in describe_results(output) if "runs" in line or "path_error" in line))
     single, loop = [], []

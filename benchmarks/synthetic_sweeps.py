@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.setup import Setup
@@ -65,12 +66,11 @@ def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array
     if payload:
         point = pin.Inertia(payload, np.array([0.03, -0.02, 0.15]), np.zeros((3, 3)))
         model.inertias[6] = model.inertias[6] + point
-    data, zero = model.createData(), np.zeros(6)
     # Gravity and velocity torques are smooth: every tenth sample and straight lines between them.
     few = np.unique(np.append(np.arange(0, len(q), 10), len(q) - 1))
-    coarse = np.array([pin.rnea(model, data, q[k], v[k], zero) for k in few])
+    coarse = rigid_torque(model, np.zeros((6, 6)), np.zeros(6), q[few], v[few], np.zeros((len(few), 6)))
     torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
-    torque[:, 1] += setup.drives.spring_torque * np.sin(q[:, 1])
+    torque += setup.drives.spring * np.sin(q)
     inputs = v @ INPUT.T
     sliding = np.column_stack([stribeck(e, inputs[:, k]) for k, e in enumerate(friction.elements)])
     return torque + np.where(inputs == 0.0, STUCK, sliding) @ INPUT

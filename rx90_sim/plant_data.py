@@ -11,10 +11,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import coupled_inertia
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
-from rx90_common.friction.bristle import elements_dtype
-from rx90_common.friction.lugre import ELEMENT_DTYPE
+from rx90_common.friction.lugre import element_arrays, elements_dtype
 from rx90_sim.base_parameters import base_parameters
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
@@ -84,8 +82,8 @@ def plant_record(
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     _fill_arm(plant["arm"], robot, drives)
-    _fill_elements(plant["friction"], friction.records())
-    _fill_elements(plant["brake"], _brake_records(drives))
+    plant["friction"] = element_arrays(friction.elements)[0]
+    _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque
     plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
@@ -106,24 +104,17 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
         arm[name] = getattr(parameters, name).T
     arm["first_origin"] = parameters.first_origin
     arm["base_acceleration"] = -robot.chain.gravity
-    arm["rotor"] = coupled_inertia(drives.rotor_inertia)
-    arm["spring_torque"] = [0.0, drives.spring_torque, 0.0, 0.0, 0.0, 0.0]
+    arm["rotor"] = drives.rotor_matrix
+    arm["spring_torque"] = drives.spring
 
 
-def _fill_elements(fields: Any, records: np.ndarray[Any, Any]) -> None:
-    for name in records.dtype.names or ():
-        fields[name] = records[name].T
-
-
-def _brake_records(drives: DriveParameters) -> np.ndarray[Any, Any]:
-    """Return the brakes, shape (7,), ELEMENT_DTYPE, with the inputs of the friction elements.
+def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
+    """Write the brakes, bristle elements with the inputs of the friction elements.
 
     Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
     """
-    records = np.zeros(ELEMENT_COUNT, ELEMENT_DTYPE)
-    records["tau_c"] = records["tau_s"] = 1.0
-    for i, values in enumerate(zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)):
-        torque, stiffness, damping = values
-        brake = LuGreElement(torque, torque, torque, torque, 1.0, 1.0, stiffness, damping, 0.0)
-        records[i if i < 5 else 6] = brake.record()
-    return records
+    data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
+    brakes = element_arrays([LuGreElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
+    brake["tau_c"] = brake["tau_s"] = 1.0
+    for name in brakes.dtype.names or ():
+        brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]

@@ -116,7 +116,7 @@ def test_the_house_is_found() -> None:
     """Ground, rooms and roof are read off the folders, and arrows are seen, so that the tests below test something."""
     assert (GROUND, ROOMS, ROOF) == ("rx90_common", ["friction_bench", "rx90_controller", "rx90_sim"], "rx90_emulator")
     assert "rx90_common.friction.bristle" in reached("rx90_emulator.loop.closed_loop")
-    assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.executables")
+    assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.frame")
     assert {"rclpy", "sensor_msgs"} <= ROS
 
 

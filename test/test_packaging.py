@@ -12,7 +12,10 @@ from xml.etree import ElementTree
 
 import pytest
 from catkin_pkg.package import parse_package
-from processes import TIMEOUT, Processes, Running, executable, wait_until
+from processes import Processes, script, wait_until
+
+from rx90_common.process.children import TIMEOUT, ChildProcess
+from rx90_emulator.cli.frame import EXECUTABLES as TABLE
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "rx90_emulator"
@@ -23,7 +26,7 @@ NODES = ("rx90_sim", "rx90_controller")
 def colcon(*arguments: object, folder: Path) -> str:
     """Run colcon on the source tree, its logs in `folder`, and return what it printed."""
     done = subprocess.run(
-        [executable("colcon"), "--log-base", str(folder / "log"), *map(str, arguments)],
+        [script("colcon"), "--log-base", str(folder / "log"), *map(str, arguments)],
         cwd=folder,
         capture_output=True,
         encoding="utf-8",
@@ -110,7 +113,7 @@ def test_colcon_installs_every_module_and_template(prefix: Path) -> None:
 def test_colcon_and_pip_install_the_same_executables(prefix: Path) -> None:
     """The names under lib/rx90_emulator are those of the pip environment's console scripts."""
     assert sorted(path.name for path in (prefix / "lib" / PACKAGE).iterdir()) == EXECUTABLES
-    assert {"rx90_sim", "rx90_controller", "rx90_line", "rx90_run", "rx90_bag", "rx90_demo"} <= set(EXECUTABLES)
+    assert sorted(TABLE) == EXECUTABLES
 
 
 @pytest.mark.parametrize("name", EXECUTABLES)
@@ -137,7 +140,7 @@ def test_installed_nodes_run_together(workspace: Path, processes: Processes) -> 
     from sensor_msgs.msg import JointState
 
     stamps: list[float] = []
-    nodes: list[Running] = []
+    nodes: list[ChildProcess] = []
     context = rclpy.Context()
     rclpy.init(context=context)
     watcher = rclpy.create_node("watcher", context=context)

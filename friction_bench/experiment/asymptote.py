@@ -1,11 +1,12 @@
-"""Fit the velocity's asymptote a t - b to encoder angles, with a covariance that knows the noise's nature.
+"""Fit the velocity's asymptote a t - b to encoder angles, with the covariance of quantisation and torque noise.
 
 After break-away the angle follows c - b t + a t^2 / 2. Its deviations have two sources: the encoder's
-rounding, white, and torque noise, which the rotor integrates into a wandering angle. Ordinary least squares
-would take the second for the first and promise far too much, so this is generalised least squares with
+quantisation, white, and torque noise. White torque noise makes the velocity of an inertia J with viscous friction f_v
+an Ornstein-Uhlenbeck process with the time constant T = J / f_v, and the angle its integral. Ordinary least squares
+ignores that the latter is correlated, and its intervals are far too narrow. This is generalised least squares with
     V = r I + q K,  r = step^2 / 12,
-where K is the covariance of an inertia J with viscous friction f_v (time constant T) driven from rest by
-white torque noise, and its strength q comes from the data by restricted maximum likelihood.
+where K is the covariance of the integrated Ornstein-Uhlenbeck process from rest. Its intensity q is estimated by
+restricted maximum likelihood.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class RampFit:
         covariance: of (a, b), shape (2, 2).
         break_away: time of break-away, s.
         window: first and last time used, s.
-        noise: q, strength of the wandering, rad²/s.
+        noise: q, intensity of the integrated Ornstein-Uhlenbeck process, rad²/s.
         points: readings used.
     """
 
@@ -81,7 +82,7 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, pre
 
     Args:
         record: the ramp.
-        time_constant: J / f_v, s, where ramps at two slopes have told it; else this ramp's own b / a - t_b.
+        time_constant: J / f_v, s, as identified from two slopes; by default this ramp's own b / a - t_b.
         preliminary: the time constant is still to be found, so a transient that is not over is no fault.
 
     Raises:
@@ -164,13 +165,13 @@ def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b:
 
     Without a known time constant the asymptote a t - b gives it for each t_b, T = b / a - t_b.
     """
-    few = slice(max(first - 2, 0), first + ONSET_TICKS)
+    onset = slice(max(first - 2, 0), first + ONSET_TICKS)
     latest = float(time[first]) if T else min(float(time[first]), b / a - 1e-3 * tick)
 
     def misfit(moment: float) -> float:
         inertia = T or b / a - moment  # with f_v = 1
         model = RampModel(coulomb=moment * a, viscous=1.0, inertia=inertia, slope=a)
-        return float(np.sum((model.angle(time[few]) - angle[few]) ** 2))
+        return float(np.sum((model.angle(time[onset]) - angle[onset]) ** 2))
 
     back = max(ONSET_TICKS * tick, ONSET_SHARE * float(time[-1] - time[first])) + (T or 0.0)
     bounds = (latest - back, latest)
@@ -241,10 +242,10 @@ class _Solution:
     noise: float
 
 
-def wander_covariance(time: Array, T: float) -> Array:
-    """Return the covariance of an angle driven by white torque noise from rest at time 0, shape (n, n).
+def integrated_ou_covariance(time: Array, T: float) -> Array:
+    """Return the covariance of an integrated Ornstein-Uhlenbeck process from rest at time 0, shape (n, n).
 
-    With unit noise of the final velocity's integral: K(s, t) = int_0^min (1 - e^-(s-u)/T)(1 - e^-(t-u)/T) du.
+    With unit intensity: K(s, t) = int_0^min(s, t) (1 - e^-(s-u)/T) (1 - e^-(t-u)/T) du.
     """
     s = np.minimum.outer(time, time)
     gap = np.abs(np.subtract.outer(time, time))
@@ -256,13 +257,13 @@ def wander_covariance(time: Array, T: float) -> Array:
 
 def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, most: int = MOST_POINTS) -> _Solution:
     """Solve the generalised least squares problem; q by restricted maximum likelihood."""
-    thin = slice(None, None, -(-time.size // most))  # angles are sums: thinning loses next to nothing
-    time, angle = time[thin], angle[thin]
+    every = -(-time.size // most)  # decimation costs next to nothing: neighbouring angles are strongly correlated
+    time, angle = time[::every], angle[::every]
     middle = float(time.mean())
     half = float(np.ptp(time)) / 2
     x = (time - middle) / half  # keeps the normal equations well conditioned
     basis = np.column_stack((np.ones_like(x), x, x * x))
-    K = wander_covariance(time - break_away, T)
+    K = integrated_ou_covariance(time - break_away, T)
     values, vectors = np.linalg.eigh(K)
     X, y = vectors.T @ basis, vectors.T @ angle
     r = step**2 / 12

@@ -18,6 +18,7 @@ from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, fit_asymptote
 from friction_bench.experiment.record import RampRecord
+from friction_bench.rig.rig_file import Rig
 from rx90_common.base.errors import IdentificationError
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ SAME_SLOPE = 0.02
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A value with its standard uncertainty and its 95 % interval."""
 
     value: float
@@ -42,23 +43,23 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Friction:
+class RampFriction:
     """Coulomb friction f_c, Nm, viscous friction f_v, Nm s/rad, inertia J, kg m², at the motor.
 
     `inertia` is None where one slope alone was run. The covariance is by chance alone, without the torque
     scale's: `covariance` in the order f_c, f_v (and J), `freedom` its degrees of freedom.
     """
 
-    coulomb: Estimate
-    viscous: Estimate
-    inertia: Estimate | None
+    coulomb: IntervalEstimate
+    viscous: IntervalEstimate
+    inertia: IntervalEstimate | None
     covariance: Array
     freedom: float = math.inf
 
 
 @dataclass(frozen=True)
-class Identification:
-    """What a set of ramps under one load says.
+class RampIdentification:
+    """What was identified from a set of ramps under one load.
 
     Attributes:
         source: the source's f_c = m b / a and f_v = m / a, mean over all ramps.
@@ -68,9 +69,9 @@ class Identification:
     """
 
     fits: tuple[RampFit, ...]
-    source: Friction
-    exact: Friction | None
-    repeated: Friction | None
+    source: RampFriction
+    exact: RampFriction | None
+    repeated: RampFriction | None
     consistency: float
 
     @property
@@ -79,7 +80,7 @@ class Identification:
         return float(np.mean([fit.break_away * fit.slope for fit in self.fits]))
 
     @property
-    def best(self) -> Friction:
+    def best(self) -> RampFriction:
         """Return the exact estimate, else the source's.
 
         Its interval is the covariance's, unless the repeats scatter more than that can explain.
@@ -91,7 +92,7 @@ class Identification:
         return self.exact
 
 
-def interval(value: float, chance: float, freedom: float, scale: float) -> Estimate:
+def interval(value: float, chance: float, freedom: float, scale: float) -> IntervalEstimate:
     """Return an estimate from its error by chance and the torque scale's relative uncertainty.
 
     The two are independent; the degrees of freedom are combined after Welch and Satterthwaite.
@@ -102,7 +103,7 @@ def interval(value: float, chance: float, freedom: float, scale: float) -> Estim
     factor = (
         float(stats.t.ppf((1 + LEVEL) / 2, effective)) if effective < 1e6 else float(stats.norm.ppf((1 + LEVEL) / 2))
     )
-    return Estimate(value, total, value - factor * total, value + factor * total)
+    return IntervalEstimate(value, total, value - factor * total, value + factor * total)
 
 
 def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
@@ -124,7 +125,7 @@ def distinct_slopes(slopes: Iterable[float]) -> list[float]:
     return distinct
 
 
-def identify(records: Sequence[RampRecord], scale_uncertainty: float) -> Identification:
+def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> RampIdentification:
     """Identify friction from the ramps of one rig under one load.
 
     Args:
@@ -144,7 +145,7 @@ def identify(records: Sequence[RampRecord], scale_uncertainty: float) -> Identif
         fits = _with_common_time_constant(fits)
         linear, covariance, consistency = _least_squares(fits)
         exact = _exact(linear, covariance, math.inf, scale_uncertainty)
-    return Identification(
+    return RampIdentification(
         fits=tuple(fits),
         source=_by_source(fits, scale_uncertainty),
         exact=exact,
@@ -160,7 +161,7 @@ def _with_common_time_constant(fits: Sequence[RampFit]) -> list[RampFit]:
     return [fit_asymptote(fit.record, max(gamma / alpha, shortest)) for fit in fits]
 
 
-def _by_source(fits: Sequence[RampFit], scale: float) -> Friction:
+def _by_source(fits: Sequence[RampFit], scale: float) -> RampFriction:
     values = np.zeros((len(fits), 2))
     covariance = np.zeros((2, 2))
     for row, fit in enumerate(fits):
@@ -169,7 +170,7 @@ def _by_source(fits: Sequence[RampFit], scale: float) -> Friction:
         covariance += to_friction @ fit.covariance @ to_friction.T / len(fits) ** 2
     coulomb, viscous = values.mean(axis=0)
     errors = np.sqrt(np.diag(covariance))
-    return Friction(
+    return RampFriction(
         interval(float(coulomb), float(errors[0]), math.inf, scale),
         interval(float(viscous), float(errors[1]), math.inf, scale),
         None,
@@ -200,7 +201,7 @@ def _friction_of(linear: Array) -> Array:
     return np.array([beta / alpha, 1.0 / alpha, gamma / alpha**2])
 
 
-def _exact(linear: Array, covariance: Array, freedom: float, scale: float) -> Friction:
+def _exact(linear: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
     alpha, beta, gamma = linear
     if alpha <= 0.0:
         raise IdentificationError(f"the asymptotes give a negative viscous friction (1 / f_v = {alpha:.3g})")
@@ -214,13 +215,13 @@ def _exact(linear: Array, covariance: Array, freedom: float, scale: float) -> Fr
     return _friction(_friction_of(linear), to_friction @ covariance @ to_friction.T, freedom, scale)
 
 
-def _friction(values: Array, covariance: Array, freedom: float, scale: float) -> Friction:
+def _friction(values: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
     errors = np.sqrt(np.diag(covariance))
     estimates = [interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)]
-    return Friction(estimates[0], estimates[1], estimates[2], covariance, freedom)
+    return RampFriction(estimates[0], estimates[1], estimates[2], covariance, freedom)
 
 
-def _by_repeats(fits: Sequence[RampFit], scale: float) -> Friction | None:
+def _by_repeats(fits: Sequence[RampFit], scale: float) -> RampFriction | None:
     """Identify each repeat by itself and judge by their scatter: this needs no model of the noise."""
     groups: dict[float, list[RampFit]] = {slope: [] for slope in slopes_of(fits)}
     for fit in fits:
@@ -239,38 +240,31 @@ def _by_repeats(fits: Sequence[RampFit], scale: float) -> Friction | None:
 class JointFrictionEstimate:
     """The joint alone: loaded less no-load, at the motor and carried to the joint's side of the gear."""
 
-    coulomb: Estimate
-    viscous: Estimate
-    joint_side_coulomb: Estimate
-    joint_side_viscous: Estimate
+    coulomb: IntervalEstimate
+    viscous: IntervalEstimate
+    joint_side_coulomb: IntervalEstimate
+    joint_side_viscous: IntervalEstimate
 
 
-def joint_friction(
-    unloaded: Identification,
-    loaded: Identification,
-    scale_uncertainty: float,
-    gear_ratio: float,
-    gear_efficiency: float,
-    efficiency_uncertainty: float,
-) -> JointFrictionEstimate:
+def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig: Rig) -> JointFrictionEstimate:
     """Return f_joint = f_load - f_noload with propagated uncertainty.
 
     Both came off the same torque scale, so its error scales the difference and does not add to both sides.
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
     motor, joint = [], []
-    scales = (gear_ratio * gear_efficiency, gear_ratio**2 * gear_efficiency)
-    relative = math.hypot(scale_uncertainty, efficiency_uncertainty / gear_efficiency)
+    scales = (rig.gear_ratio * rig.gear_efficiency, rig.gear_ratio**2 * rig.gear_efficiency)
+    relative = math.hypot(rig.scale_uncertainty, rig.efficiency_uncertainty / rig.gear_efficiency)
     high, low = loaded.best, unloaded.best
     values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
     for index, (value, factor) in enumerate(zip(values, scales, strict=True)):
         chance, freedom = _difference(high, low, index)
-        motor.append(interval(value, chance, freedom, scale_uncertainty))
+        motor.append(interval(value, chance, freedom, rig.scale_uncertainty))
         joint.append(interval(value * factor, chance * factor, freedom, relative))
     return JointFrictionEstimate(motor[0], motor[1], joint[0], joint[1])
 
 
-def _difference(loaded: Friction, unloaded: Friction, index: int) -> tuple[float, float]:
+def _difference(loaded: RampFriction, unloaded: RampFriction, index: int) -> tuple[float, float]:
     """Return the error by chance of the difference of two estimates and its degrees of freedom."""
     variances = loaded.covariance[index, index], unloaded.covariance[index, index]
     total = float(sum(variances))

@@ -1,4 +1,4 @@
-"""What `friction_ramp` does, apart from its options: imported once these are understood, for it takes two seconds."""
+"""The run of `friction_ramp`, apart from its options: they are checked first, as the import takes two seconds."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from friction_bench.experiment.record import RampRecord, read_csv, read_text, write_csv
-from friction_bench.experiment.report import as_text, write_estimates, write_html, write_yaml
-from friction_bench.experiment.series import Plan, Readings, evaluate, run_series
-from friction_bench.protocol.errors import RecordError
+from friction_bench.experiment.evaluation import evaluate
+from friction_bench.experiment.ramp import Readings, run_ramps
+from friction_bench.experiment.record import RampRecord, RecordError, read_csv, read_text, write_csv
+from friction_bench.experiment.report import result_text, write_estimates, write_html, write_yaml
 from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import Port, RigClient
+from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.line import Port
 from friction_bench.rig.pty_rig import PtyRig
-from friction_bench.rig.rig_file import Rig, load_rig
+from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, FailureError, write_error
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
@@ -36,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     rig = load_rig(resolve_config(options.rig))
-    out: Path = options.out
+    out: Path = options.output
     base = FrictionFile.read(config_path("robot/friction.yaml"))
     _check(options, base)
     if options.no_load_file or options.loaded_file:
@@ -50,7 +51,7 @@ def run(options: argparse.Namespace) -> None:
     write_html(out / "report.html", result, rig, origin)
     write_estimates(out / "estimates.yaml", result)
     write_yaml(out / "friction.yaml", result, rig, options.element, base)
-    print(as_text(result))
+    print(result_text(result))
     print(f"report: {out / 'report.html'}\nparameters for rx90_sim: {out / 'friction.yaml'}")
 
 
@@ -68,23 +69,23 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
 
 
 def _folder(out: Path) -> None:
-    """Make the folder, and make sure that it takes files: a measurement must not be lost at its end."""
+    """Make the folder, and make sure that files can be written in it: a measurement must not be lost at its end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
             pass
     except OSError as error:
-        raise RecordError(f"{out}: cannot be written to ({error.strerror})") from error
+        raise write_error(out, error) from error
 
 
-def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
+def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
     slopes = tuple(options.slopes or rig.ramps.slopes)
     torque = options.end_torque
     if torque is not None and not 0.0 < torque <= rig.dac_full_scale:
         raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
     for slope in slopes:
         rig.ramp_step(slope)
-    return Plan(
+    return RampPlan(
         slopes=slopes,
         repeats=options.repeats or rig.ramps.repeats,
         end_torque=options.end_torque or rig.ramps.end_torque,
@@ -92,11 +93,11 @@ def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
     )
 
 
-def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tuple[list[RampRecord], str]:
+def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -> tuple[list[RampRecord], str]:
     bag = out / "bag"
     for old in (bag, *sorted(out.glob("ramp_*.csv"))[:1]):
         if old.exists():
-            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --out {out}_2")
+            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --output {out}_2")
     _folder(out)
     port, couple, close = _open(options, rig)
     readings = Readings(rig)
@@ -120,7 +121,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> tu
 
             for loaded in loads:
                 couple(loaded, client)
-                run_series(client, plan, loaded, readings, progress, keep)
+                run_ramps(client, plan, loaded, readings, progress, keep)
     finally:
         with interrupts_later():  # a second Ctrl-C does not cost the readings
             port.close()
@@ -138,7 +139,7 @@ def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, 
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)
-        # With --load none or joint the person has said how the rig stands, and need not be there.
+        # With --load none or joint the joint is as the option says, and nobody need be there.
         return port, _ask if options.load == "both" else lambda *_: None, lambda: None
     emulated = EmulatedRig(rig, options.seed)
     if not options.real_time:
@@ -153,7 +154,7 @@ def _ask(loaded: bool, client: RigClient) -> None:
     try:
         input()
     except EOFError:
-        raise RecordError("nobody there to couple the joint; use --load none or --load joint") from None
+        raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
     client.connect()
 
 

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
+from friction_bench.experiment.evaluation import RampTestResult
 from friction_bench.experiment.four_way import EXPERIMENT, FourWay, measured_velocity
-from friction_bench.experiment.identification import Identification, slopes_of
-from friction_bench.experiment.series import Result
-from rx90_common.report.drawing import COLOURS as PALETTE
-from rx90_common.report.drawing import as_svg, make_figure
-
-COLOURS = PALETTE[:6]
+from friction_bench.experiment.identification import SAME_SLOPE, RampIdentification, slopes_of
+from rx90_common.report.drawing import COLOURS, as_svg, make_figure
 
 _FIT: Any = {"color": "black", "linestyle": "--", "linewidth": 0.9}
 
 
-def velocity_plot(part: Identification) -> str:
+def velocity_plot(part: RampIdentification) -> str:
     """Draw the velocities of all repeats with their asymptotes, one panel a slope (figures 4 to 6)."""
     slopes = slopes_of(part.fits)
     figure, panels = make_figure(len(slopes) + 1, 3.0 + 2.2 * len(slopes), share_x=False)
     for j, (axes, slope) in enumerate(zip(panels, slopes, strict=False)):
-        fits = [fit for fit in part.fits if abs(fit.slope - slope) <= 0.02 * slope]
+        fits = [fit for fit in part.fits if abs(fit.slope - slope) <= SAME_SLOPE * slope]
         for k, fit in enumerate(fits):
             time, velocity = measured_velocity(fit.record)
             axes.plot(time, velocity, color=COLOURS[k % len(COLOURS)], linewidth=0.7, alpha=0.8)
@@ -41,7 +38,7 @@ def velocity_plot(part: Identification) -> str:
     return as_svg(figure)
 
 
-def load_plot(result: Result) -> str:
+def load_plot(result: RampTestResult) -> str:
     """Draw one no-load and one loaded ramp of each slope on the same axes."""
     figure, (axes,) = make_figure(1, 3.0)
     for k, (name, part) in enumerate(result.parts):

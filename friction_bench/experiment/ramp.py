@@ -1,9 +1,10 @@
-"""Run one ramp on a rig and keep what it measured."""
+"""Run ramps on a rig and keep what they measured."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from friction_bench.experiment.record import RampRecord
 from friction_bench.protocol.errors import RigError
 from friction_bench.protocol.messages import State
 from friction_bench.rig.client import RigClient, Sample, raise_fault
-from friction_bench.rig.rig_file import Rig
+from friction_bench.rig.rig_file import RampPlan, Rig
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.rates import NANOSECONDS
 
 REST_TICKS = 10
 """The shaft rests when it has not moved for so many ticks."""
@@ -44,7 +47,7 @@ def run_ramp(
 ) -> RampRecord:
     """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
 
-    The rig is disarmed again when this returns, and told to stop when it raises.
+    The rig is disarmed again when this returns, and stopped when it raises.
 
     Raises:
         RigError: refused, faulted, lost or reset.
@@ -60,8 +63,10 @@ def run_ramp(
         samples = _follow(client, client.start_ramp(slope, end_torque), on_sample)
     except BaseException:  # Ctrl-C above all: never leave with the power stage on
         with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
-            client.urgent_stop()
-        client.permitted = client.stops  # this stop is the ramp's own: the next command is not overtaken by it
+            client.line.urgent_stop()
+        client.line.known_stops = (
+            client.line.stops
+        )  # this stop is the ramp's own: the next command is not overtaken by it
         raise
     return _record(samples, rig, rig.slope_of_step(step), loaded, label)
 
@@ -97,3 +102,66 @@ def _record(samples: list[Sample], rig: Rig, slope: float, loaded: bool, label: 
         loaded=loaded,
         label=label,
     )
+
+
+@dataclass
+class Readings:
+    """Every reading of a measurement, for the bag."""
+
+    rig: Rig
+    samples: list[Sample] = field(default_factory=list)
+
+    def series(self) -> list[JointSeries]:
+        """Return the readings as the node publishes them: states and commands of the motor."""
+        ticks = [s.tick for s in self.samples]
+        stamps = np.array([round(s.time * NANOSECONDS) for s in self.samples], dtype=np.int64)
+        scale = 2 * np.pi / self.rig.counts_per_revolution
+        position = np.array([s.counts for s in self.samples], dtype=np.float64) * scale
+        elapsed = np.diff(np.array(ticks), prepend=ticks[0] - 1) * self.rig.tick
+        velocity = np.diff(position, prepend=position[0]) / elapsed
+        measured = np.array([self.rig.measured_torque(s.report.adc) for s in self.samples])
+        commanded = np.array([self.rig.torque(s.report.dac) for s in self.samples])
+        names = ("rig_motor",)
+        return [
+            JointSeries(
+                "/friction_bench/joint_states",
+                names,
+                stamps,
+                position[:, None],
+                velocity[:, None],
+                measured[:, None],
+            ),
+            JointSeries("/friction_bench/joint_commands", names, stamps, effort=commanded[:, None]),
+        ]
+
+
+def run_ramps(
+    client: RigClient,
+    plan: RampPlan,
+    loaded: bool,
+    readings: Readings,
+    on_progress: Callable[[float, str], None],
+    on_record: Callable[[RampRecord], None],
+) -> None:
+    """Run all ramps under one load.
+
+    Args:
+        client: greeted.
+        plan: slopes, repeats and end torques.
+        loaded: whether the joint is coupled.
+        readings: where every reading is added.
+        on_progress: called with seconds of ramp time done since the last call, and what is running.
+        on_record: called with each ramp as soon as it is done.
+
+    Raises:
+        RigError: refused, faulted, lost or reset.
+    """
+
+    def keep(sample: Sample) -> None:
+        readings.samples.append(sample)
+        on_progress(client.rig.tick, label)
+
+    for repeat in range(plan.repeats):
+        for slope in plan.slopes:
+            label = f"{'loaded' if loaded else 'no-load'} {slope:g} Nm/s #{repeat + 1}"
+            on_record(run_ramp(client, slope, plan.end(loaded), loaded, label, keep))

@@ -10,12 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_bench.protocol.errors import RecordError
+from rx90_common.base.errors import Rx90Error, write_error
 
 Array = NDArray[np.float64]
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
+
+
+class RecordError(Rx90Error):
+    """A file does not hold a ramp test that can be used, or a folder is not one for a new measurement."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +138,7 @@ def write_csv(record: RampRecord, path: Path) -> None:
     """Write a record so that `read_csv` gives it back.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     counts = np.rint(record.angle / record.angle_step).astype(int)
     torques = [column for column in (record.torque, record.measured_torque) if column is not None]
@@ -146,14 +150,14 @@ def write_csv(record: RampRecord, path: Path) -> None:
             for i, time in enumerate(record.time):
                 writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:
     """Read the plain text of the source's program: one reading per line, every 20 ms.
 
     A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
-    The paper does not say what the numbers were, so `kind` says it: `increments` (pulses since the last
+    The paper does not say what the numbers were, so `kind` does: `increments` (pulses since the last
     reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading).
 
     Raises:

@@ -1,17 +1,17 @@
-"""What a measurement says: on the terminal, as an HTML page, and as YAML that rx90_sim reads."""
+"""The result of a measurement: on the terminal, as an HTML page, and as YAML that rx90_sim reads."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from friction_bench.experiment.evaluation import RampTestResult
 from friction_bench.experiment.four_way import SMOOTHING
-from friction_bench.experiment.identification import Estimate, Friction
+from friction_bench.experiment.identification import IntervalEstimate, RampFriction
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
-from friction_bench.experiment.series import Result
-from friction_bench.protocol.errors import RecordError
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
+from rx90_common.base.errors import IdentificationError, write_error
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.page import render_page
@@ -20,7 +20,7 @@ STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
 
 
-def friction_rows(result: Result) -> list[tuple[str, str, Friction]]:
+def friction_rows(result: RampTestResult) -> list[tuple[str, str, RampFriction]]:
     """Return load, method and estimate, in the report's order."""
     rows = []
     for name, part in result.parts:
@@ -32,7 +32,7 @@ def friction_rows(result: Result) -> list[tuple[str, str, Friction]]:
     return rows
 
 
-def as_text(result: Result) -> str:
+def result_text(result: RampTestResult) -> str:
     """Return the estimates as a table for the terminal."""
     lines = [f"{'':34}{'f_c, Nm [95 %]':>34}{'f_v, Nm s/rad [95 %]':>40}"]
     for name, method, friction in friction_rows(result):
@@ -49,15 +49,15 @@ def as_text(result: Result) -> str:
     return "\n".join(lines)
 
 
-def _cell(estimate: Estimate) -> str:
+def _cell(estimate: IntervalEstimate) -> str:
     return f"{estimate.value:.4g} [{estimate.low:.4g}, {estimate.high:.4g}]"
 
 
-def write_html(path: Path, result: Result, rig: Rig, origin: str) -> None:
+def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> None:
     """Write the page; `origin` says in one line where the data came from.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     plots = {name: velocity_plot(part) for name, part in result.parts}
     if result.joint is not None:
@@ -82,10 +82,10 @@ def _write(path: Path, text: str) -> None:
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordError(f"{path}: cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
-def _interval(estimate: Estimate) -> dict[str, Any]:
+def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     return {
         "value": float(f"{estimate.value:.6g}"),
         "standard_uncertainty": float(f"{estimate.error:.3g}"),
@@ -102,7 +102,7 @@ def _lugre(coulomb: float, static: float, viscous: float) -> LuGreElement:
     return LuGreElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
 
 
-def _static_friction(result: Result, rig: Rig) -> float:
+def _static_friction(result: RampTestResult, rig: Rig) -> float:
     """Return the joint's break-away torque on its own side of the gear, Nm, 0 where it was not measured."""
     if result.loaded is None or result.unloaded is None:
         return 0.0
@@ -110,7 +110,7 @@ def _static_friction(result: Result, rig: Rig) -> float:
     return at_motor * rig.gear_ratio * rig.gear_efficiency
 
 
-def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: FrictionFile) -> None:
+def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim.
 
     Args:
@@ -121,7 +121,8 @@ def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: Frictio
         base: the friction file to put that element into.
 
     Raises:
-        RecordError: if the file cannot be written, or the joint's friction is not positive.
+        IdentificationError: if the joint's friction is not positive.
+        Rx90Error: if the file cannot be written.
     """
     if result.joint is not None:
         coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
@@ -129,17 +130,17 @@ def write_yaml(path: Path, result: Result, rig: Rig, element: str, base: Frictio
         best = result.parts[0][1].best
         coulomb, viscous = best.coulomb.value, best.viscous.value
     if coulomb <= 0.0:
-        raise RecordError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
+        raise IdentificationError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
     measured = _lugre(coulomb, max(coulomb, _static_friction(result, rig)), viscous)
     source = "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed"
     _write(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
 
 
-def write_estimates(path: Path, result: Result) -> None:
+def write_estimates(path: Path, result: RampTestResult) -> None:
     """Write every estimate with its uncertainty as YAML.
 
     Raises:
-        RecordError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     document: dict[str, Any] = {"units": {"coulomb": "Nm", "viscous": "Nm s/rad", "inertia": "kg m2"}}
     for name, method, friction in friction_rows(result):

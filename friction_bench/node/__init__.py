@@ -1,1 +1,3 @@
 """The friction rig's node: a rig on ROS topics and services."""
+
+__all__ = ["bench_node"]

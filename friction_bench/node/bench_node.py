@@ -14,14 +14,15 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from friction_bench.protocol.messages import Fault, State, fault_text
+from friction_bench.protocol.messages import Fault, fault_text
 from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import Port, RigClient, Sample
+from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.link import RigLink
 from friction_bench.rig.pty_rig import PtyRig
-from friction_bench.rig.rig_file import load_rig
+from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
@@ -32,6 +33,39 @@ _ALIVE_PERIOD = 0.02
 _SERVICE_TIMEOUT = 3.0
 _THREADS = 3
 """Timers, requests that wait for the rig, and the stop."""
+
+
+class _Readings:
+    """Publishes readings as joint states and commands; a stamp is the firmware's tick on the computer's clock."""
+
+    def __init__(self, node: Node, rig: Rig) -> None:
+        self._clock = node.get_clock()
+        self._rig = rig
+        self._states = node.create_publisher(JointState, "~/joint_states", 10)
+        self._commands = node.create_publisher(JointState, "~/joint_commands", 10)
+        self._previous: Sample | None = None
+        self._epoch_ns = 0
+
+    def publish(self, sample: Sample) -> None:
+        """Publish one reading."""
+        previous, self._previous = self._previous, sample
+        if previous is None or sample.tick <= previous.tick:
+            self._epoch_ns = self._clock.now().nanoseconds - round(sample.time * NANOSECONDS)
+            previous = sample
+        scale = math.tau / self._rig.counts_per_revolution
+        elapsed = sample.time - previous.time
+        velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
+        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * NANOSECONDS), NANOSECONDS)
+        state = JointState(
+            name=[JOINT],
+            position=[sample.counts * scale],
+            velocity=[velocity],
+            effort=[self._rig.measured_torque(sample.report.adc)],
+        )
+        command = JointState(name=[JOINT], effort=[self._rig.torque(sample.report.dac)])
+        state.header.stamp = command.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+        self._states.publish(state)
+        self._commands.publish(command)
 
 
 class BenchNode:
@@ -51,16 +85,12 @@ class BenchNode:
             port = self._emulated.path
         log = self.node.get_logger()
         self._link = RigLink(
-            lambda: _open(port, baud),
+            lambda: SerialPort(port, baud),
             self.rig,
-            self._publish,
+            _Readings(self.node, self.rig).publish,
             log.error,
             lambda text: log.info(f"{port}: {text}"),
         )
-        self._states = self.node.create_publisher(JointState, "~/joint_states", 10)
-        self._commands = self.node.create_publisher(JointState, "~/joint_commands", 10)
-        self._previous: Sample | None = None
-        self._epoch_ns = 0
         self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(self.node, self._collect)
         # Requests that wait for the rig have a thread of their own; a stop never queues behind them.
@@ -114,7 +144,7 @@ class BenchNode:
             except Rx90Error as error:
                 response.success, response.message = False, str(error)
             except TimeoutError:
-                future.cancel()  # what the caller has been told is not done must not be done later
+                future.cancel()  # what was answered with a failure must not be done later
                 response.success, response.message = (
                     False,
                     f"the rig did not answer in {_SERVICE_TIMEOUT:g} s",
@@ -143,46 +173,20 @@ class BenchNode:
 
         return callback
 
-    def _publish(self, sample: Sample) -> None:
-        """Publish one reading; its stamp is the firmware's tick on the computer's clock."""
-        previous, self._previous = self._previous, sample
-        if previous is None or sample.tick <= previous.tick:
-            now = self.node.get_clock().now().nanoseconds
-            self._epoch_ns = now - round(sample.time * 1e9)
-            previous = sample
-        scale = math.tau / self.rig.counts_per_revolution
-        elapsed = sample.time - previous.time
-        velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * 1e9), 1_000_000_000)
-        stamp = Time(sec=seconds, nanosec=nanoseconds)
-        state = JointState(
-            name=[JOINT],
-            position=[sample.counts * scale],
-            velocity=[velocity],
-            effort=[self.rig.measured_torque(sample.report.adc)],
-        )
-        command = JointState(name=[JOINT], effort=[self.rig.torque(sample.report.dac)])
-        state.header.stamp = command.header.stamp = stamp
-        self._states.publish(state)
-        self._commands.publish(command)
-
     def _collect(self) -> tuple[bytes, str, dict[str, str]]:
         report = self._link.last
-        client = self._link.client
-        values = {
-            "bad frames": str(self._link.bad_frames + (client.bad_frames if client else 0)),
-            "lost reports": str(self._link.lost_reports + (client.lost_reports if client else 0)),
-        }
+        bad, lost = self._link.damage
+        values = {"bad frames": str(bad), "lost reports": str(lost)}
         if not self._link.connected or report is None:
             return DiagnosticStatus.ERROR, "no connection to the rig", values
         values |= {
-            "state": State(report.state).name.lower(),
+            "state": report.state.name.lower(),
             "fault": fault_text(report.fault),
             "frames the rig refused": str(report.bad_frames),
         }
         if report.fault != Fault.NONE:
             return DiagnosticStatus.ERROR, fault_text(report.fault), values
-        return DiagnosticStatus.OK, f"connected, {State(report.state).name.lower()}", values
+        return DiagnosticStatus.OK, f"connected, {report.state.name.lower()}", values
 
     def tick_loop(self) -> None:
         """Serve the line until `stop`."""
@@ -195,10 +199,6 @@ class BenchNode:
     def stop(self) -> None:
         """Take the torque away and end `tick_loop`."""
         self._link.close()
-
-
-def _open(port: str, baud: int) -> Port:
-    return SerialPort(port, baud)
 
 
 def spin(args: Sequence[str]) -> None:

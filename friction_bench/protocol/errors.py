@@ -1,16 +1,16 @@
-"""What can go wrong between a person, a rig and an estimate; each text is one line meant for the user."""
+"""What can go wrong with a rig and the line to it; each text is one line meant for the user."""
 
 from __future__ import annotations
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import REFUSED, FailureError
 
 
-class RigError(Rx90Error):
+class RigError(FailureError):
     """The rig or the line to it does not do what it should."""
 
 
 class RigLostError(RigError):
-    """The line is gone: unplugged, taken by another program, or silent."""
+    """The line is gone: unplugged, held by another program, or silent."""
 
 
 class RigResetError(RigError):
@@ -25,5 +25,7 @@ class RigFaultError(RigError):
     """The firmware latched a fault and took the torque away."""
 
 
-class RecordError(Rx90Error):
-    """A file does not hold a ramp test that can be read."""
+class RigInputError(RigError):
+    """A setting or a file asks for what this rig cannot do."""
+
+    exit_code = REFUSED

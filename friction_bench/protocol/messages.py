@@ -43,7 +43,7 @@ class State(IntEnum):
     FAULT = 3
 
 
-class Result(IntEnum):
+class CommandResult(IntEnum):
     """What became of the last command."""
 
     OK = 0
@@ -56,15 +56,15 @@ class Result(IntEnum):
     RANGE = 7
 
 
-RESULT_TEXTS = {
-    Result.OK: "done",
-    Result.UNKNOWN: "the rig does not know this command",
-    Result.LENGTH: "the command has a wrong length",
-    Result.VERSION: "the rig speaks another protocol version",
-    Result.NO_HELLO: "the rig has not been greeted since its last reset",
-    Result.FAULT: "a fault is latched; clear it first",
-    Result.STATE: "not possible in the rig's present state",
-    Result.RANGE: "a value is outside the firmware's limits",
+RESULT_TEXTS: dict[int, str] = {
+    CommandResult.OK: "done",
+    CommandResult.UNKNOWN: "the rig does not know this command",
+    CommandResult.LENGTH: "the command has a wrong length",
+    CommandResult.VERSION: "the rig speaks another protocol version",
+    CommandResult.NO_HELLO: "the rig has not been greeted since its last reset",
+    CommandResult.FAULT: "a fault is latched; clear it first",
+    CommandResult.STATE: "not possible in the rig's present state",
+    CommandResult.RANGE: "a value is outside the firmware's limits",
 }
 
 
@@ -101,7 +101,7 @@ class ResetCause(IntEnum):
     BROWN_OUT = 4
 
 
-class Target(IntEnum):
+class Processor(IntEnum):
     """What the firmware runs on."""
 
     NATIVE = 0
@@ -122,7 +122,7 @@ class HelloReply:
     """
 
     version: int
-    target: int
+    processor: int
     reset_cause: int
     counts_per_revolution: int
     tick_us: int
@@ -130,6 +130,15 @@ class HelloReply:
     adc_full_scale: float
     torque_limit_code: int
     watchdog_ticks: int
+
+    @property
+    def text(self) -> str:
+        """Return the processor and the reset's cause in words."""
+        return f"processor {_name(Processor, self.processor)}, reset cause {_name(ResetCause, self.reset_cause)}"
+
+
+def _name(kind: type[IntEnum], value: int) -> str:
+    return next((one.name.lower().replace("_", "-") for one in kind if one == value), f"number {value}")
 
 
 @dataclass(frozen=True)
@@ -153,18 +162,15 @@ class Report:
     @property
     def result_text(self) -> str:
         """Return what became of the last command, in words."""
-        try:
-            return RESULT_TEXTS[Result(self.result)]
-        except ValueError:
-            return f"unknown result {self.result}"
+        return RESULT_TEXTS.get(self.result, f"unknown result {self.result}")
 
 
 def parse_hello(frame: Frame) -> HelloReply | None:
     """Return the greeting in `frame`, None if it is something else."""
     if frame.type != Answer.HELLO_REPLY or len(frame.payload) != _HELLO.size:
         return None
-    version, target, cause, cpr, tick_us, dac, adc, limit, watchdog = _HELLO.unpack(frame.payload)
-    return HelloReply(version, target, cause, cpr, tick_us, dac * 1e-5, adc * 1e-5, limit, watchdog)
+    version, processor, cause, cpr, tick_us, dac, adc, limit, watchdog = _HELLO.unpack(frame.payload)
+    return HelloReply(version, processor, cause, cpr, tick_us, dac * 1e-5, adc * 1e-5, limit, watchdog)
 
 
 def parse_report(frame: Frame) -> Report | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from friction_bench.protocol.errors import RigError
+from friction_bench.protocol.errors import RigInputError
 from friction_bench.rig.native import NativeBoard
 from friction_bench.rig.plant import Plant
 from friction_bench.rig.rig_file import CODES, Rig
@@ -43,12 +43,13 @@ class EmulatedRig:
         board: where the firmware runs; by default natively.
 
     Raises:
-        RigError: if the rig file describes no plant, or the firmware cannot be built.
+        RigInputError: if the rig file describes no plant.
+        RigError: if the firmware cannot be built.
     """
 
     def __init__(self, rig: Rig, seed: int = 0, board: Board | None = None) -> None:
         if rig.plant is None:
-            raise RigError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
+            raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
         self.rig = rig
         self.board: Board = board or NativeBoard(rig.baud)
         self.plant = Plant(rig.plant, rig.counts_per_revolution, seed)

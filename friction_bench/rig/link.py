@@ -12,8 +12,9 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 
 from friction_bench.protocol.errors import RigError, RigLostError, RigResetError
-from friction_bench.protocol.messages import Fault, Report, State, fault_text
-from friction_bench.rig.client import Port, RigClient, Sample
+from friction_bench.protocol.messages import Fault, Report, fault_text
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.line import SWITCHED_ON, Port
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1
@@ -30,18 +31,102 @@ _DISTURBED = "the line is disturbed"
 
 @dataclass(frozen=True)
 class _Job:
-    """What the owner wants done, and how many stops it knew of when it said so."""
+    """What the owner wants done, and how many stops it knew of when it asked."""
 
     run: Callable[[RigClient], None]
     future: Future[None]
-    stops: int
+    known_stops: int
+
+
+class _Jobs:
+    """Jobs that wait for the link's thread, each for the connection on which it was submitted.
+
+    Attributes:
+        client: on whose connection jobs are submitted, None without one.
+    """
+
+    def __init__(self) -> None:
+        self.client: RigClient | None = None
+        self._queue: queue.Queue[_Job] = queue.Queue()
+        self._lock = threading.Lock()
+
+    def submit(self, run: Callable[[RigClient], None]) -> Future[None]:
+        """Queue a job, or refuse it where there is no connection."""
+        future: Future[None] = Future()
+        with self._lock:
+            client = self.client
+            if client is not None and client.hello is not None:
+                self._queue.put(_Job(run, future, client.line.stops))
+                return future
+        future.set_exception(RigLostError("there is no connection to the rig"))
+        return future
+
+    def refuse(self, reason: str, *, disconnect: bool) -> None:
+        """Refuse what waits; nothing is added until a client has been greeted, the same one or another."""
+        with self._lock:
+            if disconnect:
+                self.client = None
+            while not self._queue.empty():
+                future = self._queue.get_nowait().future
+                if future.set_running_or_notify_cancel():
+                    future.set_exception(RigLostError(reason))
+
+    def run_next(self, client: RigClient) -> None:
+        """Run the next job, if there is one.
+
+        Raises:
+            RigLostError, RigResetError: if the connection ends meanwhile.
+        """
+        try:
+            job = self._queue.get_nowait()
+        except queue.Empty:
+            return
+        if not job.future.set_running_or_notify_cancel():
+            return
+        client.line.known_stops = job.known_stops
+        try:
+            job.run(client)
+        except (RigLostError, RigResetError) as error:
+            job.future.set_exception(error)
+            raise
+        except RigError as error:
+            job.future.set_exception(error)
+        else:
+            job.future.set_result(None)
+        client.line.known_stops = client.line.stops
+
+
+class _Reporter:
+    """Reports each kind of trouble once until the line has been good for CALM seconds, and then that it is good."""
+
+    def __init__(self, on_trouble: Callable[[str], None], on_good: Callable[[str], None]) -> None:
+        self._on_trouble = on_trouble
+        self._on_good = on_good
+        self._reported: set[str] = set()
+        self._troubled_at = 0.0
+        self.greeting = ""  # what `on_good` gets once the line is good
+
+    def trouble(self, text: str, kind: str | None = None) -> None:
+        """Report a trouble, unless one of its kind has been since the line was good."""
+        self._troubled_at = time.monotonic()
+        if (kind or text) not in self._reported:
+            self._reported.add(kind or text)
+            self._on_trouble(text)
+
+    def watch(self) -> None:
+        """Report that the line is good when it is."""
+        if self._reported and time.monotonic() - self._troubled_at > CALM:
+            self._reported.clear()
+        if self.greeting and not self._reported:
+            self._on_good(self.greeting)
+            self.greeting = ""
 
 
 class RigLink:
     """One rig on one port.
 
     Args:
-        open_port: opens the line; called again after a loss.
+        open_port: opens the port; called again after a loss.
         rig: what is expected at its end.
         on_sample: called with each reading, on the link's thread.
         on_trouble: called with one line for each trouble, on the link's thread.
@@ -60,21 +145,20 @@ class RigLink:
         self._open_port = open_port
         self._on_sample = on_sample
         self._on_trouble = on_trouble
-        self._on_good = on_good
-        self._jobs: queue.Queue[_Job] = queue.Queue()
+        self._reporter = _Reporter(on_trouble, on_good)
+        self._jobs = _Jobs()
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
         self._port: Port | None = None
-        self._told: set[str] = set()
-        self._troubled_at = 0.0
-        self._greeted = ""  # what `on_good` has still to be told
         self._last_fault = Fault.NONE
         self._damage: deque[float] = deque()
-        self._submitting = threading.Lock()
         self._seen_damage = 0
-        self.client: RigClient | None = None
-        self.bad_frames = 0
-        self.lost_reports = 0
+        self._past = (0, 0)  # bad frames and lost reports of earlier connections
+
+    @property
+    def client(self) -> RigClient | None:
+        """Return the client of the present connection, None without one."""
+        return self._jobs.client
 
     @property
     def connected(self) -> bool:
@@ -88,6 +172,13 @@ class RigLink:
         client = self.client
         return client.last.report if client is not None and client.last is not None else None
 
+    @property
+    def damage(self) -> tuple[int, int]:
+        """Return the damaged frames and the lost reports of all connections."""
+        client = self.client
+        bad, lost = self._past
+        return (bad, lost) if client is None else (bad + client.line.bad_frames, lost + client.lost_reports)
+
     def alive(self) -> None:
         """Say that the owner is alive; without it the heartbeats stop and the rig switches itself off."""
         self._alive_at = time.monotonic()
@@ -98,25 +189,18 @@ class RigLink:
         A job belongs to the connection on which it was submitted: it is never run after a loss or a reset of the
         rig, nor once its future has been cancelled.
         """
-        future: Future[None] = Future()
-        with self._submitting:
-            client = self.client
-            if client is not None and client.hello is not None:
-                self._jobs.put(_Job(job, future, client.stops))
-                return future
-        future.set_exception(RigLostError("there is no connection to the rig"))
-        return future
+        return self._jobs.submit(job)
 
     def stop_rig(self) -> None:
         """Take the torque away now: from any thread, before anything that is queued or under way.
 
         Raises:
-            RigLostError: if there is no line to say it on; the firmware's watchdog then does it.
+            RigLostError: if there is no line to send it on; the firmware's watchdog then does it.
         """
         client = self.client
         if client is None:
             raise RigLostError("there is no connection to the rig; its watchdog switches it off")
-        client.urgent_stop()
+        client.line.urgent_stop()
 
     def close(self) -> None:
         """End `run` soon."""
@@ -133,85 +217,46 @@ class RigLink:
             except RigError as error:
                 attempt = 0 if self.connected else attempt + 1
                 disturbed = isinstance(error, RigLostError) and self._port is not None
-                self._trouble(str(error), _DISTURBED if disturbed else str(error))
+                self._reporter.trouble(str(error), _DISTURBED if disturbed else None)
             finally:
                 self._drop()
             self._closed.wait(BACKOFF[min(attempt, len(BACKOFF) - 1)])
 
     def _drop(self) -> None:
-        with self._submitting:
-            client, self.client, port, self._port = self.client, None, self._port, None
-            self._refuse_jobs("the connection to the rig was lost")
-        if client is not None:
-            self.bad_frames += client.bad_frames
-            self.lost_reports += client.lost_reports
+        client, damage = self.client, self.damage
+        self._jobs.refuse("the connection to the rig was lost", disconnect=True)
+        self._past = damage
+        port, self._port = self._port, None
         if port is not None:
             with contextlib.suppress(RigError):
                 if client is not None:
-                    client.urgent_stop()
+                    client.line.urgent_stop()
             port.close()
 
-    def _refuse_jobs(self, reason: str) -> None:
-        while not self._jobs.empty():
-            future = self._jobs.get_nowait().future
-            if future.set_running_or_notify_cancel():
-                future.set_exception(RigLostError(reason))
-
-    def _trouble(self, text: str, kind: str) -> None:
-        """Report a trouble, unless one of its kind has been since the line was good."""
-        self._troubled_at = time.monotonic()
-        if kind not in self._told:
-            self._told.add(kind)
-            self._on_trouble(text)
-
-    def _watch_calm(self) -> None:
-        if self._told and time.monotonic() - self._troubled_at > CALM:
-            self._told.clear()
-        if self._greeted and not self._told:
-            self._on_good(self._greeted)
-            self._greeted = ""
-
     def _serve(self, client: RigClient) -> None:
-        self.client = client
+        self._jobs.client = client
         self._greet(client)
         while not self._closed.is_set():
-            self._watch_calm()
+            self._reporter.watch()
             client.beating = time.monotonic() - self._alive_at < OWNER_SILENCE
             try:
                 self._step(client)
-            except RigResetError as error:
-                with self._submitting:  # the client has forgotten its greeting: nothing is added meanwhile
-                    self._refuse_jobs(str(error))
-                self._trouble(str(error), str(error))
+            except RigResetError as error:  # the client has forgotten its greeting
+                self._jobs.refuse(str(error), disconnect=False)
+                self._reporter.trouble(str(error))
                 self._greet(client)
 
     def _greet(self, client: RigClient) -> None:
         hello = client.connect()
-        self._seen_damage = client.bad_frames + client.lost_reports
-        self._greeted = f"rig connected, reset cause {hello.reset_cause}, firmware target {hello.target}"
+        self._seen_damage = client.line.bad_frames + client.lost_reports
+        self._reporter.greeting = f"rig connected, {hello.text}"
 
     def _step(self, client: RigClient) -> None:
         for sample in client.pump():
             self._on_sample(sample)
             self._watch_fault(sample.report)
         self._watch_damage(client)
-        try:
-            job = self._jobs.get_nowait()
-        except queue.Empty:
-            return
-        if not job.future.set_running_or_notify_cancel():
-            return
-        client.permitted = job.stops
-        try:
-            job.run(client)
-        except (RigLostError, RigResetError) as error:
-            job.future.set_exception(error)
-            raise
-        except RigError as error:
-            job.future.set_exception(error)
-        else:
-            job.future.set_result(None)
-        client.permitted = client.stops
+        self._jobs.run_next(client)
 
     def _watch_fault(self, report: Report) -> None:
         if report.fault != self._last_fault:
@@ -221,15 +266,15 @@ class RigLink:
 
     def _watch_damage(self, client: RigClient) -> None:
         now = time.monotonic()
-        damage = client.bad_frames + client.lost_reports
+        damage = client.line.bad_frames + client.lost_reports
         fresh, self._seen_damage = damage - self._seen_damage, damage
         self._damage.extend([now] * min(fresh, DAMAGE_LIMIT))
         while self._damage and now - self._damage[0] > DAMAGE_WINDOW:
             self._damage.popleft()
         # What disarmed the rig once must not do so again when it is armed; and one stop is enough, it is repeated.
         if fresh and len(self._damage) >= DAMAGE_LIMIT:
-            self._trouble("garbage on the line to the rig; it is disarmed", _DISTURBED)
-            armed = client.last is not None and client.last.report.state in {State.ARMED, State.RAMPING}
-            if armed and not client.stopping:
-                client.urgent_stop()
-                client.permitted = client.stops
+            self._reporter.trouble("garbage on the line to the rig; it is disarmed", _DISTURBED)
+            armed = client.last is not None and client.last.report.state in SWITCHED_ON
+            if armed and not client.line.stopping:
+                client.line.urgent_stop()
+                client.line.known_stops = client.line.stops

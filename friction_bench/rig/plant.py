@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rx90_common.friction.bristle import bristle_step
-from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.bristle import bristle_step, one_element
+from rx90_common.friction.lugre import LuGreElement, element_arrays
 from rx90_common.kernels.compiled import kernel
 
 
@@ -123,14 +123,14 @@ def slide_with_bristles(
     viscous: float,
     ratio: float,
     efficiency: float,
-    element: Any,
+    joint: NDArray[np.void],
     dt: float,
 ) -> tuple[float, float, float]:
     """Advance as `slide`, with a LuGre joint behind the gear; return angle, speed and bristle deflection."""
-    step = dt / _BRISTLE_STEPS
+    step, element = dt / _BRISTLE_STEPS, one_element(joint[0], 0)
     for _ in range(_BRISTLE_STEPS):
-        z, joint = bristle_step(element, z, speed / ratio, step)
-        angle, speed = slide(angle, speed, torque - joint / (ratio * efficiency), inertia, coulomb, viscous, step)
+        z, friction = bristle_step(element, z, speed / ratio, step)
+        angle, speed = slide(angle, speed, torque - friction / (ratio * efficiency), inertia, coulomb, viscous, step)
     return angle, speed, z
 
 
@@ -150,7 +150,7 @@ class Plant:
         self.speed = 0.0
         self.torque = 0.0
         self.bristle = 0.0
-        self._element = parameters.joint.record()[()] if isinstance(parameters.joint, LuGreElement) else None
+        self._element = element_arrays((parameters.joint,)) if isinstance(parameters.joint, LuGreElement) else None
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()

@@ -11,7 +11,7 @@ import time
 import tty
 from pathlib import Path
 
-from friction_bench.protocol.errors import RigError
+from friction_bench.protocol.errors import RigInputError
 from friction_bench.rig.emulated import SLICE_US, EmulatedRig
 
 _LONGEST_STEP = 0.02
@@ -50,7 +50,7 @@ class PtyRig:
                 link.unlink()
             link.symlink_to(self.path)
         except OSError as error:
-            raise RigError(f"{link}: cannot point to the emulated rig ({error.strerror})") from error
+            raise RigInputError(f"{link}: cannot point to the emulated rig ({error.strerror})") from error
         return link
 
     def load(self, loaded: bool) -> None:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from friction_bench.protocol.errors import RigError
+from friction_bench.protocol.errors import RigInputError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
 from rx90_common.base.config import Section, load_yaml
@@ -23,12 +23,20 @@ TRAVEL_UNIT = 256
 
 @dataclass(frozen=True)
 class RampPlan:
-    """Default ramps: slopes Nm/s, end torques Nm (motor side), repeats of each slope."""
+    """Ramps to run: slopes Nm/s, end torques Nm (motor side), repeats of each slope."""
 
     slopes: tuple[float, ...]
     end_torque: float
     end_torque_loaded: float
     repeats: int
+
+    def end(self, loaded: bool) -> float:
+        """Return the end torque under this load, Nm."""
+        return self.end_torque_loaded if loaded else self.end_torque
+
+    def duration(self, loaded: bool) -> float:
+        """Return the time of all ramps under this load, s."""
+        return self.repeats * sum(self.end(loaded) / slope for slope in self.slopes)
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,8 @@ class Rig:
         efficiency_uncertainty: standard uncertainty of the gear's efficiency.
         scale_uncertainty: relative standard uncertainty of the torque scale.
         load_travel: turns of the load shaft that one arming allows.
+        ramps: those to run by default.
+        plant: of an emulated rig, None without one.
     """
 
     file: Path
@@ -74,12 +84,12 @@ class Rig:
         """Return the firmware's ramp step nearest to `slope`, Nm/s.
 
         Raises:
-            RigError: if the firmware cannot run that slope.
+            RigInputError: if the firmware cannot run that slope.
         """
         unit = self.slope_of_step(1)
         step = round(slope / unit) if math.isfinite(slope) else 0
         if not 1 <= step <= MAX_RAMP_STEP:
-            raise RigError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
+            raise RigInputError(f"slope {slope:g} Nm/s; accepted: {unit:.2g} to {MAX_RAMP_STEP * unit:.3g} Nm/s")
         return step
 
     def slope_of_step(self, step: int) -> float:
@@ -96,7 +106,7 @@ class Rig:
         """Refuse a rig whose firmware was built for other figures than this file.
 
         Raises:
-            RigError: naming the figure that differs.
+            RigInputError: naming the figure that differs.
         """
         pairs = (
             ("counts_per_revolution", hello.counts_per_revolution, self.counts_per_revolution),
@@ -106,7 +116,7 @@ class Rig:
         )
         for name, firmware, expected in pairs:
             if firmware != expected:
-                raise RigError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
+                raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
 def _friction(section: Section) -> JointFriction | LuGreElement:

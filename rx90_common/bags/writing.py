@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import shutil
 import sqlite3
 from collections.abc import Iterator, Sequence
@@ -31,7 +30,7 @@ from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
-from rx90_common.base.errors import BagError, BagWriteError
+from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -40,7 +39,6 @@ STORAGES: Final = ("mcap", "sqlite3")
 _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 
 
@@ -183,7 +181,7 @@ class BagWriter:
             return BagError(str(error))
         reason = error.strerror if isinstance(error, OSError) else str(error)
         # What is refused before anything is written is the user's to mend: another folder, another name.
-        failed = self._opened or getattr(error, "errno", None) in _FULL
+        failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
         return (BagWriteError if failed else BagError)(f"{self.path}: cannot be written ({reason})")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import ClassVar
 
 DONE = 0
@@ -12,6 +13,7 @@ REFUSED = 2
 FAILED = 3
 """Could not be carried out: nodes gone, disk full."""
 INTERRUPTED = 130
+DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 class Rx90Error(Exception):
@@ -56,6 +58,18 @@ class ProcessError(FailureError):
 
 class OutputError(FailureError):
     """Standard output or a file cannot be written."""
+
+
+def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
+    """Return why a file cannot be written: refused for its path, or failed for a disk that is full or broken.
+
+    Args:
+        path: the file.
+        error: of the system.
+        accepted: what would be, if that can be said.
+    """
+    kind = OutputError if error.errno in DISK_ERRORS else ConfigError
+    return kind(f"{path}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
 
 
 class BagError(Rx90Error):

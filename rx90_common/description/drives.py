@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.wrist import coupled_inertia
 
 Array = NDArray[np.float64]
 
@@ -61,6 +62,16 @@ class DriveParameters:
     def peak_torque(self) -> Array:
         """Return the most that each motor gives, motor side, Nm, shape (6,)."""
         return self.torque_constant * self.peak_current
+
+    @property
+    def rotor_matrix(self) -> Array:
+        """Return the rotors' share of the mass matrix, kg m^2, shape (6, 6)."""
+        return coupled_inertia(self.rotor_inertia)
+
+    @property
+    def spring(self) -> Array:
+        """Return the amplitude of the spring torque -k sin(q) on each joint, Nm, shape (6,)."""
+        return np.array([0.0, self.spring_torque, 0.0, 0.0, 0.0, 0.0])
 
 
 def load_drives(path: Path) -> DriveParameters:

@@ -3,10 +3,10 @@
 __all__ = [
     "channel",
     "client_node",
-    "entry",
     "environment",
     "joint_state_cdr",
     "lockstep",
+    "motor_messages",
     "node_tools",
     "pacing",
     "qos",

@@ -5,38 +5,29 @@ outstanding, so whoever was away can be brought back by sending that one message
 set of matched endpoints changes, and once a second as long as somebody is there. A controller that sees the same states
 again sends the same bytes again. Both are idempotent.
 
-Of two simulations or two controllers on the same topics the second is refused when it starts (see claim.py). Where that
-does not reach, they are found out by what they send, and time stands still until one of them is left.
+Of two simulations or two controllers on the same topics the second is refused when it starts (see publisher_lock.py).
+Where that does not reach, they are found out by what they send, and time stands still until one of them is left.
 """
 
 from __future__ import annotations
 
-import struct
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
 from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
-_STAMP = struct.Struct("<iI")
-_BIG_STAMP = struct.Struct(">iI")
-_NANOSECONDS = 1_000_000_000
 _CONFLICTS = 3  # different commands for a stamp that make two controllers; a restart in mid-tick makes one at most
 _JUMPS = 6  # discontinuities of the stamps that are remembered
 _BACKWARD_JUMPS = 3  # of those that make two simulations; a reset makes one
 _JUMP_WINDOW = 5.0  # s
-
-
-def stamp_of(raw: bytes) -> int:
-    """Return header.stamp of a serialised message that begins with a header, ns; -1 if it is cut short."""
-    if len(raw) < 12:
-        return -1
-    seconds, nanoseconds = (_STAMP if raw[1] & 1 else _BIG_STAMP).unpack_from(raw, 4)
-    return int(seconds * _NANOSECONDS + nanoseconds)
 
 
 class _Wait:
@@ -55,7 +46,7 @@ class _Wait:
     def end(self, stamp_ns: int) -> None:
         if self._announced:
             self._announced = False
-            self._announce(f"{self._over} {stamp_ns / 1e9:.6g} s")
+            self._announce(f"{self._over} {stamp_ns / NANOSECONDS:.6g} s")
 
 
 class LockstepSimulation:
@@ -71,7 +62,7 @@ class LockstepSimulation:
         self._wait = _Wait(announce, "the controller answers: time runs on from")
         self._accepted = b""
         self._conflicts = 0
-        self._rivals = False
+        self._two_controllers = False
         self.ignored = 0
 
     def exchange(
@@ -90,7 +81,7 @@ class LockstepSimulation:
         if meanwhile is not None:
             meanwhile()
         raw = self._channel.receive(_SLICE)
-        if raw is None or stamp_of(raw) != stamp_ns or self._rivals:
+        if raw is None or cdr_stamp_ns(raw) != stamp_ns or self._two_controllers:
             raw = self._exchange_slowly(stamp_ns, state, raw, interrupted)
         if raw is not None:
             self._accepted = raw
@@ -104,7 +95,7 @@ class LockstepSimulation:
         began = sent = looked = time.monotonic()
         while True:
             if raw is not None:
-                if stamp_of(raw) == stamp_ns and not self._rivals:
+                if cdr_stamp_ns(raw) == stamp_ns and not self._two_controllers:
                     self._wait.end(stamp_ns)
                     return raw
                 self._ignore(raw)
@@ -119,30 +110,30 @@ class LockstepSimulation:
                 if now - began > _PATIENCE or not there:
                     self._announce_wait(stamp_ns, there)
                 if there and (current != matches or now - sent > _PATIENCE):
-                    self._rivals = self._rivals and current.publishers > 1
+                    self._two_controllers = self._two_controllers and current.publishers > 1
                     channel.publish(state)
                     sent = now
                 matches = current
             raw = channel.receive(_SLICE)
 
     def _announce_wait(self, stamp_ns: int, there: bool) -> None:
-        topic = self._channel.subscribe_topic
+        topic, still = self._channel.subscribe_topic, f"time stands still at {stamp_ns / NANOSECONDS:.6g} s"
         if there:
-            self._wait.begin(f"the controller on {topic} is silent: time stands still at {stamp_ns / 1e9:.6g} s")
+            self._wait.begin(f"the controller on {topic} is silent: {still}")
         elif stamp_ns == 0:
             self._wait.begin(f"waiting for a controller on {topic}: the brakes hold the arm")
         else:
-            self._wait.begin(f"no controller on {topic}: time stands still at {stamp_ns / 1e9:.6g} s")
+            self._wait.begin(f"no controller on {topic}: {still}")
 
     def _ignore(self, raw: bytes) -> None:
         """Count a command that nobody waits for; a repetition of the accepted one is usual, another one is not."""
         self.ignored += 1
-        if raw == self._accepted or stamp_of(raw) != stamp_of(self._accepted) or self._rivals:
+        if raw == self._accepted or cdr_stamp_ns(raw) != cdr_stamp_ns(self._accepted) or self._two_controllers:
             return
         self._conflicts += 1
         if self._conflicts >= _CONFLICTS and self._channel.matches().publishers > 1:
             self._conflicts = 0
-            self._rivals = True
+            self._two_controllers = True
             self._wait.begin(
                 f"two controllers answer differently on {self._channel.subscribe_topic}: time stands still until one "
                 "is left"
@@ -159,67 +150,62 @@ class _Jump(NamedTuple):
 class LockstepController:
     """The controller's side; owned by the thread that ticks.
 
+    The loops begin and hold the arm when the states do not follow the last ones: at the start, after a reset of the
+    simulation, or after one of the two was away. Messages without usable states are left out.
+
     Args:
         channel: publishes commands, receives states.
+        messages: decodes and encodes them.
+        loops: what runs in each tick.
         announce: prints a line for the user.
-        answer: the control law: bytes of the states and their stamp in ns, to bytes of the command.
-        begin: called before `answer` when the states do not follow the last ones: at start, after a reset of the
-            simulation, or after one of the two was away; with the stamp and the bytes of the states.
-        period_ns: the tick.
-
-    Both raise MessageError, once they have said so, for states that cannot be used; these are left out.
     """
 
     def __init__(
-        self,
-        channel: Channel,
-        announce: Callable[[str], None],
-        answer: Callable[[int, bytes], bytes],
-        begin: Callable[[int, bytes], None],
-        period_ns: int,
+        self, channel: Channel, messages: MotorMessages, loops: ServoLoops, announce: Callable[[str], None]
     ) -> None:
-        self._channel = channel
+        self._channel, self._messages, self._loops = channel, messages, loops
         self._wait = _Wait(announce, "the simulation is there:")
-        self._answer = answer
-        self._begin = begin
-        self._period_ns = period_ns
+        self._period_ns = messages.rates.period_ns
         self._stamp: int | None = None
         self._state = b""
         self._command = b""
         self._heard = time.monotonic()
         self._jumps: deque[_Jump] = deque(maxlen=_JUMPS)
         self._jumped = 0  # by how much the last states jumped, ns
-        self._rivals = False
+        self._two_simulations = False
 
     def serve(self, timeout: float) -> None:
         """Answer the next states; return after `timeout` seconds without any, or a wake-up.
 
         Raises:
-            ExchangeError: if the simulation's tick is not `period_ns`.
+            ExchangeError: if the simulation's tick is not the controller's.
         """
         raw = self._channel.receive(timeout)
         if raw is None:
             self._quiet()
             return
-        if self._rivals and not self._alone_again():
+        if self._two_simulations and not self._alone_again():
             return
-        stamp = stamp_of(raw)
-        if stamp != self._stamp or raw != self._state:
+        if raw != self._state:
             try:
-                if self._stamp is None or stamp != self._stamp + self._period_ns:
-                    self._begin(stamp, raw)
-                    self._note_jump(stamp)
-                    if self._rivals:
-                        return
-                else:
-                    self._jumped = 0
-                self._command = self._answer(stamp, raw)
+                states = self._messages.decode(raw)
             except MessageError:
                 return
+            stamp = states.stamp_ns
+            if self._stamp is None or stamp != self._stamp + self._period_ns:
+                self._loops.begin()
+                self._loops.hold(states)
+                self._note_jump(stamp)
+                if self._two_simulations:
+                    return
+            else:
+                self._jumped = 0
+            self._command = self._messages.encode(stamp, self._loops.step(stamp, states))
             self._stamp, self._state = stamp, raw
         self._channel.publish(self._command)
         self._heard = time.monotonic()
-        self._wait.end(stamp)
+        assert self._stamp is not None
+        self._wait.end(self._stamp)
 
     def _note_jump(self, stamp: int) -> None:
         if self._stamp is None:
@@ -235,7 +221,7 @@ class LockstepController:
         self._jumps.append(_Jump(now, size))
         backward = [jump for jump in self._jumps if jump.size < 0 and now - jump.at < _JUMP_WINDOW]
         if len(backward) >= _BACKWARD_JUMPS and self._channel.matches().publishers > 1:
-            self._rivals = True
+            self._two_simulations = True
             self._wait.begin(
                 f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left"
             )
@@ -243,8 +229,8 @@ class LockstepController:
     def _alone_again(self) -> bool:
         if self._channel.matches().publishers > 1:
             return False
-        self._rivals = False
-        self._stamp = None
+        self._two_simulations = False
+        self._stamp, self._state = None, b""
         self._jumps.clear()
         return True
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -23,6 +22,7 @@ from rclpy.utilities import try_shutdown
 from rx90_common.base.errors import ConfigError
 from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.ros_start import start_ros
+from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
@@ -164,7 +164,7 @@ def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]
     sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()
-    stopped = _stop_request()
+    stopped = stop_request()
     thread.start()
     try:
         while thread.is_alive() and not stopped.is_set():
@@ -176,14 +176,6 @@ def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]
         ticking.node.destroy_node()
     if failures:
         raise failures[0]
-
-
-def _stop_request() -> threading.Event:
-    """Return what Ctrl-C and SIGTERM set from now on; as often as they come, the end stays in order."""
-    stopped = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda _signal, _frame: stopped.set())
-    return stopped
 
 
 def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:

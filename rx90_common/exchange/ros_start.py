@@ -1,4 +1,4 @@
-"""Start rclpy and read ROS arguments; what ROS refuses is one line for the user."""
+"""Start rclpy; what ROS refuses is one line for the user."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from rclpy.context import Context
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.logging import set_logger_level
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
 
 from rx90_common.base.errors import ConfigError
 
@@ -27,18 +26,6 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
     except RuntimeError as error:
         raise _refused(args, error) from error
     set_logger_level("rcl", LoggingSeverity.UNSET)
-
-
-def without_ros_args(args: Sequence[str]) -> list[str]:
-    """Return the arguments that are not for ROS.
-
-    Raises:
-        ConfigError: if ROS cannot read its part.
-    """
-    try:
-        return list(remove_ros_args(["program", *args])[1:])
-    except RuntimeError as error:
-        raise _refused(args, error) from error
 
 
 def reason(error: Exception) -> str:

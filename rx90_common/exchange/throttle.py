@@ -1,15 +1,15 @@
-"""Lines that may come thousands of times a second, printed now and then with their count."""
+"""Log lines that may come thousands of times a second, throttled."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-_PERIOD = 5.0
+_PERIOD = 5.0  # s
 
 
-class Occasionally:
-    """Prints a line at once, and again after a while with the count of those that were left out in between.
+class ThrottledLog:
+    """Prints a line at once, and the next one of its kind after five seconds, with the count of those in between.
 
     Lines of one kind are counted together, so that a number in the text does not make a new line of it.
 
@@ -22,14 +22,14 @@ class Occasionally:
         self._announce = announce
         self._clock = clock
         self._due: dict[str, float] = {}
-        self._left_out: dict[str, int] = {}
+        self._suppressed: dict[str, int] = {}
 
     def say(self, kind: str, text: str) -> None:
         """Print `text`, if the last line of this kind was printed at least five seconds ago."""
         now = self._clock()
         if now < self._due.get(kind, now):
-            self._left_out[kind] = self._left_out.get(kind, 0) + 1
+            self._suppressed[kind] = self._suppressed.get(kind, 0) + 1
             return
         self._due[kind] = now + _PERIOD
-        left_out = self._left_out.pop(kind, 0)
-        self._announce(f"{text} (and {left_out} times before)" if left_out else text)
+        suppressed = self._suppressed.pop(kind, 0)
+        self._announce(f"{text} (and {suppressed} times before)" if suppressed else text)

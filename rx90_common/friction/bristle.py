@@ -1,28 +1,16 @@
 """Compiled bristle equations: the exact step of equation 17 for a velocity held over the step.
 
-`element` is a record of ELEMENT_DTYPE with plain floats, or `Elements` with one lane per friction element and
-lanes for velocity and deflection: the equations are the same.
+Velocity, deflection and the fields of `element` are plain numbers, or lanes with one friction element each: the
+equations are the same.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from rx90_common.friction.lugre import ELEMENT_DTYPE
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select
-
-
-def elements_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of a record of `width` elements, field by field: the element is the last index."""
-    names = ELEMENT_DTYPE.names or ()
-    return np.dtype(
-        [(name, ELEMENT_DTYPE[name].base, (*ELEMENT_DTYPE[name].shape, width)) for name in names], align=True
-    )
-
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
@@ -30,7 +18,7 @@ _SMALL = 0.02
 
 
 class Elements(NamedTuple):
-    """The fields of ELEMENT_DTYPE, one lane per element."""
+    """The fields of `elements_dtype`: numbers of one element, or lanes of several; torques positive, negative."""
 
     tau_c: tuple[Lanes, Lanes]
     tau_s: tuple[Lanes, Lanes]
@@ -43,17 +31,32 @@ class Elements(NamedTuple):
 
 
 @inlined
-def load_elements(records: Any, width: int) -> Elements:
-    """Return the elements of a record of `elements_dtype(width)`; `width` is a literal."""
+def load_elements(arrays: Any, width: int) -> Elements:
+    """Return all elements of a record of `elements_dtype(width)`, a lane for each; `width` is a literal."""
     return Elements(
-        (load(records.tau_c[0], width), load(records.tau_c[1], width)),
-        (load(records.tau_s[0], width), load(records.tau_s[1], width)),
-        load(records.inverse_omega_s, width),
-        load(records.delta, width),
-        load(records.c0, width),
-        load(records.c1, width),
-        load(records.c2, width),
-        load(records.inverse_omega_d, width),
+        (load(arrays.tau_c[0], width), load(arrays.tau_c[1], width)),
+        (load(arrays.tau_s[0], width), load(arrays.tau_s[1], width)),
+        load(arrays.inverse_omega_s, width),
+        load(arrays.delta, width),
+        load(arrays.c0, width),
+        load(arrays.c1, width),
+        load(arrays.c2, width),
+        load(arrays.inverse_omega_d, width),
+    )
+
+
+@inlined
+def one_element(arrays: Any, index: int) -> Elements:
+    """Return one element of such a record, in plain numbers."""
+    return Elements(
+        (arrays.tau_c[0, index], arrays.tau_c[1, index]),
+        (arrays.tau_s[0, index], arrays.tau_s[1, index]),
+        arrays.inverse_omega_s[index],
+        arrays.delta[index],
+        arrays.c0[index],
+        arrays.c1[index],
+        arrays.c2[index],
+        arrays.inverse_omega_d[index],
     )
 
 
@@ -61,8 +64,8 @@ def load_elements(records: Any, width: int) -> Elements:
 def sliding_torque(element: Any, velocity: Number) -> Number:
     """Return c0 g(v), equation 19, Nm."""
     forward = velocity >= 0.0
-    coulomb = select(forward, element.tau_c[1], element.tau_c[0])
-    static = select(forward, element.tau_s[1], element.tau_s[0])
+    coulomb = select(forward, element.tau_c[0], element.tau_c[1])
+    static = select(forward, element.tau_s[0], element.tau_s[1])
     ratio = power(absolute(velocity) * element.inverse_omega_s, element.delta)
     return fma(static - coulomb, exponential(-ratio), coulomb)
 

@@ -6,12 +6,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.lugre import ELEMENT_DTYPE, LuGreElement
+from rx90_common.friction.lugre import LuGreElement
 
 ELEMENT_COUNT = 7
 
@@ -49,10 +46,6 @@ class FrictionSet:
         if name not in self.names:
             raise ConfigError(f"no friction element {name!r}; accepted: {', '.join(self.names)}")
         return self.elements[self.names.index(name)]
-
-    def records(self) -> np.ndarray[Any, Any]:
-        """Return the elements for compiled code, shape (7,), dtype ELEMENT_DTYPE."""
-        return np.array([element.record() for element in self.elements], dtype=ELEMENT_DTYPE)
 
     def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:
         """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""

@@ -1,8 +1,9 @@
-"""Parameters of one LuGre friction element, equations 17 to 19."""
+"""LuGre friction elements, equations 17 to 19: their parameters, and what compiled code makes of them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,21 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS
-
-ELEMENT_DTYPE = np.dtype(
-    [
-        ("tau_c", np.float64, 2),  # Coulomb torque, [v < 0, v >= 0]
-        ("tau_s", np.float64, 2),  # static torque, [v < 0, v >= 0]
-        ("inverse_omega_s", np.float64),
-        ("delta", np.float64),
-        ("c0", np.float64),
-        ("c1", np.float64),
-        ("c2", np.float64),
-        ("inverse_omega_d", np.float64),  # 0 for a constant c1
-    ],
-    align=True,
-)
-"""One element as compiled code reads it."""
 
 
 @dataclass(frozen=True)
@@ -110,13 +96,35 @@ class LuGreElement:
         """Return 4 c0 g of the sign of the velocity that has less of it, Nm."""
         return 4.0 * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
 
-    def record(self) -> np.ndarray[Any, Any]:
-        """Return the element as a scalar of ELEMENT_DTYPE, for compiled code."""
-        data = np.zeros((), ELEMENT_DTYPE)
-        data["tau_c"] = (self.tau_c_negative, self.tau_c_positive)
-        data["tau_s"] = (self.tau_s_negative, self.tau_s_positive)
-        for name in ("delta", "c0", "c1", "c2"):
-            data[name] = getattr(self, name)
-        for name in ("omega_s", "omega_d"):
-            data[f"inverse_{name}"] = 1.0 / getattr(self, name)
-        return data
+
+def elements_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of `width` elements as compiled code reads them: a struct of arrays, the element the last index.
+
+    The torques have a row for each of SIGNS; v = 0 counts as positive.
+    """
+    signed, plain = (len(SIGNS), width), (width,)
+    return np.dtype(
+        [
+            ("tau_c", np.float64, signed),
+            ("tau_s", np.float64, signed),
+            ("inverse_omega_s", np.float64, plain),
+            ("delta", np.float64, plain),
+            ("c0", np.float64, plain),
+            ("c1", np.float64, plain),
+            ("c2", np.float64, plain),
+            ("inverse_omega_d", np.float64, plain),  # 0 for a constant c1
+        ],
+        align=True,
+    )
+
+
+def element_arrays(elements: Sequence[LuGreElement]) -> np.ndarray[Any, Any]:
+    """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
+    arrays = np.zeros(1, elements_dtype(len(elements)))
+    for parameter in FRICTION_PARAMETERS:
+        values = np.array([[getattr(element, name) for element in elements] for name in parameter.attributes])
+        if parameter.name in ("omega_s", "omega_d"):
+            arrays[f"inverse_{parameter.name}"] = 1.0 / values
+        else:
+            arrays[parameter.name] = values
+    return arrays

@@ -1,47 +1,64 @@
-"""Start the demonstration's processes, wait for what they say, and leave none behind."""
+"""Child processes: start them, wait for what they say, and leave none behind; docs/processes.md tells why."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 from rx90_common.base.errors import ProcessError
+from rx90_common.base.share import PACKAGE
 from rx90_common.process.interrupts import interrupts_later
 
+TIMEOUT = 120.0
+"""Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
 
-class ManagedProcess:
-    """A child process whose output goes to a log file and can be waited for."""
 
-    def __init__(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
+def executable(name: str, *arguments: object) -> list[str]:
+    """Return the command that runs one of the package's executables with this Python, its output unbuffered."""
+    return [sys.executable, "-u", "-m", PACKAGE, name, *map(str, arguments)]
+
+
+class ChildProcess:
+    """A process whose lines of output, stdout and stderr in one stream, can be waited for.
+
+    Args:
+        name: for messages.
+        command: with its arguments.
+        log: file that the output goes to as well.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], log: Path | None = None) -> None:
         self.name = name
         self.log = log
         self._changed = threading.Condition()
         self._lines: list[str] = []
+        self._looked_at = 0
         # A session of its own: Ctrl-C reaches the parent alone, which ends the children in order.
-        self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", module, *arguments],
+        self._process = subprocess.Popen(
+            command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            text=True,
+            encoding="utf-8",
             errors="replace",
             start_new_session=True,
-            env=os.environ,
         )
-        self._reader = threading.Thread(target=self._read, name=f"log of {name}", daemon=True)
+        self._reader = threading.Thread(target=self._read, name=f"output of {name}", daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
-        with self.log.open("w", encoding="utf-8") as file:
-            for line in self.process.stdout:
+        assert self._process.stdout is not None
+        with (self.log or Path(os.devnull)).open("w", encoding="utf-8") as file:
+            for line in self._process.stdout:
                 file.write(line)
                 file.flush()
                 with self._changed:
@@ -51,70 +68,100 @@ class ManagedProcess:
             self._changed.notify_all()
 
     @property
+    def pid(self) -> int:
+        """Return the process id, which is also that of its group."""
+        return self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        """Return the exit code, None while it runs."""
+        return self._process.poll()
+
+    @property
     def lines(self) -> list[str]:
         """Return what the process has printed so far."""
         with self._changed:
             return list(self._lines)
 
-    def wait_for(self, text: str, timeout: float) -> str:
-        """Return the first line that contains `text`.
+    @property
+    def output(self) -> str:
+        """Return what the process has printed so far as one text."""
+        return "\n".join(self.lines)
+
+    def wait_for(self, pattern: str, timeout: float = TIMEOUT) -> re.Match[str]:
+        """Return the match of the first line, after those that earlier calls have looked at, with `pattern` in it.
 
         Raises:
             ProcessError: if the process ends first, or says nothing like it within `timeout` seconds.
         """
         deadline = time.monotonic() + timeout
-        seen = 0
         with self._changed:
             while True:
-                for line in self._lines[seen:]:
-                    if text in line:
-                        return line
-                seen = len(self._lines)
+                while self._looked_at < len(self._lines):
+                    match = re.search(pattern, self._lines[self._looked_at])
+                    self._looked_at += 1
+                    if match:
+                        return match
                 if not self._reader.is_alive():
-                    raise ProcessError(f"the {self.name} ended early: {self._last_line()} (see {self.log})")
+                    raise ProcessError(f"the {self.name} ended early: {self._last_line()}")
                 left = deadline - time.monotonic()
                 if left <= 0:
                     raise ProcessError(
-                        f"the {self.name} did not say '{text}' within {timeout:g} s: {self._last_line()} "
-                        f"(see {self.log})"
+                        f"the {self.name} did not say '{pattern}' within {timeout:g} s: {self._last_line()}"
                     )
-                self._changed.wait(min(left, 0.5))
+                self._changed.wait(min(left, 0.2))
 
-    def wait(self, timeout: float) -> int:
+    def wait(self, timeout: float = TIMEOUT) -> int:
         """Return the exit code.
 
         Raises:
             ProcessError: if the process is still there after `timeout` seconds.
         """
         try:
-            code = self.process.wait(timeout)
+            code = self._process.wait(timeout)
         except subprocess.TimeoutExpired as error:
-            raise ProcessError(f"the {self.name} did not end within {timeout:g} s (see {self.log})") from error
-        self._reader.join(timeout)
+            raise ProcessError(f"the {self.name} did not end within {timeout:g} s: {self._last_line()}") from error
+        self._reader.join(1.0)  # what it has started may live on and hold the stream open
         return code
+
+    def expect_success(self, timeout: float = TIMEOUT) -> None:
+        """Wait for the end.
+
+        Raises:
+            ProcessError: if there is none within `timeout` seconds, or its exit code is not 0.
+        """
+        code = self.wait(timeout)
+        if code != 0:
+            raise ProcessError(f"the {self.name} ended with exit code {code}: {self._last_line()}")
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal, if the process is still there."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
+        self._process.send_signal(number)
 
     def _last_line(self) -> str:
-        return self._lines[-1] if self._lines else "it printed nothing"
+        last = self._lines[-1] if self._lines else "it printed nothing"
+        return last if self.log is None else f"{last} (see {self.log})"
 
 
 class ProcessGroup:
-    """Processes that end together: interrupted in reverse order, killed if that does not help."""
+    """Processes that end together, last started first: interrupted, and killed if that does not help.
 
-    def __init__(self, folder: Path, grace: float = 5.0) -> None:
+    Args:
+        folder: for a log of each, `<name>.log`; None for no logs.
+        grace: how long to wait after each signal, s.
+    """
+
+    def __init__(self, folder: Path | None = None, grace: float = 5.0) -> None:
         self._folder = folder
         self._grace = grace
-        self._members: list[ManagedProcess] = []
+        self._members: list[ChildProcess] = []
 
-    def start(self, name: str, module: str, *arguments: str) -> ManagedProcess:
-        """Start `python -m module arguments`, its output in `<folder>/<name>.log`."""
+    def start(self, name: str, command: Sequence[str]) -> ChildProcess:
+        """Start a command as a member of the group."""
+        log = None if self._folder is None else self._folder / f"{name}.log"
         # A process that was started but is not known yet could not be ended.
         with interrupts_later():
-            member = ManagedProcess(name, module, arguments, self._folder / f"{name}.log")
+            member = ChildProcess(name, command, log)
             self._members.append(member)
         return member
 
@@ -127,18 +174,22 @@ class ProcessGroup:
         # A second Ctrl-C must not leave the children behind.
         previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            self._end_all()
+            self.end()
         finally:
             signal.signal(signal.SIGINT, previous)
 
-    def _end_all(self) -> None:
+    def end(self) -> list[ChildProcess]:
+        """End all, with what they have started; return those that did not end on SIGINT."""
+        unwilling: list[ChildProcess] = []
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            left = [member for member in reversed(self._members) if member.process.poll() is None]
+            left = [member for member in reversed(self._members) if member.returncode is None]
             for member in left:
-                member.signal(number)
+                # Not waited for yet: the id still is this group's. One that was stopped goes on, to end.
+                os.killpg(member.pid, number)
+                os.killpg(member.pid, signal.SIGCONT)
             deadline = time.monotonic() + self._grace
             for member in left:
-                try:
-                    member.process.wait(max(0.0, deadline - time.monotonic()))
-                except subprocess.TimeoutExpired:
-                    continue
+                with suppress(ProcessError):
+                    member.wait(max(0.0, deadline - time.monotonic()))
+            unwilling += [member for member in left if member.returncode is None and member not in unwilling]
+        return unwilling

@@ -1,4 +1,4 @@
-"""Ctrl-C that comes only where a program can take it."""
+"""Ctrl-C and requests to end that come only where a program can take them; docs/processes.md tells why."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
 def terminations_as_interrupts() -> Iterator[None]:
     """Let SIGTERM, and SIGHUP of a terminal that closes, end the block as Ctrl-C does, with all that is cleaned up.
 
-    Outside the main thread, where Python takes no signals, nothing changes.
+    Outside the main thread, where Python takes no signals, nothing changes; what the block itself sets stays.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -50,7 +50,36 @@ def terminations_as_interrupts() -> Iterator[None]:
         yield
     finally:
         for number in numbers:
-            signal.signal(number, signal.SIG_DFL)
+            if signal.getsignal(number) == _raise_where_heard:
+                signal.signal(number, signal.SIG_DFL)
+
+
+def stop_request() -> threading.Event:
+    """Return what Ctrl-C, SIGTERM and SIGHUP set from now on; as often as they come, the end stays in order."""
+    stopped = threading.Event()
+    _take_over(lambda _number, _frame: stopped.set())
+    return stopped
+
+
+def leave_when_asked() -> None:
+    """From now on let Ctrl-C, SIGTERM and SIGHUP end the process at once with 0: nothing needs to be ended in order."""
+    _take_over(lambda _number, _frame: os._exit(0))
+
+
+def overlook_late_requests() -> None:
+    """Keep the exit code of a program that has taken SIGTERM over, when one more comes while Python shuts down.
+
+    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone.
+    """
+    if callable(signal.getsignal(signal.SIGTERM)):
+        _take_over(signal.SIG_IGN)
+
+
+def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> None:
+    # Also where the parent ignores Ctrl-C, as rclpy does; but not the SIGHUP that nohup has ignored.
+    for number in _INTERRUPTS:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-from collections.abc import Callable
 from typing import Any
 
 from rx90_common.base.errors import OutputError
@@ -32,33 +31,17 @@ class _Output(io.FileIO):
             raise OutputError(f"standard output cannot be written: {error.strerror}") from error
 
 
-def with_checked_output(program: str, run: Callable[[], int]) -> int:
-    """Return the exit code of `run`, 1 if its output could not be written, and `READER_GONE` after a closed pipe."""
+def check_output() -> None:
+    """From now on raise OutputError where standard output cannot be written, and SystemExit after a closed pipe."""
     if sys.stdout is None:
         # Closed by the parent: the next file that is opened would get its number.
         os.open(os.devnull, os.O_WRONLY)
-        return run()
+        return
     before = sys.stdout
     before.flush()
     sys.stdout = io.TextIOWrapper(
         io.BufferedWriter(_Output(_STDOUT, "wb", closefd=False)),
         encoding=before.encoding,
         errors=before.errors,
-        line_buffering=bool(before.line_buffering),
+        line_buffering=bool(before.line_buffering or getattr(before, "write_through", False)),  # python -u
     )
-    try:
-        code = _code(run)
-        sys.stdout.flush()
-    except OutputError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 1
-    except SystemExit as end:
-        return int(end.code or 0)
-    return code
-
-
-def _code(run: Callable[[], int]) -> int:
-    try:
-        return run()
-    except SystemExit as end:  # argparse: --help, wrong usage
-        return end.code if isinstance(end.code, int) else 0 if end.code is None else 1

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rx90_common.base.errors import MessageError
-from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.lockstep import stamp_of
+from rx90_common.exchange.motor_messages import MotorMessages, MotorStates, ServoLoops
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.throttle import Occasionally
+from rx90_common.exchange.throttle import ThrottledLog
 
 _LEAD = 0.005  # s that the loops run ahead of the newest states; further ahead, time stands still and they rest
 _LAG = 0.25  # s behind the states that are caught up; further behind, time is skipped and the motion comes later
@@ -33,131 +33,101 @@ class FreeRunningController:
     def __init__(
         self,
         channel: Channel,
+        messages: MotorMessages,
+        loops: ServoLoops,
         pacer: Pacer,
         announce: Callable[[str], None],
-        answer: Callable[[int, bytes], bytes],
-        begin: Callable[[int, bytes], None],
-        prepare: Callable[[], None],
-        skip: Callable[[int, bytes], None],
-        rates: Rates,
     ) -> None:
-        """Make the loops.
+        """Make the clock's side.
 
         Args:
             channel: publishes commands, receives states.
+            messages: decodes and encodes them.
+            loops: what runs; held at the start and when simulated time has gone back.
             pacer: the clock.
             announce: prints a line for the user.
-            answer: as in `LockstepController`.
-            begin: as in `LockstepController`; called at start and when simulated time has gone back.
-            prepare: called once, before the first `begin`.
-            skip: lets a number of position ticks pass without set-points; with the states that made it necessary,
-                which it may refuse with MessageError.
-            rates: of the loops.
         """
-        self._channel = channel
+        rates = messages.rates
+        self._channel, self._messages, self._loops = channel, messages, loops
         self._pacer = pacer
         self._announce = announce
-        self._lags = Occasionally(announce)
-        self._answer = answer
-        self._begin = begin
-        self._prepare = prepare
-        self._skip = skip
+        self._lags = ThrottledLog(announce)
         self._slow_ns = rates.period_ns * rates.ratio
         self._period_ns = rates.period_ns
         self._lead_ns = round(_LEAD * NANOSECONDS)
         self._lag_ns = round(_LAG * NANOSECONDS)
-        self._newest: bytes | None = None
-        self._seen_stamp = 0
-        self._used: tuple[bytes | None, int] = (None, 0)  # the last states that could be used, and their stamp
+        self._states: MotorStates | None = None  # the newest
         self._stamp = 0
         self._rested = 0.0
-        self._told_rest = False
-        self._prepared = False
+        self._rest_announced = False
+        self._begun = False
 
     def serve(self) -> None:
         """Run one tick, or wait for states for a short while."""
-        if self._newest is None or self._stamp - self._seen_stamp > self._lead_ns:
+        if self._states is None or self._stamp - self._states.stamp_ns > self._lead_ns:
             self._rest()
             return
         self._pacer.wait()
         fresh = self._take(self._channel.receive(0.0))
-        if fresh:
-            self._follow()
-        self._tick()
+        if fresh is not None:
+            self._states = fresh
+            self._follow(fresh.stamp_ns)
+        torque = self._loops.step(self._stamp, self._states)
+        self._channel.publish(self._messages.encode(self._stamp, torque))
+        self._stamp += self._period_ns
 
     def _rest(self) -> None:
-        if not self._take(self._channel.receive(_SLICE)):
+        fresh = self._take(self._channel.receive(_SLICE))
+        if fresh is None:
             self._rested += _SLICE
-            if self._newest is not None and not self._told_rest and self._rested >= _STALE:
-                self._told_rest = True
+            if self._states is not None and not self._rest_announced and self._rested >= _STALE:
+                self._rest_announced = True
                 self._announce(f"no fresh states on {self._channel.subscribe_topic}: the loops rest")
             return
-        if self._told_rest:
-            self._told_rest = False
-            self._announce(f"states on {self._channel.subscribe_topic} from {self._seen_stamp / NANOSECONDS:.6g} s on")
+        self._states = fresh
+        if self._rest_announced:
+            self._rest_announced = False
+            self._announce(f"states on {self._channel.subscribe_topic} from {fresh.stamp_ns / NANOSECONDS:.6g} s on")
         self._rested = 0.0
         self._pacer.restart()
         self._pacer.shift(self._period_ns / NANOSECONDS)  # states come before their tick, not after it
 
-    def _tick(self) -> None:
-        if self._newest is None:
-            return
-        try:
-            command = self._answer(self._stamp, self._newest)
-        except MessageError:
-            self._newest, self._seen_stamp = self._used
-            return
-        self._used = self._newest, self._seen_stamp
-        self._channel.publish(command)
-        self._stamp += self._period_ns
-
-    def _take(self, raw: bytes | None) -> bool:
-        """Take the newest of the states that have come, from `raw` on; return whether there are any."""
+    def _take(self, raw: bytes | None) -> MotorStates | None:
+        """Return the newest of the states that have come, from `raw` on; begin, or skip time, where they ask for it."""
         newest = None
         while raw is not None:
             newest = raw
             raw = self._channel.receive(0.0)
         if newest is None:
-            return False
-        stamp = stamp_of(newest)
-        if self._newest is None or stamp < self._seen_stamp:
-            return self._start(stamp, newest)
-        if stamp - self._stamp > self._lag_ns and not self._catch_up(stamp, newest):
-            return False
-        self._newest, self._seen_stamp = newest, stamp
-        return True
-
-    def _start(self, stamp: int, raw: bytes) -> bool:
-        """Begin where the arm is; return whether the states could be used."""
-        if not self._prepared:
-            self._prepared = True
-            self._prepare()
-            # Time went on meanwhile: the next states are the first ones.
-            return False
+            return None
         try:
-            self._begin(stamp, raw)
+            states = self._messages.decode(newest)
         except MessageError:
-            return False
-        self._newest, self._seen_stamp, self._stamp = raw, stamp, stamp
-        self._used = raw, stamp
-        return True
+            return None
+        if self._states is None or states.stamp_ns < self._states.stamp_ns:
+            if not self._begun:
+                self._begun = True
+                self._loops.begin()
+                # Time went on meanwhile: the next states are the first ones.
+                return None
+            self._loops.hold(states)
+            self._stamp = states.stamp_ns
+        elif states.stamp_ns - self._stamp > self._lag_ns:
+            self._catch_up(states.stamp_ns)
+        return states
 
-    def _catch_up(self, stamp: int, raw: bytes) -> bool:
-        """Skip the time in which this process did not run; return whether the states could be used."""
+    def _catch_up(self, stamp: int) -> None:
+        """Skip the time in which this process did not run."""
         ticks = (stamp - self._stamp) // self._slow_ns
-        try:
-            self._skip(ticks, raw)
-        except MessageError:
-            return False
+        self._loops.skip(ticks)
         late = ticks * self._slow_ns
         self._stamp += late
         self._lags.say(
             "lag", f"{late / NANOSECONDS:.3g} s behind the simulation: a trajectory that runs comes later by as much"
         )
-        return True
 
-    def _follow(self) -> None:
+    def _follow(self, stamp: int) -> None:
         """Bring the clock closer to the time of the states that have just come."""
-        late = (self._seen_stamp - self._stamp) / self._period_ns
+        late = (stamp - self._stamp) / self._period_ns
         step = self._period_ns / NANOSECONDS
         self._pacer.shift(-step * max(-_SLEW, min(_SLEW, late * step / _SETTLING)))

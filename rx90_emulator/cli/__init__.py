@@ -1,3 +1,3 @@
-"""The verbs of `rx90_bag`, one module each, with `add_arguments()` and `main()`."""
+"""The commands, one file for each, in one frame that turns what goes wrong into one line and an exit code."""
 
-__all__ = ["bag", "line", "run"]
+__all__ = ["frame"]

@@ -8,7 +8,6 @@ make a difference, and so do joints and arrays that only one bag has.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
-def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
+def main(args: argparse.Namespace) -> int:
     """Compare and print; return the verdict's exit code.
 
     Raises:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 
 HELP = "tell what a bag holds"
 
@@ -14,8 +13,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
 
 
-def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
-    """Print the summary; return 0.
+def main(args: argparse.Namespace) -> None:
+    """Print the summary.
 
     Raises:
         BagError: if the bag cannot be read.
@@ -26,4 +25,3 @@ def main(args: argparse.Namespace, _ros_args: Sequence[str]) -> int:
 
     summary = summarise(args.bag)
     print(summary_json(summary) if args.json else summary_text(summary))
-    return 0

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
-from threading import Event
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
-from rx90_common.base.errors import BagError
 from rx90_common.exchange.environment import prepare
+from rx90_common.process.interrupts import stop_request
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -29,27 +27,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
 
 
-def main(args: argparse.Namespace, ros_args: Sequence[str]) -> int:
-    """Record until SIGINT or SIGTERM; return 0 when nothing was lost and 1 otherwise.
+def main(args: argparse.Namespace) -> int:
+    """Record until Ctrl-C or SIGTERM; return 0 when nothing was lost and 1 otherwise.
 
     Raises:
         BagError: if the bag cannot be made or a topic cannot be recorded.
         BagWriteError: if the bag cannot be written on.
     """
-    stop = Event()
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_request()
 
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    try:
-        from rx90_common.bags.recorder.recording import Recorder, StatusLine
-    except ImportError as error:
-        raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
+    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+
     with StatusLine() as status:
-        recorder = Recorder(args.topics, ros_args, status)
+        recorder = Recorder(args.topics, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
     return _report(counts, recorder.stalls, args.output)
 

@@ -1,47 +1,34 @@
-"""`rx90_demo`: run the reference task with four processes over DDS, compare, and report."""
+"""Run the reference task with four processes over DDS, compare, and report."""
 
 from __future__ import annotations
 
 import argparse
 import os
-import sys
-from collections.abc import Sequence
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import resolve_config
 from rx90_common.exchange.environment import prepare
-from rx90_common.process.interrupts import terminations_as_interrupts
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0 same and within the limit, 1 otherwise, 130 after Ctrl-C."""
-    options = _parser().parse_args(args)
-    try:
-        # A terminal that closes must not leave the processes behind either.
-        with terminations_as_interrupts():
-            return _run(options)
-    except KeyboardInterrupt:
-        print("\nrx90_demo: stopped; every process has ended", file=sys.stderr)
-        return 130
-    except Rx90Error as error:
-        print(f"rx90_demo: {error}", file=sys.stderr)
-        return 1
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="rx90_demo", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
     parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
     parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
-    return parser
+    parser.set_defaults(interrupted="every process has ended")
 
 
-def _run(options: argparse.Namespace) -> int:
+def main(options: argparse.Namespace) -> int:
+    """Return 0 for a run that is identical to the closed loop and within the path limit, else 1.
+
+    Raises:
+        Rx90Error: if a step fails.
+    """
     # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
@@ -75,7 +62,3 @@ def _folder(given: Path | None) -> Path:
 
 def _not_made(folder: Path, error: OSError) -> ConfigError:
     return ConfigError(f"--output {folder}: {error.strerror}; accepted: a folder that can be made")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,32 +1,22 @@
-"""`rx90_experiment`: plan the motions that friction is identified from, and run them on the engine or the nodes."""
+"""Plan the motions that friction is identified from, and run them on the engine or the nodes."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from rx90_common.base.errors import ExchangeError, Rx90Error
-from rx90_common.process.interrupts import terminations_as_interrupts
-from rx90_emulator.cli.robot_options import number
+from rx90_emulator.cli.options import number
 
-REFUSED, NOT_RUN, INTERRUPTED = 1, 3, 130
 _EPILOG = """\
-exit status: 0 done, 1 refused, 2 wrong usage, 3 the nodes did not run it, 130 interrupted; complete bags stay.
-No motion is checked for collisions. Set-points keep the joints' ranges and speed limits, and the expected torque
-keeps what the URDF allows.
+Bags that are complete stay, whatever ends the run. No motion is checked for collisions. Set-points keep the joints'
+ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="rx90_experiment",
-        description=__doc__,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs and their options."""
+    parser.epilog = _EPILOG
+    parser.set_defaults(interrupted="complete bags stay")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="plan|run")
     plan = verbs.add_parser("plan", help="show the experiments, their time and number of runs; moves nothing")
     run = verbs.add_parser("run", help="run the experiments and record a bag of each")
@@ -51,26 +41,14 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--controller", default="rx90_controller", help="name of the node (%(default)s)")
     seconds = number("a positive number", lambda value: value > 0.0)
     run.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="s to wait for the nodes (%(default)s)")
-    return parser
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run `rx90_experiment` and return its exit status."""
-    options = _parser().parse_args(args)
-    try:
-        with terminations_as_interrupts():
-            from rx90_emulator.identification.experiments.job import run  # here, because --help must not wait for it
+def main(options: argparse.Namespace) -> None:
+    """Plan, and run if asked to.
 
-            run(options)
-    except KeyboardInterrupt:
-        # A bar that was drawn ends without a line's end.
-        print(f"{os.linesep}rx90_experiment: interrupted; complete bags stay", file=sys.stderr)
-        return INTERRUPTED
-    except Rx90Error as error:
-        print(f"rx90_experiment: {error}", file=sys.stderr)
-        return NOT_RUN if isinstance(error, ExchangeError) else REFUSED
-    return 0
+    Raises:
+        Rx90Error: for what cannot be done; complete bags stay.
+    """
+    from rx90_emulator.identification.experiments.job import run  # here, because --help must not wait for it
 
-
-if __name__ == "__main__":
-    sys.exit(main())
+    run(options)

@@ -1,21 +1,16 @@
-"""The command `friction_ramp`: run ramps on a rig, or read old ones, and identify friction."""
+"""Measure Coulomb and viscous friction with torque ramps on a friction rig, or read old ramps."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS
-from rx90_common.base.errors import Rx90Error
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="friction_ramp",
-        description="Measure Coulomb and viscous friction with torque ramps on a friction rig.",
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.set_defaults(interrupted="the rig is switched off")
     parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
     parser.add_argument("--baud", type=int, help="line rate (default: the rig file's)")
     parser.add_argument("--rig", default="rig/gm8224.yaml", help="rig file (default: %(default)s)")
@@ -28,26 +23,20 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
-    parser.add_argument("--out", type=Path, default=Path("out/friction"), help="folder for bag and report")
+    parser.add_argument("--output", type=Path, default=Path("out/friction"), help="folder for bag and report")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
     files = parser.add_argument_group("old data instead of a rig")
     files.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
     files.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")
     files.add_argument("--text", choices=TEXT_KINDS, help="files are plain text of this kind, not CSV")
-    return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; return 0, or 1 with one line that says why not."""
-    options = _parser().parse_args(argv)
-    try:
-        from friction_bench.experiment.job import run  # here, because --help must not wait for it
+def main(options: argparse.Namespace) -> None:
+    """Measure or read ramps, identify friction, and write the report.
 
-        run(options)
-    except Rx90Error as error:
-        print(f"friction_ramp: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("friction_ramp: interrupted, the rig is switched off", file=sys.stderr)
-        return 130
-    return 0
+    Raises:
+        Rx90Error: for what is refused; what has been measured until then stands in the folder.
+    """
+    from friction_bench.experiment.job import run  # here, because --help must not wait for it
+
+    run(options)

@@ -1,18 +1,15 @@
-"""`rx90_identify`: from recorded bags to a friction file, a report, and a verdict on a bag that was not used."""
+"""From recorded bags to a friction file, a report, and a verdict on a bag that was not used."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from rx90_common.base.errors import Rx90Error
-from rx90_common.process.interrupts import terminations_as_interrupts
-from rx90_emulator.cli.robot_options import add_robot_arguments, number
+from rx90_common.base.errors import DONE, VERDICT_NO
+from rx90_emulator.cli.options import add_robot_arguments, number
 from rx90_emulator.identification.records.tolerances import Tolerances
 
-CONFIRMED, NOT_CONFIRMED, REFUSED, INTERRUPTED = 0, 1, 3, 130
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]
        rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
@@ -22,21 +19,15 @@ example of another robot, with currents of its motors on /arm/motors:
   rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
       --urdf arm.urdf --topic arm/motors --joints shoulder elbow --names m1 m2 --gear 100 80 --torque-constant 0.12 0.1
 a bag is a rosbag2 folder, an .mcap or .db3 file, or a .bag file of ROS 1; docs/identification.md says what the motions
-should be.
-
-exit status: 0 identified, and confirmed by the validation bag where there is one; 1 identified, but not confirmed;
-2 wrong usage; 3 refused, nothing written; 130 interrupted, nothing written.
+should be. Where the validation bag does not confirm the result, it is written all the same, and the verdict is no.
 """
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="rx90_identify",
-        usage=_USAGE,
-        description=__doc__,
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.usage, parser.epilog = _USAGE, _EPILOG
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("folder", nargs="?", type=Path, help="folder that rx90_experiment wrote")
     bags = parser.add_argument_group("bags, instead of a folder")
     for name, what in (
@@ -61,27 +52,17 @@ def _parser() -> argparse.ArgumentParser:
     result.add_argument("--tip-tolerance", type=share, default=limits.tip, metavar="M",
                         help="largest distance of the tips, m (%(default)s)")  # fmt: skip
     add_robot_arguments(parser)
-    return parser
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run `rx90_identify` and return its exit status."""
-    options = _parser().parse_args(args)
-    try:
-        with terminations_as_interrupts():
-            from rx90_emulator.identification.job import run  # here, because --help must not wait for it
+def main(options: argparse.Namespace) -> int:
+    """Return 0 where the validation confirms the result, or there is none, else 1.
 
-            if run(options):
-                return CONFIRMED
-    except KeyboardInterrupt:
-        print("\nrx90_identify: interrupted; nothing was written", file=sys.stderr)
-        return INTERRUPTED
-    except Rx90Error as error:
-        print(f"rx90_identify: {error}", file=sys.stderr)
-        return REFUSED
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    from rx90_emulator.identification.job import run  # here, because --help must not wait for it
+
+    if run(options):
+        return DONE
     print("rx90_identify: the validation does not confirm the result", file=sys.stderr)
-    return NOT_CONFIRMED
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return VERDICT_NO

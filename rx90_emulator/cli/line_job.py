@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import write_error
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import Branch
 from rx90_common.description.robot import load_robot
@@ -35,7 +35,7 @@ _PLAIN_OPTIONS = (
 )
 
 
-def run(options: argparse.Namespace, argv: list[str]) -> None:
+def run(options: argparse.Namespace) -> None:
     """Plan the line, show it, and send it unless told otherwise.
 
     Raises:
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace, argv: list[str]) -> None:
         write_message(plan, options.output)
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, options, argv)
+        _send(plan, options)
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -124,10 +124,10 @@ def write_message(plan: LinePlan, file: Path) -> None:
     try:
         file.write_text(yaml_text(message), encoding="utf-8")
     except OSError as error:
-        raise Rx90Error(f"{file}: cannot be written ({error.strerror})") from error
+        raise write_error(file, error) from error
 
 
-def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
+def _send(plan: LinePlan, options: argparse.Namespace) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
@@ -138,7 +138,7 @@ def _send(plan: LinePlan, options: argparse.Namespace, argv: list[str]) -> None:
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     tolerance = load_controller(RobotFiles().controller).start_tolerance
     delivery = Delivery(options.controller, options.start_time, tolerance, approach)
-    with client_node("rx90_line", options.timeout, _say, argv) as client:
+    with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 
 

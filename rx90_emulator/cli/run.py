@@ -1,33 +1,14 @@
-"""`rx90_run`: run a line or a trajectory through the closed loop without ROS and write the bag that the nodes would."""
+"""Run a line or a trajectory through the closed loop without ROS and write the bag that the nodes would."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from rx90_common.base.errors import Rx90Error
 
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code."""
-    options = _parser().parse_args(args)
-    try:
-        from rx90_emulator.loop.job import run  # here, because --help must not wait for it
-
-        run(options)
-    except Rx90Error as error:
-        print(f"rx90_run: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("rx90_run: stopped; nothing was written", file=sys.stderr)
-        return 130
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="rx90_run", description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's options."""
+    parser.set_defaults(interrupted="nothing was written")
     motion = parser.add_mutually_exclusive_group()
     motion.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
     motion.add_argument(
@@ -50,8 +31,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
     parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
-    return parser
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def main(options: argparse.Namespace) -> None:
+    """Simulate and write what was asked for.
+
+    Raises:
+        Rx90Error: for what cannot be done, before anything has been written.
+    """
+    from rx90_emulator.loop.job import run  # here, because --help must not wait for it
+
+    run(options)

@@ -10,8 +10,7 @@ from pathlib import Path
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
-from rx90_common.base.errors import ProcessError
-from rx90_common.process.children import ManagedProcess, ProcessGroup
+from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.demo.analysis import analyse
@@ -22,8 +21,6 @@ from rx90_emulator.loop.setup import Setup
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
 stands still until every process is there."""
-_START_TIMEOUT = 120.0
-_END_TIMEOUT = 60.0
 
 
 class Demonstration:
@@ -64,12 +61,8 @@ class Demonstration:
     def _run_closed_loop(self, bag: Path) -> None:
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(self._folder / "log") as group:
-            run = group.start(
-                "closed_loop",
-                "rx90_emulator.cli.run",
-                *("--task", str(self._task_file), "--start-time", repr(START_TIME), "--output", str(bag)),
-            )
-            _expect_success(run, _START_TIMEOUT)
+            task = ("--task", self._task_file, "--start-time", START_TIME)
+            group.start("closed_loop", executable("rx90_run", *task, "--output", bag)).expect_success()
 
     def _run_processes(self, plan: LinePlan, bag: Path) -> float:
         """Run the four processes to the end of the task; return the real-time factor."""
@@ -77,31 +70,25 @@ class Demonstration:
         pose = ", ".join(repr(float(angle)) for angle in plan.start_pose)
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
         with ProcessGroup(self._folder / "log") as group:
-            recorder = group.start("recorder", "rx90_emulator.cli.bag", "record", "--output", str(bag))
-            simulation = group.start(
-                "simulation",
-                "rx90_sim.node.sim_node",
-                *_parameters(
-                    initial_position=f"[{pose}]",
-                    duration=repr(duration),
-                    real_time_factor=repr(self._factor),
-                    paused="true",
-                ),
+            recorder = group.start("recorder", executable("rx90_bag", "record", "--output", bag))
+            parameters = _parameters(
+                initial_position=f"[{pose}]",
+                duration=repr(duration),
+                real_time_factor=repr(self._factor),
+                paused="true",
             )
-            group.start("controller", "rx90_controller.node.controller_node")
-            line = group.start(
-                "trajectory",
-                "rx90_emulator.cli.line",
-                *("--from-file", str(self._task_file), "--start-time", repr(START_TIME)),
-            )
-            recorder.wait_for("ready: all", _START_TIMEOUT)
-            _expect_success(line, _START_TIMEOUT)
+            simulation = group.start("simulation", executable("rx90_sim", *parameters))
+            group.start("controller", executable("rx90_controller"))
+            task = ("--from-file", self._task_file, "--start-time", START_TIME)
+            line = group.start("trajectory", executable("rx90_line", *task))
+            recorder.wait_for("ready: all")
+            line.expect_success()
             began = time.monotonic()
             follow_clock(simulation, duration)
             factor = duration / (time.monotonic() - began)
-            _expect_success(simulation, _END_TIMEOUT)
+            simulation.expect_success()
             recorder.signal(signal.SIGINT)
-            _expect_success(recorder, _END_TIMEOUT)
+            recorder.expect_success()
         return factor
 
     def _report(self, recorded: Path, baseline: Path, comparison: BagComparison, factor: float) -> bool:
@@ -126,10 +113,3 @@ def _parameters(**values: str) -> list[str]:
     for name, value in values.items():
         arguments += ["-p", f"{name}:={value}"]
     return arguments
-
-
-def _expect_success(process: ManagedProcess, timeout: float) -> None:
-    code = process.wait(timeout)
-    if code != 0:
-        last = process.lines[-1] if process.lines else "it printed nothing"
-        raise ProcessError(f"the {process.name} ended with exit code {code}: {last} (see {process.log})")

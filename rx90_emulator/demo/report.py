@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.base.errors import OutputError
+from rx90_common.base.errors import write_error
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
@@ -44,7 +44,7 @@ def write_report(
     """Write the page.
 
     Raises:
-        OutputError: if the file cannot be written.
+        Rx90Error: if the file cannot be written.
     """
     page = render_page(
         "rx90_emulator.demo",
@@ -68,7 +68,7 @@ def write_report(
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path}: the report cannot be written ({error.strerror})") from error
+        raise write_error(path, error) from error
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:

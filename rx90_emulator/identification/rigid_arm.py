@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.description.wrist import coupled_inertia
+from rx90_common.description.rigid_torque import configurations, rigid_torque
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.records.foreign_urdf import joint_model
 from rx90_emulator.loop.setup import Setup
@@ -45,11 +45,9 @@ class RigidArm:
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
         names = setup.robot.joint_names
-        spring = np.zeros(6)
-        spring[1] = setup.drives.spring_torque
         matrix = np.vstack([np.eye(6), [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
-        rotor = coupled_inertia(setup.drives.rotor_inertia)
-        return cls(names, element_names(names), matrix, setup.robot.model, rotor, spring)
+        drives = setup.drives
+        return cls(names, element_names(names), matrix, setup.robot.model, drives.rotor_matrix, drives.spring)
 
     @classmethod
     def from_urdf(
@@ -89,12 +87,7 @@ class RigidArm:
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""
-        model, data = self.model, self.model.createData()
-        configurations = self._configurations(position)
-        rigid = np.array(
-            [pin.rnea(model, data, *row) for row in zip(configurations, velocity, acceleration, strict=True)]
-        ).reshape(position.shape)
-        return np.asarray(rigid + acceleration @ self.rotor.T + self.spring * np.sin(position))
+        return rigid_torque(self.model, self.rotor, self.spring, position, velocity, acceleration)
 
     def regressor(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return the derivative of the torque by the links' inertial parameters, shape (m, n, 10 n).
@@ -103,11 +96,8 @@ class RigidArm:
         order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz).
         """
         model, data = self.model, self.model.createData()
-        configurations = self._configurations(position)
-        rows = [
-            np.array(pin.computeJointTorqueRegressor(model, data, *row))
-            for row in zip(configurations, velocity, acceleration, strict=True)
-        ]
+        motion = zip(configurations(model, position), velocity, acceleration, strict=True)
+        rows = [np.array(pin.computeJointTorqueRegressor(model, data, *row)) for row in motion]
         return np.array(rows).reshape(len(position), len(self.names), 10 * len(self.names))
 
     def ranges(self) -> Array:
@@ -125,13 +115,6 @@ class RigidArm:
         reach = sum(float(np.linalg.norm(place.translation)) for place in self.model.jointPlacements) or 1.0
         powers = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
         return np.tile(mass * reach**powers, len(self.names))
-
-    def _configurations(self, position: Array) -> Array:
-        """Return Pinocchio's configurations: joints without limits have a sine and a cosine in it."""
-        if self.model.nq == self.model.nv:
-            return position
-        neutral = pin.neutral(self.model)
-        return np.array([pin.integrate(self.model, neutral, row) for row in position])
 
 
 def _label(names: Sequence[str], row: Array) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import write_error
 from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
 
@@ -148,4 +148,4 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         with Path(file).open("xb") as stream:
             np.savez_compressed(stream, **arrays)
     except OSError as error:
-        raise Rx90Error(f"{file}: cannot be written ({error.strerror}); accepted: a new file") from error
+        raise write_error(file, error, "a new file") from error

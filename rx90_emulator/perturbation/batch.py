@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
-from rx90_common.friction.bristle import elements_dtype
+from rx90_common.friction.lugre import element_arrays, elements_dtype
 from rx90_controller.law.parameters import CONTROLLER_DTYPE
 
 Array = NDArray[np.float64]
@@ -88,9 +88,9 @@ def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -
     for run in range(groups * lanes):
         group, lane = divmod(run, lanes)
         source = min(run, len(frictions) - 1)
-        records = frictions[source].records()
-        for name in records.dtype.names or ():
-            elements[name][group, ..., lane] = records[name]
+        arrays = element_arrays(frictions[source].elements)
+        for name in arrays.dtype.names or ():
+            elements[name][group, ..., lane] = arrays[name][0].T
         for name in _SERVO_NAMES:
             servos[name][group, :, lane] = laws[source][name][0]
     return Groups(elements, servos, np.zeros(groups, group_dtype(lanes)))

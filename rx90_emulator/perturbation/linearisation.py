@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import coupled_inertia
 
 Array = NDArray[np.float64]
 
@@ -53,7 +52,8 @@ def linearise(
         upper = np.triu(by_acceleration)
         mass[n] = upper + np.triu(upper, 1).T
         damping[n], stiffness[n] = by_velocity, by_position
-    # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k sin(q2).
-    mass += coupled_inertia(drives.rotor_inertia)
-    stiffness[:, 1, 1] += drives.spring_torque * np.cos(position[:, 1])
+    # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k cos(q) to K0.
+    mass += drives.rotor_matrix
+    joints = np.arange(6)
+    stiffness[:, joints, joints] += drives.spring * np.cos(position)
     return Linearisation(mass, damping, stiffness)

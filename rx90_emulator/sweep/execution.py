@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
@@ -112,7 +112,7 @@ def _store() -> Any:
     try:
         from rx90_emulator.sweep import store  # needs an extra
     except ImportError as error:
-        raise SweepError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+        raise FailureError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
     return store
 
 
@@ -179,8 +179,8 @@ def local_pool(sweep: Sweep, workers: int) -> Iterator[Pool]:
 
 @contextmanager
 def _interrupt_held_back() -> Iterator[None]:
-    """Fork with Ctrl-C blocked: the terminal sends it to the workers too, and they must overlook it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Fork with Ctrl-C and the like blocked: a terminal sends it to the workers too, and they must overlook it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
     try:
         yield
     finally:

@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import SweepError
+from rx90_common.base.errors import SweepError, write_error
 from rx90_emulator.loop.catalogue import SWITCH
 from rx90_emulator.sweep.runs import Column
 from rx90_emulator.sweep.sweep import RUN_COLUMNS, RunOutcome, Sweep
@@ -210,7 +210,7 @@ class ResultStore:
             self._parts.mkdir(exist_ok=True)
             lock = os.open(path, os.O_CREAT | os.O_RDWR)
         except OSError as error:
-            raise SweepError(f"{self._parts} cannot be written ({error.strerror})") from error
+            raise write_error(self._parts, error) from error
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # A sweep that ended between the two calls has taken the folder away, and this lock with it.
@@ -271,7 +271,7 @@ class ResultStore:
                 os.fsync(stream.fileno())
             temporary.replace(target)
         except OSError as error:
-            raise SweepError(f"{target} cannot be written ({error.strerror})") from error
+            raise write_error(target, error) from error
 
 
 def _difference(there: object, own: object) -> str:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.lockstep import stamp_of
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,7 @@ class HeldCommand:
     A command ages with the ticks of the plant: while time stands still, it stays as it is.
 
     Attributes:
+        two_controllers: whether two of them send commands.
         missed: ticks since a command first came in which no fresh one was there.
     """
 
@@ -45,16 +46,11 @@ class HeldCommand:
         self._age: int | None = None
         self._stamp = -1
         self._backward: deque[float] = deque(maxlen=_BACKWARD)
-        self._rivals = False
+        self.two_controllers = False
         self._waiting = False
         self._changes = 0  # of the brakes that have not been announced
         self._lines: deque[float] = deque(maxlen=_LINES)
         self.missed = 0
-
-    @property
-    def rivals(self) -> bool:
-        """Return whether two controllers send commands."""
-        return self._rivals
 
     def forget(self) -> None:
         """Drop the command, after a reset."""
@@ -65,7 +61,7 @@ class HeldCommand:
         newest = None
         while (raw := self._channel.receive(0.0)) is not None:
             newest = raw
-            stamp = stamp_of(raw)
+            stamp = cdr_stamp_ns(raw)
             if stamp < self._stamp:
                 self._note_backward()
             self._stamp = stamp
@@ -76,24 +72,24 @@ class HeldCommand:
         elif self._age is not None:
             self._age += 1
             self.missed += 1
-        if self._rivals:
-            self._look_for_rivals()
+        if self.two_controllers:
+            self._note_one_left()
         stale = self._age is None or self._age > self._timeout
         self._say(stale)
-        return None if stale or self._rivals else self._torques
+        return None if stale or self.two_controllers else self._torques
 
     def _note_backward(self) -> None:
         """A controller's stamps grow; when it begins again they go back once."""
         now = time.monotonic()
         self._backward.append(now)
         often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
-        if often and not self._rivals and self._channel.matches().publishers > 1:
-            self._rivals = True
+        if often and not self.two_controllers and self._channel.matches().publishers > 1:
+            self.two_controllers = True
             self._announce(f"two controllers publish on {self._channel.subscribe_topic}: no torque until one is left")
 
-    def _look_for_rivals(self) -> None:
+    def _note_one_left(self) -> None:
         if time.monotonic() - self._backward[-1] > _BACKWARD_WINDOW:
-            self._rivals = False
+            self.two_controllers = False
             self._backward.clear()
             self._announce(f"one controller is left on {self._channel.subscribe_topic}")
 
@@ -108,7 +104,7 @@ class HeldCommand:
             return
         self._lines.append(now)
         changes, self._changes = self._changes, 0
-        count = f" (after {changes - 1} changes that were not told)" if changes > 1 else ""
+        count = f" (after {changes - 1} changes without a line)" if changes > 1 else ""
         self._announce(self._text(stale) + count)
 
     def _text(self, stale: bool) -> str:

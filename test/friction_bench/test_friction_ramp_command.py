@@ -10,14 +10,14 @@ import pytest
 import yaml
 
 from friction_bench.experiment import job as ramp_job
-from friction_bench.experiment import series as experiment
+from friction_bench.experiment import ramp as experiment
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.share import config_path
 from rx90_common.friction import load_friction
-from rx90_emulator.cli.friction_ramp import main
+from rx90_emulator.cli.frame import run
 
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 QUICK = ["--repeats", "2", "--slopes", "0.03", "0.06"]
@@ -27,7 +27,7 @@ QUICK = ["--repeats", "2", "--slopes", "0.03", "0.06"]
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of one complete measurement, no-load and loaded."""
     out = tmp_path_factory.mktemp("friction") / "run"
-    assert main([*QUICK, "--out", str(out)]) == 0
+    assert run("friction_ramp", [*QUICK, "--output", str(out)]) == 0
     return out
 
 
@@ -77,7 +77,7 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
     for file, (label, slope) in slopes.items():
         option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
         arguments += [option, f"{slope!r}:{file}"]
-    assert main([*arguments, "--out", str(tmp_path)]) == 0
+    assert run("friction_ramp", [*arguments, "--output", str(tmp_path)]) == 0
     again = yaml.safe_load((tmp_path / "estimates.yaml").read_text())
     before = yaml.safe_load((measured / "estimates.yaml").read_text())
     key = "exact, by covariance"
@@ -102,8 +102,8 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--text", "counts"], "--text is given without a file"),
         (["--port", "/etc/hostname"], "/etc/hostname: cannot be opened"),
         (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
-        (["--out", "/proc/friction"], "/proc/friction: cannot be written to"),
-        (["--out", "/dev/null"], "/dev/null: cannot be written to"),
+        (["--output", "/proc/friction"], "/proc/friction: cannot be written ("),
+        (["--output", "/dev/null"], "/dev/null: cannot be written ("),
         (["--end-torque", "0.02", "--load", "none"], "no break-away"),
         (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
         (["--no-load-file", "nothing.csv"], "accepted: slope:file"),
@@ -113,8 +113,8 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
 def test_mistakes_get_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A user's mistake is answered by one line and exit code 1."""
-    assert main(["--out", str(tmp_path / "out"), *arguments]) == 1
+    """A user's mistake is answered by one line and exit code 2."""
+    assert run("friction_ramp", ["--output", str(tmp_path / "out"), *arguments]) == 2
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
     assert error.startswith("friction_ramp: ")
@@ -122,14 +122,14 @@ def test_mistakes_get_one_line(
 
 def test_existing_bag_is_not_overwritten(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A second run into the same folder is refused before the rig moves."""
-    assert main([*QUICK, "--out", str(measured)]) == 1
+    assert run("friction_ramp", [*QUICK, "--output", str(measured)]) == 2
     assert "bag exists" in capsys.readouterr().err
 
 
 def test_ramps_of_a_run_that_was_killed_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Each ramp is a file as soon as it is done; without its bag it still keeps the folder for itself."""
     (tmp_path / "ramp_01.csv").write_text("time,counts\n")
-    assert main([*QUICK, "--out", str(tmp_path)]) == 1
+    assert run("friction_ramp", [*QUICK, "--output", str(tmp_path)]) == 2
     assert "ramp_01.csv exists" in capsys.readouterr().err
     assert (tmp_path / "ramp_01.csv").read_text() == "time,counts\n"
 
@@ -137,7 +137,7 @@ def test_ramps_of_a_run_that_was_killed_are_not_overwritten(tmp_path: Path, caps
 def test_interrupted_measurement_keeps_what_it_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 130."""
+    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 230."""
     run_ramp = experiment.run_ramp
     done = 0
 
@@ -149,7 +149,7 @@ def test_interrupted_measurement_keeps_what_it_measured(
         return run_ramp(*arguments)
 
     monkeypatch.setattr(experiment, "run_ramp", third_time)
-    assert main([*QUICK, "--load", "none", "--out", str(tmp_path)]) == 130
+    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path)]) == 130
     assert "switched off" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.glob("*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
     assert read_joint_states(tmp_path / "bag", "friction_bench/joint_states").stamp_ns.size > 100
@@ -162,8 +162,8 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
     emulated = EmulatedRig(rig, 1)
     monkeypatch.setattr(ramp_job, "SerialPort", lambda *_: VirtualPort(emulated))
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    assert main([*QUICK, "--port", "somewhere", "--load", "none", "--out", str(tmp_path / "a")]) == 0
-    assert main([*QUICK, "--port", "somewhere", "--out", str(tmp_path / "b")]) == 1
+    assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--load", "none", "--output", str(tmp_path / "a")]) == 0
+    assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--output", str(tmp_path / "b")]) == 2
     assert "nobody there to couple the joint" in capsys.readouterr().err
 
 
@@ -177,6 +177,6 @@ def test_latched_fault_is_named_and_cleared_by_option(
     client.arm()
     emulated.advance(0.3)  # nobody pumps: as after kill -9
     monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: emulated)
-    assert main([*QUICK, "--load", "none", "--out", str(tmp_path / "a")]) == 1
+    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path / "a")]) == 2
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
-    assert main([*QUICK, "--load", "none", "--clear", "--out", str(tmp_path / "b")]) == 0
+    assert run("friction_ramp", [*QUICK, "--load", "none", "--clear", "--output", str(tmp_path / "b")]) == 0

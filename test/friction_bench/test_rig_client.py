@@ -38,7 +38,7 @@ def test_lost_reports_cost_no_position(client: RigClient, emulated: EmulatedRig)
 
     emulated.board.read = lossy  # type: ignore[method-assign]
     record = run_ramp(client, 0.05, 0.1, False, "x")
-    assert client.bad_frames > 5
+    assert client.line.bad_frames > 5
     assert client.lost_reports > 5
     assert client.last is not None
     assert client.last.counts == pytest.approx(emulated.plant.angle * 504 / (2 * math.pi), abs=400)

@@ -9,7 +9,7 @@ import pytest
 from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig
-from rx90_emulator.cli.friction_rig_emulator import main
+from rx90_emulator.cli.frame import run
 
 
 def test_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:
@@ -33,8 +33,8 @@ def test_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_get_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """A user's mistake is answered by one line and exit code 1."""
-    assert main(arguments) == 1
+    """A user's mistake is answered by one line and exit code 2."""
+    assert run("friction_rig_emulator", arguments) == 2
     error = capsys.readouterr().err.strip()
     assert error.startswith("friction_rig_emulator: ")
     assert message in error

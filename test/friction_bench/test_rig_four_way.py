@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from friction_bench.experiment.evaluation import evaluate
 from friction_bench.experiment.four_way import (
     BLOCK,
     CLOSED,
@@ -16,7 +17,6 @@ from friction_bench.experiment.four_way import (
 )
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.series import evaluate
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import slide

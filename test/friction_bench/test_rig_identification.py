@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from friction_bench.experiment.asymptote import fit_asymptote, wander_covariance
-from friction_bench.experiment.identification import Identification, identify, joint_friction, source_formulas
+from friction_bench.experiment.asymptote import fit_asymptote, integrated_ou_covariance
+from friction_bench.experiment.identification import RampIdentification, identify_ramps, joint_friction, source_formulas
 from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
-from friction_bench.experiment.record import RampRecord, read_csv, read_text, write_csv
-from friction_bench.protocol.errors import RecordError
+from friction_bench.experiment.record import RampRecord, RecordError, read_csv, read_text, write_csv
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import JointFriction
@@ -43,12 +42,12 @@ def rig_with(rig: Rig, fc: float, fv: float, inertia: float, quiet: bool = False
     return replace(rig, plant=plant.noiseless() if quiet else plant)
 
 
-def measure(rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]) -> Identification:
+def measure(rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]) -> RampIdentification:
     """Run the whole measurement on an emulated rig with the real firmware, in virtual time."""
     client = RigClient(VirtualPort(EmulatedRig(rig, seed)), rig)
     client.connect()
     records = [run_ramp(client, slope, end_torque, False, f"{slope}") for _ in range(repeats) for slope in slopes]
-    return identify(records, rig.scale_uncertainty)
+    return identify_ramps(records, rig.scale_uncertainty)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +84,7 @@ def test_exact_formula_recovers_noiseless_friction() -> None:
     """From rounded encoder counts alone, two slopes give f_c, f_v to 0.1 % and J to 1 %."""
     truth = {"coulomb": 0.05, "viscous": 0.02, "inertia": 3e-3}
     records = [ideal_record(RampModel(**truth, slope=m), 40.0) for m in (0.02, 0.05)]
-    exact = identify(records, 0.0).exact
+    exact = identify_ramps(records, 0.0).exact
     assert exact is not None
     assert exact.inertia is not None
     assert exact.coulomb.value == pytest.approx(0.05, rel=1e-3)
@@ -93,7 +92,7 @@ def test_exact_formula_recovers_noiseless_friction() -> None:
     assert exact.inertia.value == pytest.approx(3e-3, rel=1e-2)
 
 
-def test_wander_covariance_is_that_of_simulated_wandering() -> None:
+def test_integrated_ou_covariance_is_that_of_simulated_noise() -> None:
     """The covariance formula equals the sample covariance of an inertia driven by white noise."""
     rng = np.random.default_rng(3)
     T, h, n = 0.3, 0.01, 100
@@ -109,7 +108,7 @@ def test_wander_covariance_is_that_of_simulated_wandering() -> None:
     time = h * np.arange(1, n + 1)
     chosen = [19, 49, 99]
     sample = np.cov(np.array(kept)[chosen])
-    assert wander_covariance(time[chosen], T) == pytest.approx(sample, rel=0.12)
+    assert integrated_ou_covariance(time[chosen], T) == pytest.approx(sample, rel=0.12)
 
 
 GRID = [
@@ -125,7 +124,7 @@ SEEDS = 10
 
 
 @pytest.fixture(scope="module")
-def grid_results(rig: Rig) -> list[tuple[tuple[float, float, float], Identification]]:
+def grid_results(rig: Rig) -> list[tuple[tuple[float, float, float], RampIdentification]]:
     """Return truth and estimate of every cell of the grid and every seed."""
     results = []
     for cell, (fc, fv, inertia, slopes, end) in enumerate(GRID):
@@ -136,7 +135,7 @@ def grid_results(rig: Rig) -> list[tuple[tuple[float, float, float], Identificat
     return results
 
 
-Results = list[tuple[tuple[float, float, float], Identification]]
+Results = list[tuple[tuple[float, float, float], RampIdentification]]
 
 
 @pytest.mark.parametrize("name", ["coulomb", "viscous"])
@@ -188,8 +187,8 @@ def test_joint_friction_is_the_difference_and_carries_its_scale(rig: Rig) -> Non
     for loaded, end in ((False, 0.15), (True, 0.16)):
         emulated.plant.load(loaded)
         records = [run_ramp(client, m, end, loaded, "r") for _ in range(3) for m in (0.02, 0.05)]
-        parts.append(identify(records, rig.scale_uncertainty))
-    joint = joint_friction(parts[0], parts[1], 0.003, rig.gear_ratio, rig.gear_efficiency, 0.0)
+        parts.append(identify_ramps(records, rig.scale_uncertainty))
+    joint = joint_friction(parts[0], parts[1], replace(rig, efficiency_uncertainty=0.0))
     friction = rig.plant.joint
     assert isinstance(friction, JointFriction)
     for estimate, truth in (

@@ -6,7 +6,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -29,9 +28,9 @@ from std_srvs.srv import Trigger
 from friction_bench.rig.emulated import EmulatedRig
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig
+from rx90_common.process.children import executable
 
 pytestmark = pytest.mark.ros
-START = "import sys; from friction_bench.node.entry import main; sys.exit(main(sys.argv[1:]))"
 
 
 class Session:
@@ -56,9 +55,7 @@ class Session:
     def start(self) -> None:
         """Start the node."""
         with self.log.open("a") as stream:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", START, *self.arguments], stdout=stream, stderr=stream
-            )
+            self.process = subprocess.Popen(executable("friction_bench", *self.arguments), stdout=stream, stderr=stream)
 
     def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
         """Listen until a condition holds."""

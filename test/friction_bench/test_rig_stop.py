@@ -18,8 +18,9 @@ from friction_bench.protocol.codec import Frame, FrameDecoder, encode
 from friction_bench.protocol.errors import RigLostError, RigRefusedError
 from friction_bench.protocol.messages import Command, Fault, State
 from friction_bench.protocol.serial_port import WRITE_TIMEOUT, SerialPort
-from friction_bench.rig.client import STOP_SEQUENCES, RigClient
+from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig
+from friction_bench.rig.line import STOP_SEQUENCES
 from friction_bench.rig.rig_file import Rig
 
 
@@ -34,7 +35,7 @@ def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: Emulate
         write(data)
 
     port.write = stop_first  # type: ignore[method-assign]
-    client.urgent_stop()
+    client.line.urgent_stop()
     with pytest.raises(RigRefusedError, match="overtaken by a stop"):
         client.arm()
     assert len(sent) == 1
@@ -91,7 +92,7 @@ def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig) -> None:
                 port.write(bytes([7]) * 100)
                 written += 100
         assert written > 4096
-        RigClient(port, rig).urgent_stop()
+        RigClient(port, rig).line.urgent_stop()
         got = b""
         with contextlib.suppress(BlockingIOError):
             while True:
@@ -149,13 +150,13 @@ def test_stop_that_the_line_damages_is_repeated(lost: int, client: RigClient, em
 
     emulated.board.write = damage  # type: ignore[method-assign]
     start = emulated.time
-    client.urgent_stop()
+    client.line.urgent_stop()
     while emulated.board.stage_on:
         client.pump()
     assert emulated.time - start < 0.1
-    assert client.stopping
+    assert client.line.stopping
     emulated.board.write = write  # type: ignore[method-assign]
-    while client.stopping:
+    while client.line.stopping:
         client.pump()
     assert client.last is not None
     assert client.last.report.fault == Fault.NONE
@@ -168,7 +169,7 @@ def test_stop_is_understood_after_a_frame_that_lost_its_end(client: RigClient, e
     sent = []
     write = emulated.board.write
     emulated.board.write = lambda data: sent.append(data) or write(data)  # type: ignore[method-assign, func-returns-value]
-    client.urgent_stop()
+    client.line.urgent_stop()
     emulated.advance(0.02)
     assert len(sent) == 1
     assert not emulated.board.stage_on
@@ -178,13 +179,13 @@ def test_answer_to_an_earlier_stop_is_not_taken_for_this_ones(client: RigClient)
     """Two stops in a row carry different numbers, and no command shares them."""
     numbers = set()
     for _ in range(2):
-        client.urgent_stop()
-        while client.stopping:
+        client.line.urgent_stop()
+        while client.line.stopping:
             client.pump()
         assert client.last is not None
         numbers.add(client.last.report.ack_sequence)
     assert len(numbers) == 2
-    client.permitted = client.stops
+    client.line.known_stops = client.line.stops
     for _ in range(300):
         client.clear()
         assert client.last.report.ack_sequence not in STOP_SEQUENCES

@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rx90_common.base.errors import MessageError
 from rx90_common.base.rates import Rates
 
 free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
 from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.motor_messages import MotorMessages, MotorStates  # noqa: E402
 from rx90_common.exchange.pacing import Pacer  # noqa: E402
 
 RATES = Rates(1000, 1000)
@@ -30,6 +30,7 @@ class Simulation:
         self.speed = 1.0
         self.tick = 0
         self.inbox: list[bytes] = []
+        self.foreign: list[bytes] = []  # what somebody else sends, each right behind the next states
         self.commands: list[int] = []
         self._phase = 0.0
 
@@ -39,8 +40,11 @@ class Simulation:
         self._phase += seconds * self.speed / TICK
         while self._phase >= 1.0:
             self._phase -= 1.0
-            self.inbox.append(CODEC.encode(self.tick * RATES.period_ns, np.zeros(1), np.zeros(1)))
+            values = np.full(1, float(self.tick))
+            self.inbox.append(CODEC.encode(self.tick * RATES.period_ns, values, values))
             self.tick += 1
+            if self.foreign:
+                self.inbox.append(self.foreign.pop())
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the next message, or None after the timeout."""
@@ -55,45 +59,43 @@ class Simulation:
 
 
 class Loops:
-    """A controller that notes when it ran which tick."""
+    """Loops that note when they ran which tick."""
 
     def __init__(self, simulation: Simulation) -> None:
         self.simulation = simulation
         self.said: list[str] = []
+        self.refused: list[str] = []
         self.begun: list[int] = []
         self.skipped: list[int] = []
         self.ticks: list[tuple[float, int, int]] = []  # wall clock, own tick, the simulation's
         self.prepared = 0
+        self.command = np.zeros(1)
         self.side = free_running.FreeRunningController(
             simulation,
+            MotorMessages("/motor_states", ["a"], RATES, self.command, self.refused.append),
+            self,
             Pacer(TICK, 1.0, lambda: simulation.now, simulation.sleep),
             self.said.append,
-            self._answer,
-            self._begin,
-            self._prepare,
-            self._skip,
-            RATES,
         )
 
-    def _prepare(self) -> None:
+    def begin(self) -> None:
+        """Take half a second to get ready."""
         self.prepared += 1
         self.simulation.sleep(0.5)
 
-    def _skip(self, ticks: int, raw: bytes) -> None:
-        if len(raw) < 20:
-            raise MessageError("no states")
-        self.skipped.append(ticks)
+    def skip(self, count: int) -> None:
+        """Note the ticks left out."""
+        self.skipped.append(count)
 
-    def _begin(self, stamp: int, raw: bytes) -> None:
-        if len(raw) < 20:
-            raise MessageError("no states")
-        self.begun.append(stamp // RATES.period_ns)
+    def hold(self, states: MotorStates) -> None:
+        """Note where the loops begin."""
+        self.begun.append(states.stamp_ns // RATES.period_ns)
 
-    def _answer(self, stamp: int, raw: bytes) -> bytes:
-        if len(raw) < 20:
-            raise MessageError("no states")
+    def step(self, stamp: int, states: MotorStates) -> bool:
+        """Note the tick; the states must be whole, whatever came in between."""
+        assert states.position[0] == states.velocity[0] == states.stamp_ns // RATES.period_ns
         self.ticks.append((self.simulation.now, stamp // RATES.period_ns, self.simulation.tick))
-        return raw
+        return True
 
     def run(self, until: Callable[[], bool]) -> None:
         """Serve until a condition holds."""
@@ -195,12 +197,14 @@ def test_a_reset_begins_anew(loops: Loops) -> None:
 
 
 @pytest.mark.parametrize("ahead", [-2000, 0, 5, 5000])
-def test_states_that_cannot_be_used_change_nothing(loops: Loops, ahead: int) -> None:
-    """A message without states, whatever its stamp, costs at most a tick: the motion goes on."""
-    bad = CODEC.encode((loops.simulation.tick + ahead) * RATES.period_ns)[:16]
+@pytest.mark.parametrize("what", ["cut off", "not a number"])
+def test_states_that_cannot_be_used_change_nothing(loops: Loops, ahead: int, what: str) -> None:
+    """A message without usable states, whatever its stamp, costs no tick: the motion goes on."""
+    bad = CODEC.encode((loops.simulation.tick + ahead) * RATES.period_ns, np.full(1, np.nan), np.full(1, 7.0))
     for _ in range(3):
-        loops.simulation.inbox.append(bad)
+        loops.simulation.foreign.append(bad[:16] if what == "cut off" else bad)
         loops.run_for(0.5)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
     assert len(loops.begun) == 1
+    assert loops.refused
     assert abs(loops.ticks[-1][1] - loops.ticks[-1][2]) <= 3

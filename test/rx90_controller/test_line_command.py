@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -21,9 +20,10 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.share import config_path
+from rx90_common.process.children import executable
 from rx90_controller.lines.plan import approach_time, plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.cli.line import main
+from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
 REFERENCE = "task/reference_line.yaml"
@@ -32,7 +32,7 @@ PATIENCE = 60.0
 
 def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
     """The table names duration, posture, knots, each margin and each joint, and nothing is sent."""
-    assert main(["--from-file", REFERENCE, "--dry-run"]) == 0
+    assert run("rx90_line", ["--from-file", REFERENCE, "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "5.600 s, moving from 1.000 s to 5.100 s" in out
     assert "front/positive/positive" in out
@@ -52,7 +52,7 @@ def test_dry_run_prints_the_plan(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_options_win_over_the_file(capsys: pytest.CaptureFixture[str]) -> None:
     """A speed and a rest given beside a task file replace those of the file, the rest of it stays."""
-    assert main(["--from-file", REFERENCE, "--speed", "0.2", "--rest-before", "0.25", "--dry-run"]) == 0
+    assert run("rx90_line", ["--from-file", REFERENCE, "--speed", "0.2", "--rest-before", "0.25", "--dry-run"]) == 0
     # 0.4 m at 0.2 m/s and 1 m/s^2: 2 s + 0.2 s.
     out = capsys.readouterr().out
     assert "2.950 s, moving from 0.250 s to 2.450 s" in out
@@ -61,7 +61,8 @@ def test_options_win_over_the_file(capsys: pytest.CaptureFixture[str]) -> None:
 def test_options_alone_make_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     """Start and end are enough: the tool points down, 100 mm/s, negative coordinates are no options."""
     assert (
-        main(
+        run(
+            "rx90_line",
             [
                 "--start",
                 "0.6",
@@ -74,7 +75,7 @@ def test_options_alone_make_a_line(capsys: pytest.CaptureFixture[str]) -> None:
                 "--wrist",
                 "negative",
                 "--dry-run",
-            ]
+            ],
         )
         == 0
     )
@@ -86,7 +87,7 @@ def test_options_alone_make_a_line(capsys: pytest.CaptureFixture[str]) -> None:
 def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     """The written file holds names, points and times as in the plan, to the last bit."""
     file = tmp_path / "line.yaml"
-    assert main(["--from-file", REFERENCE, "--dry-run", "--output", str(file)]) == 0
+    assert run("rx90_line", ["--from-file", REFERENCE, "--dry-run", "--output", str(file)]) == 0
     message = yaml.safe_load(file.read_text(encoding="utf-8"))
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     assert message["joint_names"] == list(shipped.robot.joint_names)
@@ -101,23 +102,23 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "expected"),
     [
-        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 1, "out of reach"),
-        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 1, "two different points"),
-        ("--from-file nowhere.yaml --dry-run", 1, "no file 'nowhere.yaml'"),
-        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 1, "no file 'nowhere.yaml'"),
-        ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 1, "cannot be written"),
-        ("--from-file task/reference_line.yaml --start-time -1", 1, "start time is -1 s"),
-        ("--from-file task/reference_line.yaml --timeout 0", 1, "timeout is 0 s"),
-        ("--from-file task/reference_line.yaml --controller bad/-name", 1, "name is 'bad/-name' ("),
-        ("--from-file task/reference_line.yaml --ros-args -r", 1, "ROS arguments "),
-        ("--from-file task/reference_line.yaml --ros-args -p foo", 1, "ROS arguments "),
+        ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 2, "out of reach"),
+        ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 2, "two different points"),
+        ("--from-file nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
+        ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
+        ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
+        ("--from-file task/reference_line.yaml --start-time -1", 2, "start time is -1 s"),
+        ("--from-file task/reference_line.yaml --timeout 0", 2, "timeout is 0 s"),
+        ("--from-file task/reference_line.yaml --controller bad/-name", 2, "name is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --ros-args -r", 2, "ROS arguments "),
+        ("--from-file task/reference_line.yaml --ros-args -p foo", 2, "ROS arguments "),
     ],
 )
 def test_a_mistake_gives_one_line_and_a_status(
     capsys: pytest.CaptureFixture[str], arguments: str, status: int, expected: str
 ) -> None:
     """Each mistake leaves one line on standard error, no traceback, and the documented exit status."""
-    assert main(arguments.split()) == status
+    assert run("rx90_line", arguments.split()) == status
     error = capsys.readouterr().err
     assert expected in error
     assert error.startswith("rx90_line: ")
@@ -127,10 +128,8 @@ def test_a_mistake_gives_one_line_and_a_status(
 @pytest.mark.parametrize("arguments", ["", "--start 0.6 0 0.2", "--start a b c --end 0 0 1", "--shoulder up"])
 def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], arguments: str) -> None:
     """Missing or unreadable options end as argparse ends: usage, one line, status 2."""
-    with pytest.raises(SystemExit) as end:
-        main(arguments.split())
-    assert end.value.code == 2
-    assert "rx90_line: error:" in capsys.readouterr().err
+    assert run("rx90_line", arguments.split()) == 2
+    assert "rx90_line: " in capsys.readouterr().err
 
 
 class Listener:
@@ -192,9 +191,8 @@ def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]
     started: list[subprocess.Popen[str]] = []
 
     def start(*arguments: str) -> subprocess.Popen[str]:
-        code = "import sys; from rx90_emulator.cli.line import main; sys.exit(main())"
         process = subprocess.Popen(
-            [sys.executable, "-c", code, "--from-file", REFERENCE, *arguments],
+            executable("rx90_line", "--from-file", REFERENCE, *arguments),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -267,7 +265,7 @@ def test_without_approach_an_arm_elsewhere_is_refused(
     listener.listen()
     process = start_line("--timeout", str(PATIENCE))
     _, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 1
+    assert process.returncode == 2
     assert "joint_3 is at 0.0000 rad, the line starts at 1.4490 rad" in err
     assert "--approach" in err
     assert err.count("\n") == 1

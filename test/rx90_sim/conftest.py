@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.decoupled import decoupled_setup, negligible_element
 from rx90_common.base.rates import Rates
+from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -36,15 +37,11 @@ class ArmOracle:
     setup: Setup
 
     def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-        """Return M with rotors and coupling, and h with the spring."""
-        model = self.setup.robot.model
-        data = model.createData()
-        q, v = np.asarray(q, float), np.asarray(v, float)
-        upper = np.triu(pin.crba(model, data, q))
-        rotors = WRIST.T @ np.diag(self.setup.drives.rotor_inertia) @ WRIST
-        bias = np.array(pin.nonLinearEffects(model, data, q, v))
-        bias[1] += self.setup.drives.spring_torque * math.sin(q[1])
-        return upper + np.triu(upper, 1).T + rotors, bias
+        """Return M with rotors and coupling, and h with the spring: the answers to unit accelerations, and to none."""
+        robot, drives = self.setup.robot, self.setup.drives
+        state = (np.tile(np.asarray(x, float), (7, 1)) for x in (q, v))
+        torque = rigid_torque(robot.model, drives.rotor_matrix, drives.spring, *state, np.eye(7, 6, -1))
+        return (torque[1:] - torque[0]).T, torque[0]
 
     def energy(self, q: Array, v: Array) -> float:
         """Return kinetic energy (rotors included) plus potential energy (spring included), J."""

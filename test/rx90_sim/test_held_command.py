@@ -90,12 +90,12 @@ def test_a_second_controller_is_told_and_takes_the_torque_away(drive: Drive) -> 
     for k in range(1, 11):
         torque = drive.tick(1000 + k, k)
     assert torque is None
-    assert drive.held.rivals
+    assert drive.held.two_controllers
     assert [line for line in drive.said if "two controllers" in line] == drive.said[-1:]
     for k in range(30_000):
         torque = drive.tick(2000 + k)
     assert torque == 31_999.0
-    assert not drive.held.rivals
+    assert not drive.held.two_controllers
     assert "one controller is left" in drive.said[-1]
 
 
@@ -105,4 +105,4 @@ def test_a_controller_that_begins_again_is_no_second_one(drive: Drive) -> None:
     drive.tick(1000)
     assert drive.tick(1) == 1.0
     assert drive.tick(2) == 2.0
-    assert not drive.held.rivals
+    assert not drive.held.two_controllers

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.errors import Rx90Error
+from rx90_common.base.rates import Rates
 from rx90_common.exchange.environment import prepare
 
 PERIOD_NS = 250_000
@@ -27,16 +28,16 @@ def plant(state: int, command: int) -> int:
 
 
 class Law:
-    """A law with a memory of its own, begun anew from the first states it sees."""
+    """A law with a memory of its own, discharged before the first states it sees."""
 
     def __init__(self) -> None:
         self.memory = 0
 
-    def begin(self) -> None:
+    def discharge(self) -> None:
         """Forget what was."""
         self.memory = 17
 
-    def step(self, state: int) -> int:
+    def advance(self, state: int) -> int:
         """Return the command."""
         self.memory = (self.memory * 69621 + state) % _MODULUS
         return self.memory
@@ -45,9 +46,9 @@ class Law:
 def expected(ticks: int) -> int:
     """Return the state after `ticks` ticks, computed in one process."""
     law, state = Law(), 1
-    law.begin()
+    law.discharge()
     for _ in range(ticks):
-        state = plant(state, law.step(state))
+        state = plant(state, law.advance(state))
     return state
 
 
@@ -82,7 +83,7 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
     state = 1
     for tick in range(ticks):
         values = np.array([float(state)])
-        raw = lockstep.exchange(tick * PERIOD_NS, codec.encode(tick * PERIOD_NS, values), lambda: False)
+        raw = lockstep.exchange(tick * PERIOD_NS, codec.encode(tick * PERIOD_NS, values, values), lambda: False)
         assert raw is not None
         effort = codec.decode(raw)[3]
         assert effort is not None
@@ -101,29 +102,33 @@ def _control(listeners: int) -> None:
     import rclpy
 
     from rx90_common.exchange.channel import Channel
-    from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepController
+    from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
     from rx90_common.exchange.node_tools import wait_until_matched
     from rx90_common.exchange.qos import TICK_QOS
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("controller")
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
-    codec, law = JointStateCodec(["a"]), Law()
-    publisher = channel.publisher
 
-    def answer(stamp: int, raw: bytes) -> bytes:
-        position = codec.decode(raw)[1]
-        assert position is not None
-        return codec.encode(stamp, effort=np.array([float(law.step(int(position[0])))]))
+    class Loops(Law):
+        command = np.zeros(1)
 
-    def begin(stamp: int, _raw: bytes) -> None:
-        wait_until_matched(node, [publisher], 100)
-        _wait_for_listeners(publisher, listeners)
-        law.begin()
-        say(f"begin {stamp // PERIOD_NS}")
+        def begin(self) -> None:
+            wait_until_matched(node, [channel.publisher], 100)
+            _wait_for_listeners(channel.publisher, listeners)
 
-    lockstep = LockstepController(channel, say, answer, begin, PERIOD_NS)
+        def hold(self, states: MotorStates) -> None:
+            self.discharge()
+            say(f"begin {states.stamp_ns // PERIOD_NS}")
+
+        def step(self, _stamp: int, states: MotorStates) -> bool:
+            self.command[0] = float(self.advance(int(states.position[0])))
+            return True
+
+    loops = Loops()
+    messages = MotorMessages(channel.subscribe_topic, ["a"], Rates(), loops.command, say)
+    lockstep = LockstepController(channel, messages, loops, say)
     say("controller up")
     while True:
         lockstep.serve(0.2)
@@ -135,14 +140,14 @@ def _record(ticks: int, nap: float) -> None:
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    from rx90_common.exchange.lockstep import stamp_of
+    from rx90_common.base.stamps import cdr_stamp_ns
     from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("recorder")
     seen: dict[str, list[int]] = {MOTOR_STATES: [], MOTOR_COMMANDS: []}
 
     def keep(topic: str) -> Callable[[bytes], None]:
-        return lambda raw: seen[topic].append(stamp_of(raw) // PERIOD_NS)
+        return lambda raw: seen[topic].append(cdr_stamp_ns(raw) // PERIOD_NS)
 
     for topic in seen:
         node.create_subscription(JointState, topic, keep(topic), QoSProfile(depth=_READ_AHEAD), raw=True)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import yaml
 from bag_making import ROS1, joint_state, write_ros1, write_ros2
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+
+from rx90_common.description.rigid_torque import rigid_torque
 
 Array = NDArray[np.float64]
 
@@ -112,13 +113,8 @@ def drive_torque(model: Any, matrix: Array, curves: Sequence[Curve], motion: tup
     """
     position, velocity = motion
     acceleration = np.gradient(velocity, 1.0 / rate, axis=0)
-    data = model.createData()
-    if model.nq == model.nv:
-        configurations = position
-    else:
-        configurations = np.array([pin.integrate(model, pin.neutral(model), row) for row in position])
-    rows = zip(configurations, velocity, acceleration, strict=True)
-    rigid = np.array([pin.rnea(model, data, *row) for row in rows])
+    n = position.shape[1]
+    rigid = rigid_torque(model, np.zeros((n, n)), np.zeros(n), position, velocity, acceleration)
     inputs = velocity @ matrix.T
     friction = np.column_stack([curve(inputs[:, e]) for e, curve in enumerate(curves)])
     resting = 0.3 * np.array([curve.tau_c_positive for curve in curves])

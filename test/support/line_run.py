@@ -6,10 +6,11 @@ import signal
 from collections.abc import Sequence
 from pathlib import Path
 
-from processes import Processes, executable
+from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import BagComparison, Scope, compare_bags
+from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.line import run_line
@@ -46,12 +47,12 @@ def run_both_ways(
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     simulation = processes.start(
         *around,
-        executable("rx90_sim"),
+        *executable("rx90_sim"),
         "--ros-args",
         *("-p", f"initial_position:=[{', '.join(repr(float(q)) for q in plan.start_pose)}]"),
         *("-p", f"duration:={START + plan.duration!r}", "-p", "real_time_factor:=0.0", "-p", "paused:=true"),
     )
-    processes.start(*around, executable("rx90_controller"))
+    processes.start(*around, *executable("rx90_controller"))
     line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
     recorder.wait_for("ready: all")
     assert line.wait() == 0

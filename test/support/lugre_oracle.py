@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import one_element
+from rx90_common.friction.lugre import element_arrays
 
 Array = NDArray[np.float64]
 
@@ -57,10 +59,9 @@ def paper_element() -> LuGreElement:
 
 @pytest.fixture
 def record() -> Callable[[LuGreElement], Any]:
-    """Return what makes the compiled record of one element."""
+    """Return what makes one element as compiled code has it."""
 
     def make(element: LuGreElement) -> Any:
-        names = tuple(f"element_{i}" for i in range(7))
-        return FrictionSet(names, (element,) * 7).records()[0]
+        return one_element(element_arrays((element,))[0], 0)
 
     return make

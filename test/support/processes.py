@@ -6,21 +6,18 @@ import contextlib
 import fcntl
 import itertools
 import os
-import re
-import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-# Generous, because the suite must hold on a loaded machine with two cores and nothing compiled yet.
-TIMEOUT = 120.0
+from rx90_common.process.children import TIMEOUT, ChildProcess, ProcessGroup, executable
+
 END_TIMEOUT = 30.0
 LAST_DOMAIN = 101  # the ports of higher ones reach into the range for outgoing connections
 PORTS = 20  # that the first ten participants of a domain take, two each
@@ -36,12 +33,17 @@ def _own_domains() -> range:
 _domains = itertools.count(os.getpid())
 
 
-def executable(name: str) -> str:
+def script(name: str) -> str:
     """Return the path of a console script of the environment that runs the tests."""
     path = Path(sys.executable).with_name(name)
     if not path.is_file():
         raise FileNotFoundError(f"{path} is missing; `make test` installs the package before it tests")
     return str(path)
+
+
+def command(name: str, *arguments: object) -> list[str]:
+    """Return the command line of one of the package's executables, or of anything else by its path."""
+    return [name, *map(str, arguments)] if os.sep in name else executable(name, *arguments)
 
 
 @contextlib.contextmanager
@@ -79,121 +81,23 @@ def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOU
         time.sleep(0.01)
 
 
-class Running:
-    """A started process whose lines of output can be waited for (stdout and stderr in one stream)."""
-
-    def __init__(self, command: Sequence[str]) -> None:
-        self.name = Path(command[0]).name
-        self.lines: list[str] = []
-        self._news = threading.Condition()
-        self._read = 0
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            encoding="utf-8",
-            errors="replace",
-            start_new_session=True,  # a group of its own: what it starts itself can be ended too
-        )
-        self._reader = threading.Thread(target=self._collect, daemon=True)
-        self._reader.start()
-
-    @property
-    def pid(self) -> int:
-        """Return the process id, which is also the id of its group."""
-        return self._process.pid
-
-    @property
-    def returncode(self) -> int | None:
-        """Return the exit code, None while it runs."""
-        return self._process.poll()
-
-    @property
-    def output(self) -> str:
-        """Return all it has printed so far."""
-        return "\n".join(self.lines)
-
-    def wait_for(self, pattern: str, timeout: float = TIMEOUT) -> re.Match[str]:
-        """Wait for a line, after those of earlier calls, in which the pattern is found."""
-        deadline = time.monotonic() + timeout
-        with self._news:
-            while True:
-                while self._read < len(self.lines):
-                    match = re.search(pattern, self.lines[self._read])
-                    self._read += 1
-                    if match:
-                        return match
-                if not self._reader.is_alive():
-                    pytest.fail(f"{self.name} ended without '{pattern}'; it said:\n{self.output}")
-                if time.monotonic() > deadline:
-                    pytest.fail(f"{self.name}: waited {timeout:g} s for '{pattern}'; it said:\n{self.output}")
-                self._news.wait(timeout=0.2)
-
-    def wait(self, timeout: float = TIMEOUT) -> int:
-        """Wait for the end and return the exit code."""
-        try:
-            code = self._process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            pytest.fail(f"{self.name} still runs after {timeout:g} s; it said:\n{self.output}")
-        self._reader.join(1.0)  # a child that lives on may hold the stream open
-        return code
-
-    def signal(self, number: signal.Signals) -> None:
-        """Send a signal to the process alone."""
-        self._process.send_signal(number)
-
-    def interrupt(self) -> None:
-        """Send SIGINT to the whole group, as Ctrl-C in a terminal does."""
-        os.killpg(self.pid, signal.SIGINT)
-
-    def end(self) -> bool:
-        """End the process and all it started; return whether it went on its own after Ctrl-C."""
-        willing = True
-        if self._process.poll() is None:
-            self.signal(signal.SIGCONT)
-            self.interrupt()
-            try:
-                self._process.wait(END_TIMEOUT)
-            except subprocess.TimeoutExpired:
-                willing = False
-        try:
-            os.killpg(self.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
-        else:
-            self._process.wait()
-        self._reader.join(5.0)
-        return willing
-
-    def _collect(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            with self._news:
-                self.lines.append(line.rstrip("\n"))
-                self._news.notify_all()
-        with self._news:
-            self._news.notify_all()
-
-
 class Processes:
     """Starts processes; the fixture of the same name ends them."""
 
-    def __init__(self) -> None:
-        self._running: list[Running] = []
+    def __init__(self, grace: float = END_TIMEOUT) -> None:
+        self._group = ProcessGroup(grace=grace)
+        self._started: list[ChildProcess] = []
 
-    def start(self, name: str, *arguments: object) -> Running:
-        """Start an executable: a console script by its name, anything else by its path."""
-        command = name if os.sep in name else executable(name)
-        running = Running([command, *map(str, arguments)])
-        self._running.append(running)
-        return running
+    def start(self, name: str, *arguments: object) -> ChildProcess:
+        """Start one of the package's executables by its name, anything else by its path."""
+        process = self._group.start(Path(name).name, command(name, *arguments))
+        self._started.append(process)
+        return process
 
     def run(self, name: str, *arguments: object, timeout: float = TIMEOUT) -> subprocess.CompletedProcess[str]:
         """Run an executable to its end, with stdout and stderr apart."""
-        command = name if os.sep in name else executable(name)
         return subprocess.run(
-            [command, *map(str, arguments)],
+            command(name, *arguments),
             stdin=subprocess.DEVNULL,
             capture_output=True,
             encoding="utf-8",
@@ -203,10 +107,10 @@ class Processes:
         )
 
     def end(self) -> list[str]:
-        """End all; return the names of those that had to be killed."""
-        unwilling = [running.name for running in reversed(self._running) if not running.end()]
-        for running in self._running:
-            print(f"--- {running.name} (exit code {running.returncode}):\n{running.output}")
+        """End all; return the names of those that did not end on Ctrl-C."""
+        unwilling = [process.name for process in self._group.end()]
+        for process in self._started:
+            print(f"--- {process.name} (exit code {process.returncode}):\n{process.output}")
         return unwilling
 
 

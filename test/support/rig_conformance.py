@@ -10,9 +10,9 @@ import yaml
 from friction_bench.protocol.codec import Frame, FrameDecoder, encode
 from friction_bench.protocol.messages import (
     Command,
+    CommandResult,
     HelloReply,
     Report,
-    Result,
     limits_payload,
     parse_hello,
     parse_report,
@@ -227,7 +227,7 @@ class Player:
             "tick": report.tick,
             "counts": report.counts,
             "fault": int(report.fault),
-            "result": Result(report.result).name,
+            "result": CommandResult(report.result).name,
             "ack": report.ack_sequence,
             "answered": report.ack_sequence == self.sequence,
             "bad_frames": report.bad_frames,

@@ -82,7 +82,7 @@ class Recorder:
 
     Args:
         topics: names, relative or absolute, each once.
-        ros_args: arguments after --ros-args (namespace, remappings).
+        ros_args: --ros-args and what follows it (namespace, remappings), or nothing.
         status: shows the user how the recording goes.
 
     Attributes:
@@ -110,7 +110,7 @@ class Recorder:
         """
         context = Context()
         try:
-            start_ros(["--ros-args", *self._ros_args] if self._ros_args else [], context)
+            start_ros(self._ros_args, context)
             node = rclpy.create_node(
                 "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
             )

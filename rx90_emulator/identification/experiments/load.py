@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.wrist import coupled_inertia
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.identification.experiments.plan import Experiment
@@ -69,10 +68,7 @@ def _setpoints(experiment: Experiment, robot: RobotModel) -> Array:
 
 
 def _expected_torque(setpoints: Array, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Array:
-    data = robot.model.createData()
-    rigid = np.array([pin.rnea(robot.model, data, *row) for row in setpoints])
-    position, velocity, acceleration = setpoints.transpose(1, 0, 2)
-    torque = rigid + acceleration @ coupled_inertia(drives.rotor_inertia)
-    torque[:, 1] += drives.spring_torque * np.sin(position[:, 1])
+    velocity = setpoints[:, 1]
     friction = controller.coulomb * np.sign(velocity) + controller.viscous * velocity
-    return np.asarray(torque + friction)
+    rigid = rigid_torque(robot.model, drives.rotor_matrix, drives.spring, *setpoints.transpose(1, 0, 2))
+    return np.asarray(rigid + friction)

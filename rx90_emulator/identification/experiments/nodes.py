@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import POLL, ClientNode, client_node
-from rx90_common.process.children import ProcessGroup
+from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.folder import TOPICS, write_index
@@ -107,12 +107,10 @@ class _Runner:
 
     def _record_once(
         self, experiment: Experiment, folder: Path, recorders: ProcessGroup, bar: tqdm[Any]
-    ) -> tuple[int, Path]:
+    ) -> tuple[int, Path | None]:
         """Return the recorder's exit code, 1 where messages were lost, and its log."""
-        recorder = recorders.start(
-            experiment.name, "rx90_emulator.cli.bag", "record", "--output", str(folder / experiment.name),
-            *TOPICS[experiment.kind],
-        )  # fmt: skip
+        record = executable("rx90_bag", "record", "--output", folder / experiment.name, *TOPICS[experiment.kind])
+        recorder = recorders.start(experiment.name, record)
         recorder.wait_for("ready: all", self._client.timeout)
         done = bar.n
         self._follow(experiment.points, lambda elapsed: bar.update(done + elapsed - bar.n))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError, write_error
 from rx90_common.process.interrupts import interrupts_later
 
 
@@ -25,7 +25,7 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
         except FileNotFoundError:
             pass
         except OSError as error:
-            raise IdentificationError(f"{file}: cannot be written ({error.strerror})") from error
+            raise write_error(file, error) from error
         if file.exists() and not file.is_file():
             kind = "a folder" if file.is_dir() else "no regular file"
             raise IdentificationError(f"{file} is {kind}; accepted: the name of a file")
@@ -41,7 +41,7 @@ def write_all(texts: Mapping[Path, str]) -> None:
     """Write all files or none: beside their places first, then under their names.
 
     Raises:
-        IdentificationError: if one cannot be written; every file that existed is as it was.
+        Rx90Error: if one cannot be written; every file that existed is as it was.
     """
     beside = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in texts}
     current = Path()
@@ -55,7 +55,7 @@ def write_all(texts: Mapping[Path, str]) -> None:
                 current = file
                 written.replace(file)
     except OSError as error:
-        raise IdentificationError(f"{current}: cannot be written ({error.strerror})") from error
+        raise write_error(current, error) from error
     finally:
         for written in beside.values():
             with suppress(OSError):

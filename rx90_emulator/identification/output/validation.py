@@ -13,7 +13,8 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_common.friction.bristle import bristle_step
+from rx90_common.friction.bristle import bristle_step, one_element
+from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.identify import Identification
 from rx90_emulator.identification.records.record import JointRecord
@@ -100,12 +101,12 @@ class Validation:
 
 
 @kernel
-def _bristles(elements: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
+def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
     """Write the friction torque of each element over each step of prescribed velocities, shape (m, e)."""
-    for e in range(elements.size):
-        z = 0.0
+    for e in range(torque.shape[1]):
+        element, z = one_element(arrays[0], e), 0.0
         for k in range(steps.size):
-            z, torque[k, e] = bristle_step(elements[e], z, velocity[k, e], steps[k])
+            z, torque[k, e] = bristle_step(element, z, velocity[k, e], steps[k])
 
 
 def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
@@ -114,7 +115,7 @@ def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: A
     steps = np.diff(time, prepend=time[0])
     mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
     torque = np.zeros_like(inputs)
-    _bristles(np.array([e.record() for e in lugre]), np.ascontiguousarray(mean), steps, torque)
+    _bristles(element_arrays(lugre), np.ascontiguousarray(mean), steps, torque)
     return np.asarray(torque @ arm_elements)
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction import LuGreElement
-from rx90_common.friction.bristle import damping, decay, sliding_torque
+from rx90_common.friction.bristle import damping, decay, one_element, sliding_torque
+from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
 
 Array = NDArray[np.float64]
@@ -59,16 +60,15 @@ def thinned(values: Array) -> Array:
 def slide(element: LuGreElement, speed: Array, step: float) -> BristlePath:
     """Return the path of an element, of which c0 and c1 are not looked at."""
     strength, fade = np.empty(len(speed)), np.empty(len(speed))
-    _sliding_regime(np.array([element.record()]), speed, strength, fade)
+    _sliding_regime(element_arrays((replace(element, c1=1.0),)), speed, strength, fade)
     return BristlePath(
         np.ascontiguousarray(speed), strength, fade, thinned(element.c2 * speed), element.tau_c_positive, step
     )
 
 
 @kernel
-def _sliding_regime(elements: NDArray[Any], speed: Array, strength: Array, fade: Array) -> None:
-    element = elements[0]
-    element.c1 = 1.0
+def _sliding_regime(arrays: NDArray[Any], speed: Array, strength: Array, fade: Array) -> None:
+    element = one_element(arrays[0], 0)
     for row in range(speed.size):
         strength[row] = sliding_torque(element, speed[row])
         fade[row] = damping(element, speed[row])

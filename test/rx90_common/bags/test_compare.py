@@ -18,7 +18,7 @@ from rx90_common.bags.comparison import Scope, TopicComparison, Verdict, compare
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.tolerance import Tolerances, parse_rule
 from rx90_common.bags.writing import write_joint_states
-from rx90_emulator.cli.bag import main
+from rx90_emulator.cli.frame import run
 
 
 def compared(a: JointSeries, b: JointSeries, *rules: str, **scope: Any) -> TopicComparison:
@@ -200,7 +200,7 @@ def bags(tmp_path: Path) -> Path:
 def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The exit code is 0 for the same, 1 for different and 2 for incomparable bags, under every option."""
     monkeypatch.chdir(bags)
-    assert main(["compare", *arguments.split()]) == code
+    assert run("rx90_bag", ["compare", *arguments.split()]) == code
 
 
 @pytest.mark.parametrize(
@@ -231,10 +231,10 @@ def test_mistakes_are_one_line(
 ) -> None:
     """A mistake in the arguments gives one line with what is accepted, nothing else, and exit code 2."""
     monkeypatch.chdir(bags)
-    assert main(["compare", *arguments.split()]) == 2
+    assert run("rx90_bag", ["compare", *arguments.split()]) == 2
     out, err = capsys.readouterr()
     assert not out
-    assert err.startswith("rx90_bag compare: ")
+    assert err.startswith("rx90_bag: ")
     assert err.count("\n") == 1
     assert complaint in err
 
@@ -242,12 +242,12 @@ def test_mistakes_are_one_line(
 def test_report(bags: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The table names joint, maximum, time, RMS and unit of what differs, and JSON has the same figures."""
     monkeypatch.chdir(bags)
-    main(["compare", "a", "off"])
+    run("rx90_bag", ["compare", "a", "off"])
     text = capsys.readouterr().out
     (row,) = (line.split() for line in text.splitlines() if "joint_2" in line)
     assert row == ["position", "joint_2", "1.000e-03", "0.005000", "2.236e-04", "rad", "0", "1"]
     assert text.rstrip().endswith("a against off: DIFFERS")
-    main(["compare", "a", "off", "--json"])
+    run("rx90_bag", ["compare", "a", "off", "--json"])
     content = json.loads(capsys.readouterr().out)
     assert (content["verdict"], content["exit_code"]) == ("differs", 1)
     (topic,) = content["topics"]
@@ -264,12 +264,12 @@ def test_ros1_bag_against_ros2_bag(tmp_path: Path, storage: str) -> None:
     ros1 = [("/joint_states", i, joint_state(i, n, v, store=ROS1)) for i, n, v in contents]
     ros2 = [("/joint_states", i + 5, joint_state(i, n, v)) for i, n, v in contents]
     a, b = write_ros1(tmp_path / "a.bag", ros1), write_ros2(tmp_path / "b", ros2, storage)
-    assert main(["compare", str(a), str(b)]) == 0
+    assert run("rx90_bag", ["compare", str(a), str(b)]) == 0
     ros2[4] = ("/joint_states", 9, joint_state(4, ["a", "b"], [4.0, 4.5]))
     c = write_ros2(tmp_path / "c", ros2, storage)
-    assert main(["compare", str(a), str(c)]) == 1
+    assert run("rx90_bag", ["compare", str(a), str(c)]) == 1
     d = write_ros2(tmp_path / "d", [m for m in ros2 if len(m[2].name) == 2], storage)
-    assert main(["compare", str(c), str(d)]) == 2
+    assert run("rx90_bag", ["compare", str(c), str(d)]) == 2
 
 
 @settings(max_examples=25, deadline=None)
@@ -303,5 +303,5 @@ def test_empty_topics_are_no_difference(tmp_path: Path) -> None:
     for name in "ab":
         write_joint_states(tmp_path / name, [series(), empty])
     bags = [str(tmp_path / name) for name in "ab"]
-    assert main(["compare", *bags]) == 0
-    assert main(["compare", *bags, "--topics", "quiet"]) == 2
+    assert run("rx90_bag", ["compare", *bags]) == 0
+    assert run("rx90_bag", ["compare", *bags, "--topics", "quiet"]) == 2

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from rx90_common.bags.reading import read_joint_series
 from rx90_common.bags.writing import BagWriter, offered_qos, string_message, write_joint_states
 from rx90_common.base.errors import BagError
-from rx90_emulator.cli.bag import main
+from rx90_emulator.cli.frame import run
 
 
 def edit_metadata(bag: Path, edit: Callable[[dict[str, Any]], object]) -> None:
@@ -117,10 +117,10 @@ def test_each_damage_is_one_line(tmp_path: Path, damage: str, verb: str, capsys:
         write_joint_states(path, [series(30)])
     spoil, complaint = DAMAGES[damage]
     spoil(bad)
-    assert main([verb, *([str(good)] if verb == "compare" else []), str(bad)]) == 2
+    assert run("rx90_bag", [verb, *([str(good)] if verb == "compare" else []), str(bad)]) == 2
     out, err = capsys.readouterr()
     assert not out
-    assert err.startswith(f"rx90_bag {verb}: {bad}: ")
+    assert err.startswith(f"rx90_bag: {bad}: ")
     assert err.count("\n") == 1
     assert complaint in err
 
@@ -137,9 +137,9 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
         ("text", "holds no JointState topic, only /robot_description"),
     ):
         for pair in (("good", name), (name, "good")):
-            assert main(["compare", *(str(tmp_path / n) for n in pair)]) == 2
+            assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
             err = capsys.readouterr().err
-            assert err == f"rx90_bag compare: {tmp_path / name}: {complaint}\n"
+            assert err == f"rx90_bag: {tmp_path / name}: {complaint}\n"
 
 
 def test_storage_file_alone_is_enough(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_storage_file_alone_is_enough(tmp_path: Path) -> None:
         path = tmp_path / storage
         write_joint_states(path, [series()], storage=storage)
         (path / "metadata.yaml").unlink()
-        assert main(["compare", *[str(path / f"{storage}.{suffix}")] * 2]) == 0
+        assert run("rx90_bag", ["compare", *[str(path / f"{storage}.{suffix}")] * 2]) == 0
 
 
 def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -162,12 +162,12 @@ def test_killed_sqlite3_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     shutil.copytree(tmp_path / "bag", killed)  # as a process leaves it that is killed now
     bag.close()
     for path in (killed, killed / "bag.db3"):
-        assert main(["info", str(path)]) == 2
+        assert run("rx90_bag", ["info", str(path)]) == 2
         assert "bag.db3 was not closed" in capsys.readouterr().err
     with sqlite3.connect(killed / "bag.db3") as database:
         database.execute("CREATE TABLE opened(x)")
     database.close()
-    assert main(["info", str(killed / "bag.db3")]) == 0
+    assert run("rx90_bag", ["info", str(killed / "bag.db3")]) == 0
     assert " 1001 messages" in capsys.readouterr().out
 
 

@@ -11,7 +11,7 @@ from bag_making import ROS1, STORAGES, joint_state, series, write_ros1
 
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.writing import string_message, write_joint_states
-from rx90_emulator.cli.bag import main
+from rx90_emulator.cli.frame import run
 
 
 @pytest.mark.parametrize("storage", STORAGES)
@@ -50,7 +50,7 @@ def test_time_that_goes_back(tmp_path: Path) -> None:
 def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The printed table and the JSON carry the same counts and times."""
     write_joint_states(tmp_path / "bag", [series(11)])
-    assert main(["info", str(tmp_path / "bag")]) == 0
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[2].split() == [
         "/joint_states",
@@ -60,7 +60,7 @@ def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "0.000000",
         "0.010000",
     ]
-    assert main(["info", "--json", str(tmp_path / "bag")]) == 0
+    assert run("rx90_bag", ["info", "--json", str(tmp_path / "bag")]) == 0
     content = json.loads(capsys.readouterr().out)
     assert content["count"] == 11
     assert content["topics"][0]["last_ns"] == 10_000_000

@@ -101,7 +101,7 @@ def start(ros_domain: int) -> Iterator[Start]:  # noqa: ARG001
 
 def start_recorder(start: Start, output: Path, *arguments: str, **options: Any) -> Process:
     """Start `rx90_bag record`."""
-    return start("-m", "rx90_emulator.cli.bag", "record", "-o", str(output), *arguments, **options)
+    return start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
 
 
 def start_publisher(start: Start, depth: int = 20_000) -> Process:
@@ -263,7 +263,7 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     (place / "taken" / "notes.txt").write_text("mine")
     for name in ("taken", "new"):
         arguments = [argument.replace(name, str(place / name)) for argument in arguments]
-    code, out, err = start("-m", "rx90_emulator.cli.bag", "record", *arguments).finish()
+    code, out, err = start("-m", "rx90_emulator", "rx90_bag", "record", *arguments).finish()
     assert (code, out) == (2, "")
     assert complaint.replace("taken", str(place / "taken")) in err.splitlines()[-1]
     assert "Traceback" not in err
@@ -285,7 +285,7 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) ->
     recorder.wait_for("ready: all 1 topics")
     publisher.tell("20000 4000")
     code, _, err = recorder.finish()
-    assert (code, err.strip()) == (3, f"rx90_bag record: {tmp_path / 'bag'}: cannot be written (File too large)")
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large)")
     assert any((tmp_path / "bag").iterdir())
 
 

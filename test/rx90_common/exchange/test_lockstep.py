@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import Rates
 
 lockstep = pytest.importorskip("rx90_common.exchange.lockstep", reason="needs rclpy", exc_type=ImportError)
 from rx90_common.exchange.channel import Matches  # noqa: E402
 from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.motor_messages import MotorMessages, MotorStates  # noqa: E402
 
 PERIOD = 250_000
 CODEC = JointStateCodec(["a"])
@@ -19,13 +23,19 @@ CODEC = JointStateCodec(["a"])
 
 def message(tick: int, value: float = 0.0) -> bytes:
     """Return a message stamped with a tick."""
-    return CODEC.encode(tick * PERIOD, position=_array(value))
+    return CODEC.encode(tick * PERIOD, _array(value), _array(value), _array(value))
 
 
-def _array(value: float):  # type: ignore[no-untyped-def]
-    import numpy as np
+def unusable(tick: int) -> bytes:
+    """Return a message stamped with a tick that holds no velocities."""
+    return CODEC.encode(tick * PERIOD, position=_array(7.0))
 
+
+def _array(value: float) -> NDArray[np.float64]:
     return np.array([value])
+
+
+NOT_FINITE = [CODEC.encode(tick * PERIOD, _array(np.nan), _array(0.0)) for tick in range(3)]
 
 
 class FakeChannel:
@@ -76,26 +86,38 @@ def never() -> bool:
 
 
 class Controller:
-    """A controller that counts the calls of its law."""
+    """A controller that counts the calls of its loops."""
 
     def __init__(self, channel: FakeChannel) -> None:
         self.said: list[str] = []
+        self.refused: list[str] = []
         self.answered: list[int] = []
         self.begun: list[int] = []
-        self.unusable: set[bytes] = set()
+        self.prepared = 0
         self.channel = channel
-        self.side = lockstep.LockstepController(channel, self.said.append, self._answer, self._begin, PERIOD)
+        self.command = np.zeros(1)
+        self.messages = MotorMessages("/other", ["a"], Rates(), self.command, self.refused.append)
+        self.side = lockstep.LockstepController(channel, self.messages, self, self.said.append)
 
-    def _answer(self, stamp: int, raw: bytes) -> bytes:
-        if raw in self.unusable:
-            raise MessageError("no states")
+    def begin(self) -> None:
+        """Count the preparations."""
+        self.prepared += 1
+
+    def hold(self, states: MotorStates) -> None:
+        """Note where the loops begin."""
+        assert self.prepared == len(self.begun) + 1
+        self.begun.append(states.stamp_ns // PERIOD)
+
+    def step(self, stamp: int, states: MotorStates) -> bool:
+        """Note the tick."""
+        assert stamp == states.stamp_ns
         self.answered.append(stamp // PERIOD)
-        return message(stamp // PERIOD, float(len(self.answered)))
+        self.command[0] = float(len(self.answered))
+        return True
 
-    def _begin(self, stamp: int, raw: bytes) -> None:
-        if raw in self.unusable:
-            raise MessageError("no states")
-        self.begun.append(stamp // PERIOD)
+    def skip(self, count: int) -> None:
+        """Fail: lock-step leaves nothing out."""
+        pytest.fail(f"{count} ticks skipped")
 
     def hear(self, *messages: bytes) -> None:
         """Serve these states."""
@@ -290,10 +312,22 @@ def test_repetitions_of_an_accepted_command_are_no_second_controller(channel: Fa
 
 
 def test_states_that_cannot_be_used_are_left_out(channel: FakeChannel) -> None:
-    """A message that the law refuses changes nothing, whatever its stamp: the next tick's states are answered."""
+    """A message without usable states changes nothing, whatever its stamp: the next tick's states are answered."""
     controller = Controller(channel)
-    controller.unusable = {message(2, 7.0), message(1, 7.0), message(0, 7.0), b"garbage"}
-    controller.hear(message(0), message(1), *controller.unusable, *controller.unusable, message(2), message(3))
+    bad = [unusable(2), unusable(1), unusable(0), b"garbage", *NOT_FINITE]
+    controller.hear(message(0), message(1), *bad, *bad, message(2), message(3))
     assert controller.answered == [0, 1, 2, 3]
     assert controller.begun == [0]
     assert controller.said == []
+    assert len(controller.refused) == 1  # a line, throttled
+
+
+def test_a_stamp_between_two_ticks_is_refused(channel: FakeChannel) -> None:
+    """It ends a controller that does not know the simulation's rates; one that does leaves the message out."""
+    odd = CODEC.encode(PERIOD + 7, _array(0.0), _array(0.0))
+    controller = Controller(channel)
+    with pytest.raises(ExchangeError, match=r"/other: the stamp is 250007 ns; accepted: multiples of 250000 ns"):
+        controller.hear(message(0), odd)
+    controller.messages.same_rates = True
+    controller.hear(odd, message(1))
+    assert controller.answered == [0, 1]

@@ -11,11 +11,13 @@ from pathlib import Path
 
 import pytest
 from exchange_peer import expected
-from processes import Processes, Running
+from processes import Processes
+
+from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
 PEER = Path(__file__).parents[2] / "support" / "exchange_peer.py"
-Start = Callable[..., Running]
+Start = Callable[..., ChildProcess]
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def start(processes: Processes, monkeypatch: pytest.MonkeyPatch) -> Start:
     return lambda role, *arguments: processes.start(sys.executable, PEER, role, *arguments)
 
 
-def assert_quiet(*running: Running) -> None:
+def assert_quiet(*running: ChildProcess) -> None:
     """Nothing of the middleware, no warning and no traceback on the terminal."""
     for process in running:
         assert not re.search(r"ERROR|Error|RTPS|WARN|Traceback|Exception", process.output), process.output

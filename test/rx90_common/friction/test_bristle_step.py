@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_common.friction.bristle import bristle_step, damping, friction_torque
+from rx90_common.friction import LuGreElement
+from rx90_common.friction.bristle import bristle_step, damping, friction_torque, one_element
+from rx90_common.friction.lugre import element_arrays
 
 Record = Callable[[LuGreElement], Any]
 ELEMENT = LuGreElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 CONSTANT_C1 = dataclasses.replace(ELEMENT, omega_d=math.inf)
-COMPILED = FrictionSet(tuple("abcdefg"), (ELEMENT,) * 7).records()[0]
+COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 STORE = 0.5 * ELEMENT.c0
 
 
@@ -135,7 +136,7 @@ def test_every_parameter_set_gives_numbers(
     """Any accepted parameters, however far from a robot's, give finite deflection and torque."""
     static = tau * ratio
     element = LuGreElement(tau, tau, static, static, omega_s, delta, c0, 1.0, 1.0)
-    compiled = FrictionSet(tuple("abcdefg"), (element,) * 7).records()[0]
+    compiled = one_element(element_arrays((element,))[0], 0)
     z, torque = bristle_step(compiled, 0.5 * tau / c0, v, 2.5e-4)
     assert math.isfinite(z)
     assert math.isfinite(torque)

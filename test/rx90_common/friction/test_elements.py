@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numba
@@ -10,19 +11,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.friction import FrictionSet
+from rx90_common.friction import LuGreElement
 from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
+from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 STEP = 2.5e-4
+Record = Callable[[LuGreElement], Any]
 
 
 @numba.njit(error_model="numpy")
-def together(fields: Any, z: Array, velocity: Array, out: Array) -> None:
+def together(arrays: Any, z: Array, velocity: Array, out: Array) -> None:
     """Write new deflections, mean torques and torques of now, shape (3, 7)."""
-    elements, deflection, speed = load_elements(fields[0].friction, 7), load(z, 7), load(velocity, 7)
+    elements, deflection, speed = load_elements(arrays[0], 7), load(z, 7), load(velocity, 7)
     new, torque = bristle_step(elements, deflection, speed, STEP)
     store(out[0], new)
     store(out[1], torque)
@@ -30,20 +33,29 @@ def together(fields: Any, z: Array, velocity: Array, out: Array) -> None:
 
 
 @pytest.mark.parametrize("deltas", [[1.0] * 7, [2.0] * 7, [1.0, 2.0, 0.5, 1.0, 2.7, 2.0, 1.0]])
-def test_the_set_equals_its_elements(shipped: Setup, deltas: list[float]) -> None:
+def test_the_set_equals_its_elements(shipped: Setup, record: Record, deltas: list[float]) -> None:
     """Stuck, creeping and sliding either way, each lane gives the bits that its element gives by itself."""
     shaped = [
         dataclasses.replace(element, delta=delta, tau_c_negative=1.1 * element.tau_c_positive, tau_s_negative=60.0)
         for element, delta in zip(shipped.friction.elements, deltas, strict=True)
     ]
-    friction = FrictionSet(shipped.friction.names, tuple(shaped))
-    plant = dataclasses.replace(shipped, friction=friction).plant()
+    arrays = element_arrays(shaped)
     rng = np.random.default_rng(11)
     for _ in range(200):
         velocity = rng.choice([-1, 0, 1], 7) * 10.0 ** rng.uniform(-9, 1.5, 7)
         z = rng.uniform(-1e-4, 1e-4, 7)
         out = np.empty((3, 7))
-        together(plant.constants, z, velocity, out)
-        for i, record in enumerate(friction.records()):
-            single = [*bristle_step(record, z[i], velocity[i], STEP), friction_torque(record, z[i], velocity[i])]
+        together(arrays, z, velocity, out)
+        for i, element in enumerate(map(record, shaped)):
+            single = [*bristle_step(element, z[i], velocity[i], STEP), friction_torque(element, z[i], velocity[i])]
             assert out[:, i].tolist() == single
+
+
+def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
+    """Torques for v >= 0 stand in the first row and for v < 0 in the second, everything else once, in SI units."""
+    element = LuGreElement(2.0, 3.0, 4.0, 5.0, 0.5, 6.0, 7.0, 8.0, 9.0)
+    arrays = element_arrays((*shipped.friction.elements, element))[0]
+    assert (arrays["tau_c"][:, 7].tolist(), arrays["tau_s"][:, 7].tolist()) == ([2.0, 3.0], [4.0, 5.0])
+    rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d")]
+    assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0]
+    assert arrays["tau_c"][1, :7].tolist() == [e.tau_c_negative for e in shipped.friction.elements]

@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import executable
+
+from rx90_common.process.children import executable
 
 TOOLS = {
     "rx90_line": ["--from-file", "task/reference_line.yaml", "--dry-run"],
@@ -23,26 +24,28 @@ TOOLS = {
 # Stands for a tool that prints more than a buffer holds, and has something to end in order.
 LONG = """
 import sys
-from rx90_common.process.output import with_checked_output
-def run():
+from rx90_emulator.cli import frame
+def add_arguments(parser):
+    pass
+def main(options):
     try:
         for k in range(100_000):
             print(k)
     finally:
         print("ended", file=sys.stderr)
-    return 0
-sys.exit(with_checked_output("tool", run))
+frame.EXECUTABLES["tool"] = "__main__"
+sys.exit(frame.tool())
 """
 
 
 @pytest.mark.parametrize("name", TOOLS)
 def test_a_full_disk_is_one_line(name: str) -> None:
-    """Output to a full device gives one line that says so and a non-zero exit code."""
+    """Output to a full device gives one line that says so and exit code 3."""
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [executable(name), *TOOLS[name]], stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+            executable(name, *TOOLS[name]), stdout=full, stderr=subprocess.PIPE, text=True, timeout=120, check=False
         )
-    assert done.returncode == 1
+    assert done.returncode == 3
     said = [line for line in done.stderr.splitlines() if "compiling" not in line]
     assert said == [f"{name}: standard output cannot be written: No space left on device"]
 
@@ -53,7 +56,7 @@ def test_a_reader_that_has_gone_is_a_quiet_end(name: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)
     done = subprocess.run(
-        [executable(name), *TOOLS[name]], stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120, check=False
+        executable(name, *TOOLS[name]), stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120, check=False
     )
     os.close(writer)
     assert (done.returncode, done.stderr) == (141, "")

@@ -8,6 +8,7 @@ import pytest
 
 command = pytest.importorskip("rx90_emulator.cli.demo")
 from rx90_common.base.errors import ConfigError  # noqa: E402
+from rx90_emulator.cli.frame import run  # noqa: E402
 
 
 class Noon:
@@ -54,7 +55,7 @@ def test_a_bad_task_leaves_nothing_behind(
         "acceleration: 1.0, tool_rpy_degrees: [0.0, 180.0, 0.0]}",
         encoding="utf-8",
     )
-    assert command.main(["--task", task]) == 1
+    assert run("rx90_demo", ["--task", task]) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("rx90_demo: ")
     assert [path.name for path in tmp_path.iterdir()] == ["out_of_reach.yaml"]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic_sweeps import Noise, Program, drive_torque, measured, random_friction
+from rx90_common.base.errors import DONE
 from rx90_common.friction import FrictionSet
-from rx90_emulator.cli import experiment as experiment_command
-from rx90_emulator.cli import identify as identify_command
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
@@ -53,7 +53,7 @@ def sweeps(shipped: Setup) -> Sweeps:
 def series(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the bags of a short series for joint 4 on the engine."""
     folder = tmp_path_factory.mktemp("engine") / "series"
-    assert experiment_command.main(["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
+    assert run("rx90_experiment", ["run", "--engine", "--quick", "--group", "joint_4", "--output", str(folder)]) == 0
     return folder
 
 
@@ -63,6 +63,6 @@ def identified(series: Path) -> tuple[Path, str]:
     output = series.parent / "friction.yaml"
     said = io.StringIO()
     with redirect_stdout(said):
-        code = identify_command.main([str(series), "--output", str(output)])
-    assert code == identify_command.CONFIRMED, said.getvalue()
+        code = run("rx90_identify", [str(series), "--output", str(output)])
+    assert code == DONE, said.getvalue()
     return output, said.getvalue()

@@ -15,8 +15,9 @@ import pytest
 from processes import Processes, wait_until
 
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
 from rx90_common.friction import FrictionSet, load_friction
-from rx90_emulator.cli import identify as identify_command
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
@@ -50,11 +51,11 @@ def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: py
     """An output that exists is refused without --force, and a refusal of the data leaves it as it was with --force."""
     output = tmp_path / "friction.yaml"
     output.write_text("mine", encoding="utf-8")
-    assert identify_command.main([str(series), "--output", str(output)]) == identify_command.REFUSED
+    assert run("rx90_identify", [str(series), "--output", str(output)]) == REFUSED
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
     bag = str(read_index(series).presliding[0])
     arguments = ["--sliding", str(tmp_path / "nowhere"), "--presliding", bag, "--output", str(output), "--force"]
-    assert identify_command.main(arguments) == identify_command.REFUSED
+    assert run("rx90_identify", arguments) == REFUSED
     assert output.read_text(encoding="utf-8") == "mine"
     assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
 
@@ -63,7 +64,7 @@ def test_a_bag_is_not_validated_by_itself(series: Path, tmp_path: Path, capsys: 
     """A bag that was used for the identification is refused as validation."""
     bag = str(read_index(series).sliding[0])
     arguments = ["--sliding", bag, "--validation", bag, "--output", str(tmp_path / "f.yaml")]
-    assert identify_command.main(arguments) == identify_command.REFUSED
+    assert run("rx90_identify", arguments) == REFUSED
     assert "also used for the identification" in capsys.readouterr().err
 
 
@@ -84,7 +85,7 @@ def test_an_identified_wrist_is_confirmed_on_a_fresh_motion(
     run_on_engine(shipped, fresh_motion(shipped), tmp_path / "other")
     bags = ["--sliding", tmp_path / sliding.name, "--presliding", tmp_path / presliding.name]
     arguments = [*bags, "--validation", tmp_path / "fresh", tmp_path / "other", "--output", tmp_path / "friction.yaml"]
-    assert identify_command.main([str(value) for value in arguments]) == identify_command.NOT_CONFIRMED
+    assert run("rx90_identify", [str(value) for value in arguments]) == VERDICT_NO
     said = capsys.readouterr().out
     assert f"validation {tmp_path / 'fresh'}: confirmed" in said
     assert f"validation {tmp_path / 'other'}: NOT CONFIRMED" in said
@@ -138,7 +139,7 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
     run = processes.start(sys.executable, "-c", ON_NODES, folder)
     assert run.wait(timeout=120.0) == 0
     output = tmp_path / "friction.yaml"
-    assert identify_command.main([str(folder), "--output", str(output)]) == identify_command.CONFIRMED
+    assert run("rx90_identify", [str(folder), "--output", str(output)]) == DONE
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
@@ -147,7 +148,7 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
 INTERRUPTED = """
 import sys
 import numpy as np
-from rx90_emulator.cli import experiment as command
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import job
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
@@ -158,7 +159,7 @@ for name, duration in (("short", 0.5), ("long", 400.0)):
     motion.sweep(np.eye(6)[3], 1e-3, duration, 6.0)
     plan.append(Experiment(name, Kind.SLIDING, motion.points(robot.joint_names), 1))
 job.make_plan = lambda *_: plan
-sys.exit(command.main(["run", "--nodes", "--output", sys.argv[1]]))
+sys.exit(run("rx90_experiment", ["run", "--nodes", "--output", sys.argv[1]]))
 """
 """The command with a plan of half a second and one that lasts until it is stopped."""
 

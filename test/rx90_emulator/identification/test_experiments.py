@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.base.errors import IdentificationError
-from rx90_emulator.cli import experiment as command
+from rx90_common.base.errors import REFUSED, IdentificationError
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
@@ -122,7 +122,7 @@ def test_too_much_acceleration_is_refused(shipped: Setup) -> None:
 
 def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """`rx90_experiment plan` prints runs and time of each experiment and their sums, and writes nothing."""
-    assert command.main(["plan", "--group", "joint_4"]) == 0
+    assert run("rx90_experiment", ["plan", "--group", "joint_4"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[1:4]] == ["sliding_joint_4", "presliding_joint_4", "validation"]
     assert lines[-1].startswith("3 experiments, ")
@@ -148,7 +148,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 
 def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A series is never written into a folder that is there."""
-    assert command.main(["run", "--engine", "--output", str(tmp_path)]) == command.REFUSED
+    assert run("rx90_experiment", ["run", "--engine", "--output", str(tmp_path)]) == REFUSED
     assert "accepted: a folder that can be made" in capsys.readouterr().err
 
 
@@ -162,7 +162,5 @@ def test_kinds_have_topics() -> None:
 @pytest.mark.parametrize("seconds", ["nan", "-1", "inf", "soon"])
 def test_a_time_limit_that_is_none_is_wrong_usage(seconds: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A --timeout that would never come, or has passed, ends with what is accepted and status 2."""
-    with pytest.raises(SystemExit) as end:
-        command.main(["run", "--nodes", "--output", "nowhere", "--timeout", seconds])
-    assert end.value.code == 2
+    assert run("rx90_experiment", ["run", "--nodes", "--output", "nowhere", "--timeout", seconds]) == REFUSED
     assert f"--timeout: '{seconds}'; accepted: a positive number" in capsys.readouterr().err

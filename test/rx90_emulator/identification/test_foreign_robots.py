@@ -11,8 +11,9 @@ import pinocchio as pin
 import pytest
 from foreign_arms import Curve, Program, drive_torque, micro_oscillation, urdf_text, write, write_fallback
 
+from rx90_common.base.errors import DONE
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.cli import identify as command
+from rx90_emulator.cli.frame import run
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 SPEEDS = np.geomspace(0.006, 1.2, 9).tolist()
@@ -24,8 +25,8 @@ C0, C1 = 2e4, 25.0
 
 def identified(arguments: Sequence[object], output: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
     """Run the command and return the friction file's parameters, which are also those that the simulation loads."""
-    code = command.main([*map(str, arguments), "--output", str(output)])
-    assert code == command.CONFIRMED, capsys.readouterr().err
+    code = run("rx90_identify", [*map(str, arguments), "--output", str(output)])
+    assert code == DONE, capsys.readouterr().err
     file = FrictionFile.read(output)
     assert file.identification is not None
     parameters: dict[str, Any] = file.identification["parameters"]

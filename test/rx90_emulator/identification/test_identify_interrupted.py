@@ -14,8 +14,8 @@ import pinocchio as pin
 import pytest
 from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
 
-from rx90_common.base.errors import IdentificationError
-from rx90_emulator.cli import identify as command
+from rx90_common.base.errors import INTERRUPTED, OutputError
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import job as identify_job
 from rx90_emulator.identification.output.output_files import write_all
 
@@ -59,7 +59,7 @@ def test_an_interrupt_leaves_everything(
         monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
         monkeypatch.setattr(identify_job, place, interrupted)
-    assert command.main([*arguments, "--output", str(output), "--force"]) == command.INTERRUPTED
+    assert run("rx90_identify", [*arguments, "--output", str(output), "--force"]) == INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
     assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]
     assert output.read_text(encoding="utf-8") == "mine"
@@ -79,7 +79,7 @@ def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None
     """Where the second of two files does not fit, the first keeps its old content, and the line names the second."""
     first, second = tmp_path / "a.yaml", tmp_path / "b.html"
     first.write_text("mine", encoding="utf-8")
-    with pytest.raises(IdentificationError, match=r"b\.html: cannot be written \(File too large\)"):
+    with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
         write_all({first: "new", second: "x" * (small_files + 1)})
     assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
     assert first.read_text(encoding="utf-8") == "mine"

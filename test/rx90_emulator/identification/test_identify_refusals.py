@@ -15,7 +15,7 @@ import pytest
 from bag_making import joint_state, write_ros2
 from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
 
-from rx90_emulator.cli import identify as command
+from rx90_emulator.cli.frame import run
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 RATE = 100.0
@@ -264,7 +264,7 @@ def everything(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def run(bench: Bench, words: list[object]) -> list[str]:
+def arguments_of(bench: Bench, words: list[object]) -> list[str]:
     """Return the command's arguments: those of the good run first, which others override."""
     good = ["--urdf", bench.urdf, "--fallback", bench.fallback, "--output", bench.folder / "f.yaml"]
     return [str(word) for word in (*good, *words)]
@@ -273,9 +273,9 @@ def run(bench: Bench, words: list[object]) -> list[str]:
 @pytest.mark.parametrize(("change", "message"), [pytest.param(*case[1:], id=case[0]) for case in REFUSED])
 def test_refused(bench: Bench, change: Change, message: str, capfd: pytest.CaptureFixture[str]) -> None:
     """A user's mistake is one line with what is accepted and status 3, and leaves every file as it was."""
-    arguments = run(bench, change(bench))
+    arguments = arguments_of(bench, change(bench))
     before = everything(bench.folder)
-    assert command.main(arguments) == command.REFUSED
+    assert run("rx90_identify", arguments) == 2
     said = [line for line in capfd.readouterr().err.replace("\r", "\n").splitlines() if line and "| " not in line]
     assert len(said) == 1, said
     assert said[0].startswith("rx90_identify: ")
@@ -286,7 +286,5 @@ def test_refused(bench: Bench, change: Change, message: str, capfd: pytest.Captu
 @pytest.mark.parametrize(("words", "message"), WRONG)
 def test_wrong_usage(bench: Bench, words: list[object], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A number that cannot be one ends with the value, what is accepted, and status 2."""
-    with pytest.raises(SystemExit) as end:
-        command.main(run(bench, ["--sliding", bench.bag, *words]))
-    assert end.value.code == 2
+    assert run("rx90_identify", arguments_of(bench, ["--sliding", bench.bag, *words])) == 2
     assert message in capsys.readouterr().err.splitlines()[-1]

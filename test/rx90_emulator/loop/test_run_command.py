@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rx90_emulator.cli import run as run_command
+from rx90_emulator.cli.frame import run
 
 
 def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -17,7 +17,7 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
         (["--start-time", "inf"], "start time is inf s; accepted: a finite number"),
         (["--output", str(tmp_path)], f"--output is {tmp_path}, which exists; accepted: a new folder"),
     ):
-        assert run_command.main(words) == 1
+        assert run("rx90_run", words) == 2
         out, err = capsys.readouterr()
         assert out == ""
         assert err.splitlines()[-1] == f"rx90_run: {complaint}"
@@ -37,7 +37,7 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
     """The arm starts in the file's first point, ends in its last, and every array is named with its unit."""
     file, arrays = tmp_path / "move.yaml", tmp_path / "run.npz"
     file.write_text(TRAJECTORY)
-    assert run_command.main(["--trajectory", str(file), "--arrays", str(arrays)]) == 0
+    assert run("rx90_run", ["--trajectory", str(file), "--arrays", str(arrays)]) == 0
     assert "joint_6: worst tracking error" in capsys.readouterr().out
     with np.load(arrays) as stored:
         assert stored["joint names"].tolist() == [f"joint_{n}" for n in range(1, 7)]
@@ -66,7 +66,7 @@ def test_a_file_that_is_no_trajectory_is_one_line(
     """What cannot be followed is refused in one line that names the file."""
     file = tmp_path / "move.yaml"
     file.write_text(text)
-    assert run_command.main(["--trajectory", str(file)]) == 1
+    assert run("rx90_run", ["--trajectory", str(file)]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"rx90_run: {file}: ")

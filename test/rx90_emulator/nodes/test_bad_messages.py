@@ -62,7 +62,7 @@ def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, r
     processes.start("rx90_sim", "--ros-args", "-p", mode)
     controller = processes.start("rx90_controller", "--ros-args", "-p", rate)
     controller.wait_for(told)
-    assert controller.wait() == 1
+    assert controller.wait() == 3
     assert "Traceback" not in controller.output
 
 

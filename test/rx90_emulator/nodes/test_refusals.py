@@ -28,10 +28,10 @@ from processes import Processes
     ],
 )
 def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments: list[str], told: list[str]) -> None:
-    """The line names the program, the offending value and what is accepted; the exit code is 1."""
+    """The line names the program, the offending value and what is accepted; the exit code is 2."""
     parameters = [word for argument in arguments for word in ("-p", argument)]
     done = processes.run(name, "--ros-args", *parameters)
-    assert done.returncode == 1
+    assert done.returncode == 2
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1, done.stderr
     assert lines[0].startswith(f"{name}: ")
@@ -46,10 +46,10 @@ def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments:
 @pytest.mark.parametrize(
     ("name", "arguments", "code"),
     [
-        ("rx90_sim", [], 1),
-        ("rx90_line", ["--from-file", "task/reference_line.yaml"], 1),
+        ("rx90_sim", [], 2),
+        ("rx90_line", ["--from-file", "task/reference_line.yaml"], 2),
         ("rx90_bag", ["record", "--output", "never_made"], 2),
-        ("rx90_demo", ["--output", "never_made"], 1),
+        ("rx90_demo", ["--output", "never_made"], 2),
     ],
 )
 def test_an_environment_that_cannot_be_is_one_line(
@@ -80,5 +80,5 @@ def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     simulation = processes.start("rx90_sim", "--ros-args", "-p", f"friction:={file}", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
     simulation.wait_for(r"rx90_sim: the state of joint_\d diverged in tick \d+.*substeps")
-    assert simulation.wait() == 1
+    assert simulation.wait() == 3
     assert "Traceback" not in simulation.output

@@ -6,14 +6,14 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from rx90_emulator.cli.sweep import main
+from rx90_common.process.children import executable
+from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.store import parts_folder, read_results
 from rx90_emulator.sweep.sweep import Sweep
@@ -49,7 +49,7 @@ def start() -> Iterator[Start]:
 
     def begin(*arguments: str | Path) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-m", "rx90_emulator.cli.sweep", *map(str, arguments)],
+            executable("rx90_sweep", *arguments),
             cwd=ROOT,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -144,10 +144,10 @@ def test_mistakes_get_one_line(
     arguments: list[str],
     said: str,
 ) -> None:
-    """A mistake exits 1 with one line on stderr, and leaves no file behind."""
+    """A mistake exits 2 with one line on stderr, and leaves no file behind."""
     monkeypatch.chdir(tmp_path)
     Path("bad.yaml").write_text("blocks: {a: {grid: {task.sped: {value: [1]}}}}", encoding="utf-8")
-    assert main(arguments) == 1
+    assert run("rx90_sweep", arguments) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("rx90_sweep: ")
     assert said in line
@@ -161,11 +161,11 @@ def test_run_and_info(tmp_path: Path, task_file: Path, capsys: pytest.CaptureFix
         f"base: {{task: {task_file}}}\nblocks: {{a: {{grid: {{task.speed: {{value: [0.05, -1, 0.1]}}}}}}}}",
         encoding="utf-8",
     )
-    assert main(["run", str(plan), "--output", str(output)]) == 0
+    assert run("rx90_sweep", ["run", str(plan), "--output", str(output)]) == 0
     assert "3 of 3 runs" in capsys.readouterr().out
-    assert main(["run", str(plan), "--output", str(output), "--resume"]) == 0
+    assert run("rx90_sweep", ["run", str(plan), "--output", str(output), "--resume"]) == 0
     assert "has all 3 runs" in capsys.readouterr().out
-    assert main(["info", str(output)]) == 0
+    assert run("rx90_sweep", ["info", str(output)]) == 0
     shown = capsys.readouterr().out
     assert "1 runs failed (LineError 1)" in shown
     assert "path_error_worst" in shown

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import SweepError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.sweep import store
 from rx90_emulator.sweep.info import describe_results
 from rx90_emulator.sweep.store import KEY, ResultStore, parts_folder, read_results
@@ -158,7 +158,7 @@ def test_a_lock_that_went_with_its_folder_locks_nothing(
 
 def test_no_place_to_write(tmp_path: Path, sweep: Sweep) -> None:
     """An output in a folder that does not exist is refused before any run."""
-    with pytest.raises(SweepError, match="cannot be written"):
+    with pytest.raises(ConfigError, match="cannot be written"):
         ResultStore(tmp_path / "no" / "out.parquet", sweep)
 
 

@@ -1,13 +1,41 @@
-"""The options that describe the robot that bags come from."""
+"""The parser of every command, and the options that several of them have."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+_EXIT_CODES = """
+exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
+is no (bags differ, messages lost, not confirmed); 2 refused, nothing was written; 3 could not be carried out (nodes
+gone, disk full); 130 interrupted; 141 the reader of the output has gone.
+"""
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose help, also that of each verb, ends with what the exit codes mean."""
+
+    def format_help(self) -> str:
+        """Return the help."""
+        return super().format_help() + _EXIT_CODES
+
+
+def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Separate a command's own arguments from those for ROS: from --ros-args, which is kept, to -- or the end."""
+    own: list[str] = []
+    ros: list[str] = []
+    target = own
+    for word in words:
+        if word == "--ros-args":
+            target = ros
+        elif word == "--" and target is ros:
+            target = own
+            continue
+        target.append(word)
+    return own, ros
 
 
 def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Callable[[str], float]:

@@ -40,8 +40,10 @@ def spin(args):
 """
 RUN = """
 import sys
-from rx90_common.exchange.entry import run_node
-sys.exit(run_node("stub", "stub_node", None))
+from rx90_emulator.cli import frame, node
+node.NODES["stub"] = "stub_node"
+frame.EXECUTABLES["stub"] = "rx90_emulator.cli.node"
+sys.exit(frame.stub())
 """
 
 
@@ -100,10 +102,10 @@ def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.
     ],
 )
 def test_a_user_mistake_is_one_line(start, arguments: tuple[str, ...], complaint: str) -> None:  # type: ignore[no-untyped-def]
-    """A refused value, from ROS, the constructor or the ticks, is one line on stderr and exit code 1."""
+    """A refused value, from ROS, the constructor or the ticks, is one line on stderr and exit code 2."""
     process = start(*arguments)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 1
+    assert process.returncode == 2
     assert errors.startswith("stub: ")
     assert complaint in errors
     assert errors.count("\n") == 1

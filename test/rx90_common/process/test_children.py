@@ -1,4 +1,4 @@
-"""The process fixture itself: what it starts it also ends."""
+"""Child processes and the fixture that starts them: what is started is also ended."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 import processes as module
 import pytest
 from processes import Processes, own_domain, wait_until
+
+from rx90_common.base.errors import ProcessError
 
 STUBBORN = """
 import os, signal, time
@@ -29,10 +31,9 @@ def ended(pid: int) -> bool:
     return state == "Z"
 
 
-def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children() -> None:
     """A process that ignores Ctrl-C is named and killed, and so is what it started."""
-    monkeypatch.setattr(module, "END_TIMEOUT", 0.5)
-    started = Processes()
+    started = Processes(grace=0.5)
     stubborn = started.start(sys.executable, "-c", STUBBORN)
     child = int(stubborn.wait_for(r"child (\d+)")[1])
     assert started.end() == [stubborn.name]
@@ -43,7 +44,7 @@ def test_a_line_is_waited_for_once(processes: Processes) -> None:
     """Each wait goes on after the line that the wait before it found."""
     printing = processes.start(sys.executable, "-c", "for i in range(3): print('line', i)")
     assert [printing.wait_for(r"line (\d)")[1] for _ in range(3)] == ["0", "1", "2"]
-    with pytest.raises(pytest.fail.Exception, match="ended without 'line'"):
+    with pytest.raises(ProcessError, match="ended early: line 2"):
         printing.wait_for("line")
     assert printing.wait() == 0
 

@@ -1,0 +1,128 @@
+"""The frame of every executable: the one place in which errors, signals and failed output become an exit code.
+
+Nothing slow is imported before the signals are taken care of, nor before the options are understood.
+"""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+
+from rx90_common.base.errors import FAILED, INTERRUPTED, REFUSED, Rx90Error
+from rx90_common.kernels.announcement import announce_compilation
+from rx90_common.process.interrupts import (
+    leave_when_asked,
+    overlook_late_requests,
+    raise_where_heard,
+    terminations_as_interrupts,
+)
+from rx90_common.process.output import check_output
+from rx90_emulator.cli.node import NODES
+
+EXECUTABLES = {
+    **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
+    "friction_ramp": "rx90_emulator.cli.friction_ramp",
+    "friction_rig_emulator": "rx90_emulator.cli.friction_rig_emulator",
+    "rx90_bag": "rx90_emulator.cli.bag",
+    "rx90_demo": "rx90_emulator.cli.demo",
+    "rx90_experiment": "rx90_emulator.cli.experiment",
+    "rx90_identify": "rx90_emulator.cli.identify",
+    "rx90_line": "rx90_emulator.cli.line",
+    "rx90_run": "rx90_emulator.cli.run",
+    "rx90_sweep": "rx90_emulator.cli.sweep",
+}
+"""The module of each executable. It has a docstring, which `--help` shows, and two functions:
+
+- `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
+  with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
+- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself.
+"""
+
+
+def __getattr__(name: str) -> Callable[[], int]:
+    """Return the entry point of an executable, which the console script of its name imports from here."""
+    if name not in EXECUTABLES:
+        raise AttributeError(name)
+    return partial(execute, name)
+
+
+def main() -> int:
+    """Run `python -m rx90_emulator EXECUTABLE ...`, as child processes are started."""
+    name = sys.argv[1] if len(sys.argv) > 1 else ""
+    if name not in EXECUTABLES:
+        print(f"usage: python -m rx90_emulator {{{','.join(EXECUTABLES)}}} ...", file=sys.stderr)
+        return REFUSED
+    return execute(name, sys.argv[2:])
+
+
+def execute(program: str, words: Sequence[str] | None = None) -> int:
+    """Run an executable as this process's only task, by default with the process's arguments; return its exit code."""
+    if program in NODES:
+        leave_when_asked()
+    else:
+        raise_where_heard()
+    announce_compilation(program)
+    check_output()
+    try:
+        return run(program, sys.argv[1:] if words is None else words)
+    finally:
+        overlook_late_requests()
+
+
+def run(program: str, words: Sequence[str]) -> int:
+    """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
+    options = Namespace()
+    try:
+        try:
+            return _run(program, words, options)
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except SystemExit as end:  # --help, wrong usage, a reader of the output that has gone
+        return int(end.code or 0)
+    except Rx90Error as error:
+        _say(f"{program}: {error}")
+        return error.exit_code
+    except ModuleNotFoundError as error:
+        missing = str(error.name).partition(".")[0]
+        source = _source_of(missing)
+        if source is None:
+            raise
+        _say(f"{program}: needs {missing}, which is not installed; accepted: {source}")
+        return FAILED
+    except KeyboardInterrupt:
+        note = getattr(options, "interrupted", "").format(**vars(options))
+        # On a terminal ^C stands in the line.
+        _say(f"{chr(10) * sys.stderr.isatty()}{program}: interrupted{'; ' * bool(note)}{note}")
+        return INTERRUPTED
+
+
+def _run(program: str, words: Sequence[str], options: Namespace) -> int:
+    from rx90_emulator.cli.options import CommandParser, split_ros_args
+
+    command = import_module(EXECUTABLES[program])
+    parser = CommandParser(prog=program, description=command.__doc__)
+    command.add_arguments(parser)
+    own, ros_args = split_ros_args(words)
+    parser.parse_args(own, options)
+    if ros_args:
+        if not hasattr(options, "ros_args"):
+            parser.error(f"unrecognized arguments: {' '.join(ros_args)}")
+        options.ros_args = ros_args
+    # Only now: a recorder that has a handler for SIGTERM leaves a whole bag.
+    with terminations_as_interrupts():
+        return int(command.main(options) or 0)
+
+
+def _source_of(module: str) -> str | None:
+    """Return where to get a module that only some commands need; None for any other one."""
+    if module == "rclpy" or module.endswith(("_msgs", "_srvs", "_interfaces")):
+        return "a sourced ROS 2 Jazzy, or pip install 'rx90_emulator[ros]'"
+    return "pip install 'rx90_emulator[sweep]'" if module in {"pyarrow", "distributed"} else None
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,31 @@
+"""A ROS 2 node: its parameters stand in README.md, and `ros2 param describe` tells them while it runs."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+
+NODES = {
+    "rx90_sim": "rx90_sim.node.simulation",
+    "rx90_controller": "rx90_controller.node.control",
+    "friction_bench": "friction_bench.node.bench_node",
+}
+"""The executables that are nodes, and the module whose `spin(ros_args)` runs each."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Accept arguments for ROS alone."""
+    parser.usage = f"{parser.prog} [--ros-args [-p NAME:=VALUE ...] [-r FROM:=TO ...] [--params-file FILE]]"
+    parser.set_defaults(module=NODES[parser.prog], ros_args=[])
+
+
+def main(options: argparse.Namespace) -> None:
+    """Run the node until it ends or is interrupted.
+
+    Raises:
+        Rx90Error: for parameters that are refused, or what ends the ticks.
+    """
+    from rx90_common.exchange.environment import prepare
+
+    prepare()
+    import_module(options.module).spin(options.ros_args)

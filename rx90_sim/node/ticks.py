@@ -1,0 +1,138 @@
+"""The simulation's ticks: exchange, plant step and pace, in lock-step or in free-running time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.duration import Duration
+from rclpy.node import Node
+
+from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange import node_tools
+from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.lockstep import LockstepSimulation
+from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_sim.node.held_command import HeldCommand
+from rx90_sim.node.parameters import SimulationParameters
+from rx90_sim.node.publications import Publications
+from rx90_sim.node.run_control import RunControl, Turn
+from rx90_sim.plant import Plant
+
+_WAIT_SLICE = 0.1  # s
+_FLUSH_SLICES = 40  # of 50 ms
+_MATCH_ATTEMPTS = 100  # of 50 ms
+
+
+class Ticks:
+    """Runs the plant tick by tick, on a thread of its own.
+
+    Args:
+        node: the node whose topics are published.
+        plant: at rest in tick 0.
+        parameters: of the node.
+
+    Attributes:
+        control: takes requests from other threads.
+        pacer: the clock.
+        held: commands in free-running time.
+        lockstep: exchange in lock-step.
+    """
+
+    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters) -> None:
+        self._node, self._plant, self._parameters = node, plant, parameters
+        rates, log = parameters.rates, node.get_logger()
+        self._period_ns = rates.period_ns
+        self._lock_step = parameters.time_mode == LOCK_STEP
+        self._channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
+        self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
+        self._publishers = (*self._publications.publishers, self._channel.publisher)
+        self._published_tick = -1
+        self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
+        self._commands = JointStateCodec(MOTOR_NAMES)
+        self._throttled = ThrottledLog(log.error)
+        self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
+        self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
+        self.lockstep = LockstepSimulation(self._channel, log.info)
+        timeout = round(parameters.command_timeout * rates.base_hz)
+        self.held = HeldCommand(self._channel, self._torques, timeout, log.info)
+
+    @property
+    def time(self) -> float:
+        """Return simulated time, s."""
+        return self._plant.tick * self._period_ns / NANOSECONDS
+
+    def run(self) -> None:
+        """Run ticks until the end of the run, or until `control` stops.
+
+        Raises:
+            DivergenceError: naming joint and tick.
+        """
+        advance = self._step_in_lock_step if self._lock_step else self._step_free_running
+        moving = False
+        while True:
+            turn = self.control.next_turn(self._plant.tick, _WAIT_SLICE)
+            if turn is Turn.STOP:
+                break
+            if turn is Turn.RESET:
+                self._reset()
+            elif turn is Turn.STEP:
+                if not moving:
+                    if self._plant.tick == 0:
+                        node_tools.wait_until_matched(self._node, self._publishers, _MATCH_ATTEMPTS)
+                    self.pacer.restart()
+                if advance():
+                    self.control.step_done()
+            moving = turn is Turn.STEP
+        self._flush()
+
+    def _step_in_lock_step(self) -> bool:
+        plant = self._plant
+        stamp = plant.tick * self._period_ns
+        states = self._encode_states(stamp)
+        raw = self.lockstep.exchange(stamp, states, self.control.interrupting, self._publish_due)
+        if raw is None:
+            return False
+        plant.step(self._torques(raw))
+        self.pacer.wait()
+        return True
+
+    def _step_free_running(self) -> bool:
+        plant = self._plant
+        self.pacer.wait()
+        self._publish_due()
+        self._channel.publish(self._encode_states(plant.tick * self._period_ns))
+        plant.step(self.held.take())
+        return True
+
+    def _publish_due(self) -> None:
+        # An exchange that was interrupted comes back in the same tick.
+        if self._published_tick != self._plant.tick:
+            self._published_tick = self._plant.tick
+            self._publications.publish_due()
+
+    def _torques(self, raw: bytes) -> NDArray[np.float64] | None:
+        """Return the command's torques; None, which closes the brakes, if it has none or cannot be used."""
+        try:
+            return self._commands.decode(raw)[3]
+        except ExchangeError as error:
+            self._throttled.say("command", f"{self._channel.subscribe_topic}: {error}; the brakes close")
+            return None
+
+    def _reset(self) -> None:
+        self._plant.reset(self._parameters.initial_position)
+        self._published_tick = -1
+        self.held.forget()
+        self.control.reset_done()
+        self.pacer.restart()
+
+    def _flush(self) -> None:
+        """Let the last messages reach a recorder."""
+        for publisher in self._publishers:
+            for _ in range(_FLUSH_SLICES):
+                if publisher.wait_for_all_acked(Duration(nanoseconds=50_000_000)):
+                    break

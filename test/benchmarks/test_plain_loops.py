@@ -1,0 +1,54 @@
+"""The plain loops of the benchmark are an independent answer to what the kernels with lanes compute."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from benchmarks.closed_loop import Ticks, Work
+from benchmarks.plain_loops import WORKSPACE_DTYPE, mass_and_bias, run_lanes, run_plain
+from rx90_emulator.loop.setup import Setup
+from rx90_sim import manipulator
+
+
+@pytest.fixture(scope="module")
+def work() -> Work:
+    """Return the reference line."""
+    return Work.load()
+
+
+def with_drives(work: Work, **changes: object) -> Work:
+    """Return the line for changed drives."""
+    drives = dataclasses.replace(work.setup.drives, **changes)
+    return work._replace(setup=dataclasses.replace(work.setup, drives=drives))
+
+
+def test_newton_and_euler_find_the_same_arm(shipped: Setup) -> None:
+    """Mass matrix and bias torques, from link to link, are those of all links at once, to rounding."""
+    plant, workspace = shipped.plant(), np.zeros(1, WORKSPACE_DTYPE)
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        q = rng.uniform(shipped.robot.lower, shipped.robot.upper)
+        v = rng.uniform(-1.0, 1.0, 6) * shipped.robot.max_velocity
+        lanes, plain = (np.empty((6, 6)), np.empty(6)), (np.empty((6, 6)), np.empty(6))
+        manipulator.mass_and_bias(plant.constants[0]["arm"], plant.state[0]["body"], q, v, *lanes)
+        mass_and_bias(plant.constants[0]["arm"], workspace[0], q, v, *plain)
+        for ours, other in zip(lanes, plain, strict=True):
+            assert np.abs(ours - other).max() < 1e-14 * np.abs(ours).max()
+
+
+def test_the_line_is_the_same_to_rounding(work: Work) -> None:
+    """With encoders too fine to magnify rounding, the joints agree over the whole line to a picoradian."""
+    ticks = Ticks(with_drives(work, encoder_counts=np.full(6, 2**40)))
+    lanes, plain = (ticks.run(kernel)[1] for kernel in (run_lanes, run_plain))
+    assert np.ptp(lanes, axis=0).max() > 0.1
+    assert np.abs(lanes - plain).max() < 1e-12
+
+
+def test_encoders_as_shipped_are_accepted_and_another_path_is_not(work: Work) -> None:
+    """The benchmark's own check passes for the shipped setup, and its bound is one that counting reaches."""
+    Ticks(work).check()
+    with pytest.raises(RuntimeError, match=r"the plain loops move another way: .* rad off; accepted: below 1e-08"):
+        Ticks(work).check(accepted=1e-8)
