@@ -309,7 +309,7 @@ def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:
 
 
 def test_a_recorder_that_did_not_run_for_long_reports_it_and_fails(tmp_path: Path, start: Start) -> None:
-    """After a stop beyond the lease, in which nobody sent, nothing is known to be lost: that is reported, and it fails."""
+    """After a stop beyond the lease, in which nobody sent, the loss is not known: that is reported, and it fails."""
     publisher = start_publisher(start, depth=1)
     recorder = start_recorder(start, tmp_path / "bag", "motor_states")
     recorder.wait_for("ready: all 1 topics")
