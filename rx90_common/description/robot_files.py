@@ -34,6 +34,11 @@ class RobotFiles:
     controller: Path = field(default_factory=lambda: _shipped("controller"))
 
     @classmethod
+    def of_options(cls, options: object) -> RobotFiles:
+        """Return the files that a command's options of these names say; see `named`."""
+        return cls.named(**{key: getattr(options, key, None) for key in SHIPPED})
+
+    @classmethod
     def named(cls, **names: str | None) -> RobotFiles:
         """Return the files that a user names, the shipped one for each that is None or left out.
 
