@@ -6,10 +6,10 @@ Nothing slow is imported before the signals are taken care of, nor before the op
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from types import SimpleNamespace
 
 from rx90_common.base.errors import INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.kernels.announcement import announce_compilation
@@ -74,7 +74,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
 
 def run(program: str, words: Sequence[str]) -> int:
     """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
-    options = Namespace()
+    options = SimpleNamespace()
     try:
         try:
             return _run(program, words, options)
@@ -93,7 +93,7 @@ def run(program: str, words: Sequence[str]) -> int:
         return INTERRUPTED
 
 
-def _run(program: str, words: Sequence[str], options: Namespace) -> int:
+def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
     from rx90_emulator.cli.options import CommandParser, split_ros_args
 
     command = import_module(EXECUTABLES[program])
