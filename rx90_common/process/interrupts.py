@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import threading
@@ -71,13 +72,13 @@ def leave_when_asked() -> None:
     _take_over(lambda _number, _frame: os._exit(0))
 
 
-def overlook_late_requests() -> None:
-    """Keep the exit code of a program that has taken SIGTERM over, when one more comes while Python shuts down.
+def keep_exit_code() -> None:
+    """Overlook signals that come when all else has ended, in place of an impatient end by SIGINT.
 
-    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone.
+    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone. To be
+    called early: what is registered later is called before, threads are waited for, and Ctrl-C still ends that.
     """
-    if callable(signal.getsignal(signal.SIGTERM)):
-        _take_over(signal.SIG_IGN)
+    atexit.register(_take_over, signal.SIG_IGN)
 
 
 def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> None:

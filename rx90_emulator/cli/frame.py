@@ -14,8 +14,8 @@ from types import SimpleNamespace
 from rx90_common.base.errors import INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
+    keep_exit_code,
     leave_when_asked,
-    overlook_late_requests,
     raise_where_heard,
     terminations_as_interrupts,
 )
@@ -64,12 +64,10 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
         leave_when_asked()
     else:
         raise_where_heard()
+    keep_exit_code()
     announce_compilation(program)
     check_output()
-    try:
-        return run(program, sys.argv[1:] if words is None else words)
-    finally:
-        overlook_late_requests()
+    return run(program, sys.argv[1:] if words is None else words)
 
 
 def run(program: str, words: Sequence[str]) -> int:
