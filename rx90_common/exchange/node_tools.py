@@ -20,6 +20,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.ros_start import start_ros
 from rx90_common.process.interrupts import stop_request
@@ -66,6 +67,17 @@ def declare(
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
+
+
+def declare_robot_files(node: Node, *names: str) -> RobotFiles:
+    """Declare a parameter for each of these keys of SHIPPED; return the files that they name.
+
+    Raises:
+        ConfigError: for a file that is not there.
+    """
+    return RobotFiles.named(
+        **{name: declare(node, name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in names}
+    )
 
 
 def _with_real_numbers(override: Parameter, default: object) -> Parameter:

@@ -14,7 +14,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import resolve_config
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange import node_tools
@@ -22,7 +21,7 @@ from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.time_mode import TimeMode
@@ -93,16 +92,8 @@ class Control:
         return Rates(base, position)
 
     def _build(self, rates: Rates) -> CS7B:
-        node = self.node
-        urdf = declare(node, "urdf", "robot/rx90b.urdf", "URDF of the arm, for joint names and limits")
-        drives = declare(node, "drives", "robot/drives.yaml", "drives file")
-        gains = declare(node, "controller", "controller/cs7b.yaml", "file with gains, limits and switches")
-        cs7b = CS7B(
-            load_robot(resolve_config(urdf)),
-            load_drives(resolve_config(drives)),
-            load_controller(resolve_config(gains)),
-            rates,
-        )
+        files = declare_robot_files(self.node, "urdf", "drives", "controller")
+        cs7b = CS7B(load_robot(files.urdf), load_drives(files.drives), load_controller(files.controller), rates)
         cs7b.warm_up()
         return cs7b
 
