@@ -21,8 +21,8 @@ from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
-from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.ros_start import start_ros
+from rx90_common.exchange.topics import CLOCK_QOS
 from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2
@@ -116,7 +116,7 @@ class Diagnostics:
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
         self._node = node
         self._collect = collect
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
         self._timer = node.create_timer(1.0, self._publish)
 
     def _publish(self) -> None:

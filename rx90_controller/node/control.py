@@ -23,9 +23,18 @@ from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
+from rx90_common.exchange.topics import (
+    FREE_RUNNING,
+    LATCHED_QOS,
+    MOTOR_COMMANDS,
+    MOTOR_NAMES,
+    MOTOR_STATES,
+    STATE_QOS,
+    TICK_QOS,
+    TIME_MODE,
+    TRAJECTORY_QOS,
+)
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.free_running import FreeRunningController
@@ -43,8 +52,8 @@ class SetPointTopics:
         codec = JointStateCodec(cs7b.joint_names)
         self._encode_reference = codec.encoder(*cs7b.reference())
         self._encode_error = codec.encoder(*cs7b.tracking_error())
-        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS)
-        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
+        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
+        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
         self._all = (self._reference, self._error, channel.publisher)
 
     def wait_for_subscribers(self) -> None:
@@ -70,7 +79,7 @@ class Control:
         self._log = self.node.get_logger()
         rates = self._read_rates()
         self._cs7b = cs7b = self._build(rates)
-        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
+        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         outputs = SetPointTopics(self.node, channel, cs7b)
         self._loop = ServoLoop(cs7b, outputs, self._log)
         self._messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, self._log.error)
@@ -81,8 +90,8 @@ class Control:
         self._mode: str | None = None
         self._refused: ExchangeError | None = None
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
-        self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS)
-        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS)
+        self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS.profile)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = Diagnostics(self.node, self._status)
 

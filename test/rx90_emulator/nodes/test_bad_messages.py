@@ -11,8 +11,7 @@ from ros_client import Client, seconds
 from sensor_msgs.msg import JointState
 
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import TICK_QOS
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import MOTOR_NAMES, TICK_QOS
 
 MODES = ("real_time_factor:=1.0", "time_mode:=free_running")
 GARBAGE = (
@@ -34,7 +33,7 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     client.spin_until(lambda: bool(reference), "the controller to hold")
     client.send([(0.4, [0.02] * 6)])
     controller.wait_for("trajectory accepted")
-    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller's ears")
     garbage = cycle(GARBAGE)
     # In free-running time only the newest of several messages is looked at.
@@ -72,7 +71,7 @@ def test_a_second_publisher_of_commands_in_free_running_is_told(processes: Proce
     simulation = processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
     processes.start("rx90_controller")
     simulation.wait_for("the brakes open")
-    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
     raw = JointStateCodec(MOTOR_NAMES).encode(0)
     client.spin_until(lambda: publisher.publish(raw) or "two controllers" in simulation.output, "the report")
     assert simulation.output.count("two controllers") == 1
