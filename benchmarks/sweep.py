@@ -23,7 +23,7 @@ from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
 from rx90_emulator.loop.line import run_line
 from rx90_emulator.sweep.info import describe_results
-from rx90_emulator.sweep.plan_file import load_plan
+from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.sweep import Sweep
 
 PLAN = config_path("sweep/reference_1000.yaml")
@@ -42,7 +42,7 @@ class SweepFigures(NamedTuple):
 
 def measure() -> SweepFigures:
     """Run the sweep once in a process of its own, and single runs in this one."""
-    sweep = Sweep(load_plan(PLAN))
+    sweep = Sweep(load_sweep_plan(PLAN))
     sweep.warm_up()
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "sweep.parquet"

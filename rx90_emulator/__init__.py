@@ -12,11 +12,11 @@
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
 Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy
-Series and bags read_bag, read_joint_states, write_bag, write_joint_states, JointSeries
+Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
-Friction        load_friction, FrictionSet, LuGreElement
-Sweeps          load_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, Block, SweptParameter,
+Friction        FrictionFile, FrictionSet, LuGreElement
+Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, Block, SweptParameter,
                 Values, Uniform, LogUniform, Normal
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
@@ -46,7 +46,8 @@ if TYPE_CHECKING:
     from rx90_common.bags.writing import write_joint_states
     from rx90_common.base.errors import Rx90Error
     from rx90_common.base.rates import Rates
-    from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+    from rx90_common.friction import FrictionSet, LuGreElement
+    from rx90_common.friction.friction_file import FrictionFile
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
@@ -54,18 +55,19 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
     from rx90_emulator.loop.line import LineRun, PathAccuracy, path_accuracy, plan_line, run_line
-    from rx90_emulator.loop.result import RunResult, write_bag
+    from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
     from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
-    from rx90_emulator.sweep.plan_file import load_plan
+    from rx90_emulator.sweep.plan_file import load_sweep_plan
     from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
     from rx90_emulator.sweep.sweep import Sweep
 
 __all__ = [
     "BagComparison",
     "Block",
+    "FrictionFile",
     "FrictionSet",
     "JointSeries",
     "LinePlan",
@@ -93,9 +95,8 @@ __all__ = [
     "compare_bags",
     "compare_series",
     "comparison_text",
-    "load_friction",
-    "load_plan",
     "load_setup",
+    "load_sweep_plan",
     "load_task",
     "load_trajectory",
     "parameters",
@@ -106,6 +107,7 @@ __all__ = [
     "read_sweep",
     "run_line",
     "run_sweep",
+    "save_arrays",
     "simulate",
     "with_parameters",
     "write_bag",
@@ -121,7 +123,8 @@ _HOMES = {
     "rx90_common.bags.writing": "write_joint_states",
     "rx90_common.base.errors": "Rx90Error",
     "rx90_common.base.rates": "Rates",
-    "rx90_common.friction": "FrictionSet LuGreElement load_friction",
+    "rx90_common.friction": "FrictionSet LuGreElement",
+    "rx90_common.friction.friction_file": "FrictionFile",
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
@@ -129,12 +132,12 @@ _HOMES = {
     "rx90_emulator.loop.catalogue": "parameters",
     "rx90_emulator.loop.closed_loop": "simulate",
     "rx90_emulator.loop.line": "LineRun PathAccuracy path_accuracy plan_line run_line",
-    "rx90_emulator.loop.result": "RunResult write_bag",
+    "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
     "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
-    "rx90_emulator.sweep.plan_file": "load_plan",
+    "rx90_emulator.sweep.plan_file": "load_sweep_plan",
     "rx90_emulator.sweep.spaces": "LogUniform Normal Uniform Values",
     "rx90_emulator.sweep.sweep": "Sweep",
 }

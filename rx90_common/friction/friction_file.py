@@ -34,12 +34,13 @@ class FrictionFile:
     path: Path | None = field(default=None, compare=False)
 
     @classmethod
-    def read(cls, path: Path) -> FrictionFile:
+    def read(cls, path: Path | str) -> FrictionFile:
         """Read a file with any elements.
 
         Raises:
             ConfigError: naming file, element, value and accepted range.
         """
+        path = Path(path)
         root = load_yaml(path)
         section = root.section("elements")
         elements = {name: read_element(section.section(name)) for name in section}

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
-from rx90_common.base.errors import BagError
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
 
@@ -41,10 +40,8 @@ def main(args: argparse.Namespace) -> int:
     from rx90_common.bags.writing import BagWriter
 
     prepare()
-    try:
-        from rx90_common.bags.recorder.recording import Recorder, StatusLine
-    except ImportError as error:
-        raise BagError(f"recording needs ROS 2's rclpy, which is not installed ({error})") from error
+    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+
     with StatusLine() as status:
         recorder = Recorder(args.topics, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 
-from rx90_common.base.errors import INTERRUPTED, REFUSED, Rx90Error
+from rx90_common.base.errors import FAILED, INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
     leave_when_asked,
@@ -86,6 +86,13 @@ def run(program: str, words: Sequence[str]) -> int:
     except Rx90Error as error:
         _say(f"{program}: {error}")
         return error.exit_code
+    except ModuleNotFoundError as error:
+        missing = str(error.name).partition(".")[0]
+        source = _source_of(missing)
+        if source is None:
+            raise
+        _say(f"{program}: needs {missing}, which is not installed; accepted: {source}")
+        return FAILED
     except KeyboardInterrupt:
         note = getattr(options, "interrupted", "").format(**vars(options))
         # On a terminal ^C stands in the line.
@@ -108,6 +115,13 @@ def _run(program: str, words: Sequence[str], options: Namespace) -> int:
     # Only now: a recorder that has a handler for SIGTERM leaves a whole bag.
     with terminations_as_interrupts():
         return int(command.main(options) or 0)
+
+
+def _source_of(module: str) -> str | None:
+    """Return where to get a module that only some commands need; None for any other one."""
+    if module == "rclpy" or module.endswith(("_msgs", "_srvs", "_interfaces")):
+        return "a sourced ROS 2 Jazzy, or pip install 'rx90_emulator[ros]'"
+    return "pip install 'rx90_emulator[sweep]'" if module in {"pyarrow", "distributed"} else None
 
 
 def _say(line: str) -> None:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from importlib.util import find_spec
 from pathlib import Path
-
-from rx90_common.base.errors import FailureError
-from rx90_common.base.share import resolve_config
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,21 +30,17 @@ def main(options: argparse.Namespace) -> None:
     """Run the verb.
 
     Raises:
-        Rx90Error: if pyarrow is missing, or the verb cannot be done.
+        Rx90Error: if it cannot be done.
     """
-    if find_spec("pyarrow") is None:
-        raise FailureError("pyarrow is missing; install it: pip install 'rx90_emulator[sweep]'")
     options.verb(options)
 
 
 def _run(options: argparse.Namespace) -> None:
-    # What needs pyarrow is imported once it is known to be there.
     from rx90_emulator.sweep.execution import run_sweep
-    from rx90_emulator.sweep.plan_file import load_plan
+    from rx90_emulator.sweep.plan_file import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
-    plan = load_plan(resolve_config(options.plan))
-    sweep = Sweep(plan)
+    sweep = Sweep(load_sweep_plan(options.plan))
     began = time.perf_counter()
     counts = run_sweep(
         sweep,

@@ -123,35 +123,29 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     write_joint_states(path, series, storage=storage, messages=[description])
 
 
-def named_arrays(run: RunResult) -> dict[str, Array]:
-    """Return a run as arrays by `<series> <quantity> [unit]`; the series are named as the topics, less their node.
+def save_arrays(run: RunResult, file: Path | str) -> None:
+    """Write a run to a new compressed NumPy file, `.npz`: arrays by `<series> <quantity> [unit]`, and names.
 
-    `time [s]`, shape (m,), belongs to the series on position ticks, shape (m, joints); `base time [s]`, shape (n,), to
-    `motor_states` and `motor_commands`, which are there if the run kept them.
+    The series are named as the topics, less their node. `time [s]`, shape (m,), belongs to those on position ticks,
+    shape (m, joints); `base time [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run
+    kept them.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
     """
-    arrays: dict[str, Array] = {"time [s]": run.times}
+    arrays: dict[str, Any] = {
+        "joint names": np.array(run.setup.robot.joint_names),
+        "element names": np.array(run.setup.friction.names),
+        "time [s]": run.times,
+    }
     for topic, series in run.series.items():
         if topic == MOTOR_STATES:
             ticks = np.arange(len(series.stamp_ns), dtype=np.float64)
             arrays["base time [s]"] = np.asarray(ticks * run.setup.rates.period)
         for field, values in series.fields.items():
             arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
-    return arrays
-
-
-def save_arrays(run: RunResult, file: Path) -> None:
-    """Write the arrays and the joints' names to a compressed NumPy file, `.npz`.
-
-    Raises:
-        Rx90Error: if the file cannot be written.
-    """
-    contents: dict[str, Any] = {
-        "joint names": np.array(run.setup.robot.joint_names),
-        "element names": np.array(run.setup.friction.names),
-        **named_arrays(run),
-    }
     try:
-        with file.open("xb") as stream:
-            np.savez_compressed(stream, **contents)
+        with Path(file).open("xb") as stream:
+            np.savez_compressed(stream, **arrays)
     except OSError as error:
         raise write_error(file, error, "a new file") from error

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from tqdm import tqdm
 
-from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
@@ -112,7 +112,7 @@ def _store() -> Any:
     try:
         from rx90_emulator.sweep import store  # needs an extra
     except ImportError as error:
-        raise SweepError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+        raise FailureError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
     return store
 
 

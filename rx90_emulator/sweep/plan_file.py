@@ -44,13 +44,13 @@ _DRAWN = (
 )
 
 
-def load_plan(path: Path) -> SweepPlan:
-    """Read a plan.
+def load_sweep_plan(name: Path | str) -> SweepPlan:
+    """Read a plan: a path, or the name of a shipped file below config/.
 
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
-    root = _PlanSection.load(path)
+    root = _PlanSection.load(resolve_config(str(name)))
     base = _base(root.section("base")) if "base" in root else SweepBase()
     seed = root.integer("seed", 0, LARGEST_SEED) if "seed" in root else 0
     blocks = root.section("blocks")

@@ -106,13 +106,14 @@ class Sweep:
         period = self.setup.rates.position_period
         simulate(self.setup, self._motion(self.task), duration=period, substeps=self.plan.base.substeps)
 
-    def simulate(self, run: RunDescription) -> RunResult:
+    def simulate(self, index: int) -> RunResult:
         """Run one run through the closed loop and return all of it.
 
         Raises:
+            IndexError: if there is no such run.
             Rx90Error: whatever ends it.
         """
-        return self._simulate(run)[1]
+        return self._simulate(self.runs.describe(index))[1]
 
     def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
         setup, task = apply(self.setup, self.task, self.runs.changes(run))

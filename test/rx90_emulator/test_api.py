@@ -113,7 +113,14 @@ def test_the_documented_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
     names: dict[str, object] = {}
     for example in EXAMPLES:
         exec(compile(example, str(PAGE), "exec"), names)
-    for made in ("path_error.png", "friction.png", "reference_run/metadata.yaml", "grid.parquet", "scatter.parquet"):
+    for made in (
+        "path_error.png",
+        "friction.png",
+        "run.npz",
+        "reference_run/metadata.yaml",
+        "grid.parquet",
+        "scatter.parquet",
+    ):
         assert (tmp_path / made).is_file()
 
 

@@ -27,18 +27,6 @@ _QUICK = PlanOptions(
 )
 
 
-def _setup(options: argparse.Namespace) -> Setup:
-    return Setup.load(
-        RobotFiles.named(
-            tool=options.tool,
-            urdf=options.urdf,
-            drives=options.drives,
-            friction=options.friction,
-            controller=options.controller_file,
-        )
-    )
-
-
 def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:
     values = vars(_QUICK if options.quick else PlanOptions()) | {"groups": tuple(options.group)}
     if options.speeds is not None:
@@ -73,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    setup = _setup(options)
+    setup = Setup.load(RobotFiles.of_options(options))
     plan = _plan(options, setup)
     print(describe(plan, setup), flush=True)
     if options.verb == "plan":
@@ -105,4 +93,4 @@ def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Na
         from rx90_emulator.identification.experiments.nodes import run_on_nodes
     except ImportError as error:
         raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
-    run_on_nodes(setup, plan, options.output, options.controller, options.timeout, lambda text: print(text, flush=True))
+    run_on_nodes(setup, plan, options.output, options.node, options.timeout, lambda text: print(text, flush=True))

@@ -82,7 +82,7 @@ def _own(options: argparse.Namespace) -> Robot:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
             )
-    setup = Setup.load(RobotFiles.named(tool=options.tool, drives=options.drives))
+    setup = Setup.load(RobotFiles.of_options(options))
     arm = RigidArm.from_setup(setup)
     name = options.fallback or "robot/friction.yaml"
     return Robot(arm, setup, None, *_fallback(name, arm), record_time=options.record_time)

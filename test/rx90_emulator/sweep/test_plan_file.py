@@ -9,7 +9,7 @@ import pytest
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_emulator.sweep.plan import plan_hash
-from rx90_emulator.sweep.plan_file import load_plan
+from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
 from rx90_emulator.sweep.sweep import Sweep
 
@@ -41,7 +41,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_everything_is_read(tmp_path: Path) -> None:
     """Each form of values and distributions, the base and the seed arrive in the plan."""
-    plan = load_plan(written(tmp_path, FULL))
+    plan = load_sweep_plan(written(tmp_path, FULL))
     (block,) = plan.blocks
     assert (plan.seed, plan.base.substeps, plan.base.rates.base_hz) == (5, 2, 8000)
     assert plan.base.task == tmp_path / "line.yaml"
@@ -65,10 +65,10 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
     hashes = []
     for folder, text in (("a", FULL), ("b", FULL), ("c", FULL.replace("seed: 5", "seed: 6"))):
         (tmp_path / folder).mkdir()
-        hashes.append(plan_hash(load_plan(written(tmp_path / folder, text)).description()))
+        hashes.append(plan_hash(load_sweep_plan(written(tmp_path / folder, text)).description()))
     task = tmp_path / "b" / "line.yaml"
     task.write_text(task.read_text(encoding="utf-8") + "\n", encoding="utf-8")
-    hashes.append(plan_hash(load_plan(tmp_path / "b" / "plan.yaml").description()))
+    hashes.append(plan_hash(load_sweep_plan(tmp_path / "b" / "plan.yaml").description()))
     assert hashes[0] == hashes[1]
     assert len(set(hashes)) == 3
 
@@ -76,7 +76,7 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(p.name for p in config_path("sweep").glob("*.yaml")))
 def test_shipped_plans_fit(name: str) -> None:
     """Every shipped plan is readable and names what there is."""
-    assert len(Sweep(load_plan(config_path(f"sweep/{name}")))) > 0
+    assert len(Sweep(load_sweep_plan(config_path(f"sweep/{name}")))) > 0
 
 
 @pytest.mark.parametrize(
@@ -126,6 +126,6 @@ def test_shipped_plans_fit(name: str) -> None:
 def test_bad_plans_get_one_line(tmp_path: Path, text: str, said: str) -> None:
     """A mistake in a plan is refused in one line that names the place, the value and what is accepted."""
     with pytest.raises(ConfigError) as error:
-        Sweep(load_plan(written(tmp_path, text)))
+        Sweep(load_sweep_plan(written(tmp_path, text)))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
