@@ -18,12 +18,7 @@ TIME_MODES: Final = (LOCK_STEP, FREE_RUNNING)
 
 
 class Reliable(NamedTuple):
-    """A reliable quality of service that keeps the last messages.
-
-    Attributes:
-        depth: how many.
-        latched: whether a subscriber that comes later gets them, too.
-    """
+    """A reliable quality of service that keeps `depth` messages, `latched` also for subscribers that come later."""
 
     depth: int
     latched: bool = False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import struct
 from itertools import cycle
 
@@ -45,6 +46,25 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     assert list(reference[-1].position) == pytest.approx([0.02] * 6, abs=1e-12)
     assert sum("ignored" in line for line in controller.lines) <= 3
     assert controller.returncode is None
+
+
+@pytest.mark.ros
+def test_a_lag_after_a_malformed_message_is_only_a_line(processes: Processes, client: Client) -> None:
+    """A controller that has complained about a message lives on when it then falls behind the simulation."""
+    processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
+    controller = processes.start("rx90_controller")
+    joints = client.listen("joint_states", depth=1)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference) and bool(joints), "the controller to hold")
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
+    client.spin_until(lambda: publisher.publish(GARBAGE[0]) or "ignored" in controller.output, "the complaint")
+    controller.signal(signal.SIGSTOP)
+    stopped = seconds(joints[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > stopped + 1.0, "the simulation to run ahead")
+    controller.signal(signal.SIGCONT)
+    controller.wait_for("behind the simulation")
+    client.spin_until(lambda: seconds(reference[-1]) > stopped + 1.0, "the controller to run on")
+    assert "Traceback" not in controller.output
 
 
 @pytest.mark.ros
