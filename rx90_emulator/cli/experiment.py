@@ -49,6 +49,17 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    from rx90_emulator.identification.experiments.job import run  # here, because --help must not wait for it
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.identification.experiments.job import ExperimentJob, run_experiments
 
-    run(options)
+    files = RobotFiles.named(
+        tool=options.tool,
+        urdf=options.urdf,
+        drives=options.drives,
+        friction=options.friction,
+        controller=options.controller_file,
+    )
+    names = ("output", "engine", "storage", "controller", "timeout") if options.verb == "run" else ()
+    where = {name: getattr(options, name) for name in names}
+    run_experiments(ExperimentJob(files, tuple(options.group), options.quick, options.speeds, **where))

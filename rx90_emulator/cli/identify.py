@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_emulator.cli.options import add_robot_arguments, number
-from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--output", type=Path, required=True, metavar="FILE", help="friction file to write (.yaml)")
     result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html)")
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits = Tolerances()
+    limits = ValidationTolerances()
     share = number("a positive number", lambda value: value > 0.0)
     result.add_argument("--torque-tolerance", type=share, default=limits.torque, metavar="SHARE",
                         help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
@@ -60,9 +60,21 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    from rx90_emulator.identification.job import run  # here, because --help must not wait for it
+    # Here, because --help must not wait for them.
+    from rx90_emulator.identification.experiments.folder import IdentificationBags
+    from rx90_emulator.identification.job import IdentificationJob, run_identification
 
-    if run(options):
+    limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
+    job = IdentificationJob(
+        folder=options.folder,
+        bags=IdentificationBags.of(options.sliding, options.presliding, options.validation),
+        robot=RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__}),
+        tolerances=ValidationTolerances(*limits),
+        output=options.output,
+        report=options.report,
+        force=options.force,
+    )
+    if run_identification(job):
         return DONE
     print("rx90_identify: the validation does not confirm the result", file=sys.stderr)
     return VERDICT_NO

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -27,23 +28,40 @@ _QUICK = PlanOptions(
 )
 
 
-def _setup(options: argparse.Namespace) -> Setup:
-    return Setup.load(
-        RobotFiles.named(
-            tool=options.tool,
-            urdf=options.urdf,
-            drives=options.drives,
-            friction=options.friction,
-            controller=options.controller_file,
-        )
-    )
+@dataclass(frozen=True)
+class ExperimentJob:
+    """Which experiments to plan, and where to run them.
 
+    Attributes:
+        files: the robot's.
+        groups: names of directions; all of them if empty.
+        quick: whether fewer speeds, one pose and one micro-oscillation do.
+        speeds: in each direction; None for the plan's own number.
+        output: folder for the bags; None to plan only.
+        engine: whether to run in the closed loop without ROS, else on the controller node.
+        storage: of the engine's bags, mcap or sqlite3.
+        controller: name of the controller node.
+        timeout: longest wait for the nodes, s.
+    """
 
-def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:
-    values = vars(_QUICK if options.quick else PlanOptions()) | {"groups": tuple(options.group)}
-    if options.speeds is not None:
-        values["speeds"] = options.speeds
-    return make_plan(setup.robot, setup.drives, PlanOptions(**values))
+    files: RobotFiles
+    groups: tuple[str, ...] = ()
+    quick: bool = False
+    speeds: int | None = None
+    output: Path | None = None
+    engine: bool = True
+    storage: str = "mcap"
+    controller: str = "rx90_controller"
+    timeout: float = 60.0
+
+    def plan_options(self) -> PlanOptions:
+        """Return the options of the plan.
+
+        Raises:
+            IdentificationError: for a number of speeds that is not acceptable.
+        """
+        options = replace(_QUICK if self.quick else PlanOptions(), groups=self.groups)
+        return options if self.speeds is None else replace(options, speeds=self.speeds)
 
 
 def describe(plan: Sequence[Experiment], setup: Setup) -> str:
@@ -67,37 +85,33 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def run(options: argparse.Namespace) -> None:
-    """Show the plan and run it, if asked to.
+def run_experiments(job: ExperimentJob) -> None:
+    """Print the plan, and run it if there is a folder for the bags.
 
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    setup = _setup(options)
-    plan = _plan(options, setup)
+    setup = Setup.load(job.files)
+    plan = make_plan(setup.robot, setup.drives, job.plan_options())
     print(describe(plan, setup), flush=True)
-    if options.verb == "plan":
+    if job.output is None:
         return
-    make_folder(options.output)
+    make_folder(job.output)
     try:
-        _record(plan, setup, options)
+        if job.engine:
+            for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
+                run_on_engine(setup, experiment, job.output / experiment.name, job.storage)
+                write_index(job.output, plan[: number + 1])
+        else:
+            _run_on_nodes(setup, plan, job.output, job)
     finally:
-        # Where no bag came about, the folder would refuse the next attempt.
+        # A folder without any bag would refuse the next attempt.
         with suppress(OSError):
-            options.output.rmdir()
-    print(f"bags: {options.output}")
+            job.output.rmdir()
+    print(f"bags: {job.output}")
 
 
-def _record(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
-    if options.engine:
-        for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
-            run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
-            write_index(options.output, plan[: number + 1])
-    else:
-        _run_on_nodes(plan, setup, options)
-
-
-def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
+def _run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, job: ExperimentJob) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
@@ -105,4 +119,4 @@ def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Na
         from rx90_emulator.identification.experiments.nodes import run_on_nodes
     except ImportError as error:
         raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
-    run_on_nodes(setup, plan, options.output, options.controller, options.timeout, lambda text: print(text, flush=True))
+    run_on_nodes(setup, plan, folder, job.controller, job.timeout, lambda text: print(text, flush=True))

@@ -113,16 +113,16 @@ from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.loop.setup import Setup
 setup, fourth = Setup.load(), np.eye(6)[3]
 robot = setup.robot
-slide, bend = Motion(np.zeros(6)), Motion(np.zeros(6))
+slide, cycle = Motion(np.zeros(6)), Motion(np.zeros(6))
 for speed in np.geomspace(0.041, 1.63, 5):
     slide.sweep(fourth, speed, 0.5, 6.0)
     slide.sweep(fourth, -speed, 0.5, 6.0)
-bend.sweep(fourth, 0.05, 0.3, 6.0)
-bend.oscillate(fourth, [2e-3], [1.0], 2.0)
-bend.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
-bend.move(np.zeros(6), np.ones(6), 5.0)
+cycle.sweep(fourth, 0.05, 0.3, 6.0)
+cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+cycle.move(np.zeros(6), np.ones(6), 5.0)
 plan = [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-        Experiment("bend", Kind.PRESLIDING, bend.points(robot.joint_names), 2)]
+        Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)]
 folder = Path(sys.argv[1])
 folder.mkdir()
 run_on_nodes(setup, plan, folder, "rx90_controller", 60.0, print)

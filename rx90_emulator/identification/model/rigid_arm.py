@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.rigid_torque import configurations, rigid_torque
 from rx90_common.friction.friction_set import element_names
-from rx90_emulator.identification.records.foreign_urdf import joint_model
+from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
