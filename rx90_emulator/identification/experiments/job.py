@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +33,7 @@ class ExperimentJob:
     """Which experiments to plan, and where to run them.
 
     Attributes:
-        files: the robot's.
+        files: the robot's; by default the shipped ones.
         groups: names of directions; all of them if empty.
         quick: whether fewer speeds, one pose and one micro-oscillation do.
         speeds: in each direction; None for the plan's own number.
@@ -44,7 +44,7 @@ class ExperimentJob:
         timeout: longest wait for the nodes, s.
     """
 
-    files: RobotFiles
+    files: RobotFiles = field(default_factory=RobotFiles)
     groups: tuple[str, ...] = ()
     quick: bool = False
     speeds: int | None = None
