@@ -47,7 +47,7 @@ class IdentificationJob:
 
 
 def write_identification(
-    result: FrictionIdentification, output: Path, report: Path | None = None, *, force: bool = False
+    result: FrictionIdentification, output: Path | str, report: Path | str | None = None, *, force: bool = False
 ) -> tuple[Path, Path]:
     """Write friction file and report, both or none, and return their names.
 
@@ -58,11 +58,12 @@ def write_identification(
         force: whether files that exist are replaced.
 
     Raises:
-        IdentificationError: for files that cannot be written.
+        IdentificationError: for files that exist, or that are not acceptable.
+        OutputError: for files that cannot be written.
     """
-    files = _targets(output, report, force=force)
-    write_all({files[0]: friction_text(result), files[1]: report_page(result, output.name)})
-    return files
+    file, page = _targets(Path(output), None if report is None else Path(report), force=force)
+    write_all({file: friction_text(result), page: report_page(result, file.name)})
+    return file, page
 
 
 def _targets(output: Path, report: Path | None, *, force: bool) -> tuple[Path, Path]:
