@@ -16,10 +16,10 @@ Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
 Friction        FrictionFile, FrictionSet, LuGreElement
-Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, Block, SweptParameter,
-                Values, Uniform, LogUniform, Normal
-Identification  run_experiments, identify_friction, identification_summary, write_identification, ExperimentJob,
-                FrictionIdentification, IdentificationBags, RobotFiles, RobotOptions, ValidationTolerances
+Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
+                SweptParameter, Values, Uniform, LogUniform, Normal
+Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
+                Experiment, FrictionIdentification, IdentificationBags, RobotOptions, ValidationTolerances
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
@@ -55,7 +55,8 @@ if TYPE_CHECKING:
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
     from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.experiments.job import ExperimentJob, run_experiments
+    from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
+    from rx90_emulator.identification.experiments.plan import Experiment
     from rx90_emulator.identification.identify import identify_friction
     from rx90_emulator.identification.job import write_identification
     from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
@@ -77,7 +78,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BagComparison",
     "Block",
-    "ExperimentJob",
+    "Experiment",
     "FrictionFile",
     "FrictionIdentification",
     "FrictionSet",
@@ -119,11 +120,12 @@ __all__ = [
     "load_trajectory",
     "parameters",
     "path_accuracy",
+    "plan_experiments",
     "plan_line",
     "read_bag",
     "read_joint_states",
     "read_sweep",
-    "run_experiments",
+    "record_on_engine",
     "run_line",
     "run_sweep",
     "save_arrays",
@@ -150,7 +152,8 @@ _HOMES = {
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
-    "rx90_emulator.identification.experiments.job": "ExperimentJob run_experiments",
+    "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
+    "rx90_emulator.identification.experiments.plan": "Experiment",
     "rx90_emulator.identification.identify": "identify_friction",
     "rx90_emulator.identification.job": "write_identification",
     "rx90_emulator.identification.model.options": "RobotOptions ValidationTolerances",

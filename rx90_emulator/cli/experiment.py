@@ -51,7 +51,13 @@ def main(options: argparse.Namespace) -> None:
     """
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.identification.experiments.job import ExperimentJob, run_experiments
+    from rx90_emulator.identification.experiments.job import (
+        describe,
+        plan_experiments,
+        record_on_engine,
+        record_on_nodes,
+    )
+    from rx90_emulator.loop.setup import Setup
 
     files = RobotFiles.named(
         tool=options.tool,
@@ -60,6 +66,13 @@ def main(options: argparse.Namespace) -> None:
         friction=options.friction,
         controller=options.controller_file,
     )
-    names = ("output", "engine", "storage", "controller", "timeout") if options.verb == "run" else ()
-    where = {name: getattr(options, name) for name in names}
-    run_experiments(ExperimentJob(files, tuple(options.group), options.quick, options.speeds, **where))
+    setup = Setup.load(files)
+    plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
+    print(describe(plan, setup), flush=True)
+    if options.verb == "plan":
+        return
+    if options.engine:
+        record_on_engine(setup, plan, options.output, options.storage)
+    else:
+        record_on_nodes(setup, plan, options.output, options.controller, options.timeout)
+    print(f"bags: {options.output}")

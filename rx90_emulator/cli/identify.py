@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from rx90_common.base.errors import DONE, VERDICT_NO
+from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_emulator.cli.options import add_robot_arguments, number
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
@@ -62,19 +62,17 @@ def main(options: argparse.Namespace) -> int:
     """
     # Here, because --help must not wait for them.
     from rx90_emulator.identification.experiments.folder import IdentificationBags
-    from rx90_emulator.identification.job import IdentificationJob, run_identification
+    from rx90_emulator.identification.job import run_identification
 
     limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
-    job = IdentificationJob(
-        folder=options.folder,
-        bags=IdentificationBags.of(options.sliding, options.presliding, options.validation),
-        robot=RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__}),
-        tolerances=ValidationTolerances(*limits),
-        output=options.output,
-        report=options.report,
-        force=options.force,
-    )
-    if run_identification(job):
+    robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+    single = [*options.sliding, *options.presliding, *options.validation]
+    if options.folder is not None and single:
+        raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
+    bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
+    if run_identification(
+        bags, robot, ValidationTolerances(*limits), options.output, options.report, force=options.force
+    ):
         return DONE
     print("rx90_identify: the validation does not confirm the result", file=sys.stderr)
     return VERDICT_NO

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,29 +20,6 @@ from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.result.identification import FrictionIdentification
 
 _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}]"
-
-
-@dataclass(frozen=True)
-class IdentificationJob:
-    """What to identify and where to write it.
-
-    Attributes:
-        folder: that `rx90_experiment` wrote; None for single bags.
-        bags: single bags by use; empty with a folder.
-        robot: that the bags come from.
-        tolerances: of the validation.
-        output: friction file to write.
-        report: page to write; None for one beside the friction file.
-        force: whether files that exist are replaced.
-    """
-
-    folder: Path | None
-    bags: IdentificationBags
-    robot: RobotOptions
-    tolerances: ValidationTolerances
-    output: Path
-    report: Path | None = None
-    force: bool = False
 
 
 def write_identification(
@@ -74,29 +50,41 @@ def _targets(output: Path, report: Path | None, *, force: bool) -> tuple[Path, P
     return output, page
 
 
-def run_identification(job: IdentificationJob) -> bool:
-    """Identify, write the files, print a summary, and return whether no validation bag disagrees.
+def run_identification(
+    bags: IdentificationBags | Path,
+    robot: RobotOptions,
+    tolerances: ValidationTolerances,
+    output: Path,
+    report: Path | None = None,
+    *,
+    force: bool = False,
+) -> bool:
+    """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
+
+    Args:
+        bags: as in `identify_friction`, as are robot and tolerances.
+        robot: that the bags come from.
+        tolerances: of the validation.
+        output: as in `write_identification`, as are report and force; checked before anything long begins.
+        report: HTML page.
+        force: whether files that exist are replaced.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    _targets(job.output, job.report, force=job.force)  # before anything long begins
-    single = job.bags.sliding + job.bags.presliding + job.bags.validation
-    if job.folder is not None and single:
-        raise IdentificationError(f"{job.folder} and {single[0]}; accepted: a folder or single bags, not both")
-    bags = job.bags if job.folder is None else read_index(job.folder)
-    total = sum(map(len, vars(bags).values())) + 2 + len(bags.validation)
+    _targets(output, report, force=force)
+    chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
+    total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
     with ExitStack() as shown:
         bars: list[tqdm[Any]] = []
 
         def step(text: str) -> None:
             if not bars:  # only now: what is refused before the first step needs no bar
-                bar: tqdm[Any] = tqdm(total=total, bar_format=_BAR, file=sys.stderr)
-                bars.append(shown.enter_context(bar))
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
             bars[0].set_description_str(text)
             bars[0].update()
 
-        result = identify_friction(bags, job.robot, job.tolerances, step)
-    output, report = write_identification(result, job.output, job.report, force=job.force)
-    print(f"{identification_summary(result)}\nfriction file: {output}\nreport: {report}")
+        result = identify_friction(chosen, robot, tolerances, step)
+    files = write_identification(result, output, report, force=force)
+    print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ExchangeError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
@@ -28,40 +27,22 @@ _QUICK = PlanOptions(
 )
 
 
-@dataclass(frozen=True)
-class ExperimentJob:
-    """Which experiments to plan, and where to run them.
+def plan_experiments(
+    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
+) -> tuple[Experiment, ...]:
+    """Return the experiments for an arm.
 
-    Attributes:
-        files: the robot's; by default the shipped ones.
+    Args:
+        setup: robot and drives.
         groups: names of directions; all of them if empty.
         quick: whether fewer speeds, one pose and one micro-oscillation do.
         speeds: in each direction; None for the plan's own number.
-        output: folder for the bags; None to plan only.
-        engine: whether to run in the closed loop without ROS, else on the controller node.
-        storage: of the engine's bags, mcap or sqlite3.
-        controller: name of the controller node.
-        timeout: longest wait for the nodes, s.
+
+    Raises:
+        IdentificationError: for an unknown group or a number of speeds that is not acceptable.
     """
-
-    files: RobotFiles = field(default_factory=RobotFiles)
-    groups: tuple[str, ...] = ()
-    quick: bool = False
-    speeds: int | None = None
-    output: Path | None = None
-    engine: bool = True
-    storage: str = "mcap"
-    controller: str = "rx90_controller"
-    timeout: float = 60.0
-
-    def plan_options(self) -> PlanOptions:
-        """Return the options of the plan.
-
-        Raises:
-            IdentificationError: for a number of speeds that is not acceptable.
-        """
-        options = replace(_QUICK if self.quick else PlanOptions(), groups=self.groups)
-        return options if self.speeds is None else replace(options, speeds=self.speeds)
+    options = replace(_QUICK if quick else PlanOptions(), groups=tuple(groups))
+    return make_plan(setup.robot, setup.drives, options if speeds is None else replace(options, speeds=speeds))
 
 
 def describe(plan: Sequence[Experiment], setup: Setup) -> str:
@@ -85,38 +66,43 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def run_experiments(job: ExperimentJob) -> None:
-    """Print the plan, and run it if there is a folder for the bags.
+def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | str, storage: str = "mcap") -> None:
+    """Run experiments in the closed loop without ROS, each into a bag of a new folder.
 
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    setup = Setup.load(job.files)
-    plan = make_plan(setup.robot, setup.drives, job.plan_options())
-    print(describe(plan, setup), flush=True)
-    if job.output is None:
-        return
-    make_folder(job.output)
+    with _new_folder(Path(folder)) as new:
+        for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
+            run_on_engine(setup, experiment, new / experiment.name, storage)
+            write_index(new, plan[: number + 1])
+
+
+def record_on_nodes(
+    setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str = "rx90_controller", timeout: float = 60.0
+) -> None:
+    """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s.
+
+    Raises:
+        Rx90Error: for what cannot be done; complete bags stay.
+    """
+    with _new_folder(folder):
+        from rx90_common.exchange.environment import prepare
+
+        prepare()
+        try:
+            from rx90_emulator.identification.experiments.nodes import run_on_nodes
+        except ImportError as error:
+            raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
+        run_on_nodes(setup, plan, folder, controller, timeout, lambda text: print(text, flush=True))
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[Path]:
+    make_folder(folder)
     try:
-        if job.engine:
-            for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
-                run_on_engine(setup, experiment, job.output / experiment.name, job.storage)
-                write_index(job.output, plan[: number + 1])
-        else:
-            _run_on_nodes(setup, plan, job.output, job)
+        yield folder
     finally:
         # A folder without any bag would refuse the next attempt.
         with suppress(OSError):
-            job.output.rmdir()
-    print(f"bags: {job.output}")
-
-
-def _run_on_nodes(setup: Setup, plan: Sequence[Experiment], folder: Path, job: ExperimentJob) -> None:
-    from rx90_common.exchange.environment import prepare
-
-    prepare()
-    try:
-        from rx90_emulator.identification.experiments.nodes import run_on_nodes
-    except ImportError as error:
-        raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
-    run_on_nodes(setup, plan, folder, job.controller, job.timeout, lambda text: print(text, flush=True))
+            folder.rmdir()

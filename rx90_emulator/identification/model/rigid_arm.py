@@ -1,4 +1,4 @@
-"""The rigid arm that a record's torques are held against: what the drives give without any friction."""
+"""The rigid arm: what the drives give without friction, which is subtracted from the torques of a record."""
 
 from __future__ import annotations
 

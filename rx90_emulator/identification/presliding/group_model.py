@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -129,7 +129,9 @@ class GroupFriction:
     sliding: tuple[LuGreElement, ...]
     speeds: tuple[Array, ...]
     step: tuple[float, ...]
-    _last: dict[tuple[int, int], tuple[tuple[float, float], tuple[Array, Array]]] = field(default_factory=dict)
+    _last: dict[tuple[int, int], tuple[tuple[float, float], tuple[Array, Array]]] = field(
+        default_factory=dict, init=False
+    )
 
     @cached_property
     def paths(self) -> list[list[BristlePath]]:
@@ -141,8 +143,7 @@ class GroupFriction:
 
     def with_element(self, n: int, element: LuGreElement) -> GroupFriction:
         """Return the same motions with another sliding regime of one element."""
-        sliding = (*self.sliding[:n], element, *self.sliding[n + 1 :])
-        return GroupFriction(self.parameters, self.inputs, sliding, self.speeds, self.step)
+        return replace(self, sliding=(*self.sliding[:n], element, *self.sliding[n + 1 :]))
 
     def deflection(self, x: Array, index: int, n: int) -> tuple[Array, Array]:
         """Return what `BristlePath.deflect` does of element n along a motion; the last result is kept."""

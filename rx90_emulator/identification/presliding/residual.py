@@ -178,6 +178,4 @@ class GroupResidual:
             place = (np.arange(len(velocity)) + 0.5) / BLOCK - 0.5
             ahead = np.column_stack([np.interp(place, np.arange(len(coarse)), column) for column in coarse.T])
             speeds.append((velocity + ahead) @ self.friction.inputs.T)
-        friction = self.friction
-        moved = GroupFriction(friction.parameters, friction.inputs, friction.sliding, tuple(speeds), friction.step)
-        return replace(self, friction=moved)
+        return replace(self, friction=replace(self.friction, speeds=tuple(speeds)))
