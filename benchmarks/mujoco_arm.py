@@ -27,7 +27,7 @@ def mujoco_arm(setup: Setup) -> Any:
     robot, drives = setup.robot, setup.drives
     spec = mujoco.MjSpec.from_string(robot.urdf)
     spec.option.timestep = setup.rates.period
-    for geometry in list(spec.geoms):  # for the eye only; inertias are the URDF's
+    for geometry in list(spec.geoms):  # for display only; inertias are the URDF's
         spec.delete(geometry)
     joints = [spec.joint(name) for name in robot.joint_names]
     for joint in joints:

@@ -163,7 +163,7 @@ class Case(NamedTuple):
     scale: float
     speed: float
     agreement: Agreement
-    lost: bool
+    diverged: bool
 
 
 def at_speed(task: LineTask, line_speed: float) -> LineTask:
@@ -185,7 +185,7 @@ def validity(setup: Setup, task: LineTask) -> list[Case]:
                 setup=dataclasses.replace(setup, friction=frictions[run], controller=controller)
             ).full()
             compared = agreement(full, result, run, *work.window)
-            cases.append(Case(name, scale, line_speed, compared, bool(result.lost[run])))
+            cases.append(Case(name, scale, line_speed, compared, bool(result.diverged[run])))
     return cases
 
 

@@ -10,10 +10,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
+from rx90_common.description.wrist import element_matrix
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
-_ELEMENT_INPUT = np.vstack([np.eye(6), [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
+_ELEMENT_INPUT = element_matrix()
 """Input velocities of the friction elements for joint velocities."""
 
 

@@ -144,7 +144,7 @@ def _plant_step(plant: Any, state: Any, work: Any, command: Array) -> None:
 @kernel
 def _element_step(elements: Any, i: int, z: float, velocity: float, step: float) -> tuple[float, float]:
     """Return the new deflection, rad, and the mean torque, Nm, of friction element i (equations 17 to 19)."""
-    side, speed = (1 if velocity >= 0.0 else 0), abs(velocity)
+    side, speed = (0 if velocity >= 0.0 else 1), abs(velocity)
     ratio, delta = speed * elements.inverse_omega_s[i], elements.delta[i]
     power = ratio if delta == 1.0 else ratio * ratio if delta == 2.0 else ratio**delta
     coulomb = elements.tau_c[side, i]

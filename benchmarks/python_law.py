@@ -32,9 +32,9 @@ class PythonDrives:
         self.position = self._read(q)
         for i in range(6):
             predicted = self._observer[i] + self._period * self.velocity[i]
-            surprise = self.position[i] - predicted
-            self._observer[i] = predicted + self._position_gain * surprise
-            self.velocity[i] += self._velocity_gain * surprise
+            innovation = self.position[i] - predicted
+            self._observer[i] = predicted + self._position_gain * innovation
+            self.velocity[i] += self._velocity_gain * innovation
 
     def _read(self, q: Sequence[float]) -> list[float]:
         turns = [*q[:5], q[4] + q[5]]

@@ -11,13 +11,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90_common.description.rigid_torque import rigid_torque
+from rx90_common.description.wrist import element_matrix
 from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 
-INPUT = np.vstack([np.eye(6), [0, 0, 0, 0, 1, 1]])
+INPUT = element_matrix()
 WRIST = np.eye(6)
 WRIST[5, 4] = 1.0
 PERIOD = 1e-3

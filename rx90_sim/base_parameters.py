@@ -1,10 +1,9 @@
-"""Inertial parameters of a serial arm, reduced to those that its motion can show.
+"""Base parameters of a serial arm: the inertial parameters that its motion depends on (Gautier and Khalil 1990).
 
-Mass that lies on a joint axis moves in the same way whether it belongs to the link before or after the joint.
-From the tip on, each link therefore hands on to the one before it the mass, the first moment and the second
-moment along its axis (Gautier and Khalil 1990: the base parameters). What stays are two first moments and,
-with the link's x axis turned to make the product of inertia about the axis vanish, four second moments:
-6 numbers in place of 10, and neither M(q) nor h(q, v) changes.
+Mass on a joint axis moves in the same way whether it belongs to the link before or after the joint. From the tip to
+the base, the mass, the first moment and the second moment along the axis of each link are therefore regrouped into the
+link before it. Two first moments remain and, with the link's x axis turned such that the product of inertia about the
+axis vanishes, four second moments: 6 numbers in place of 10, and neither M(q) nor h(q, v) changes.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def base_parameters(chain: RigidChain) -> BaseParameters:
         second[i - 1] += mass[i] * np.outer(origin, origin) + (z @ second[i] @ z) * np.outer(z, z)
         second[i - 1] += along * (np.outer(origin, z) + np.outer(z, origin))
         mass[i - 1] += mass[i]
-    # What lies along the axis itself has been handed on; in these frames it is not looked at again.
+    # What lies along the axis has been regrouped; the entries that still hold it are not used.
     at_zero = _link_frames(chain.axis, second)
     before = np.concatenate([np.eye(3)[None], at_zero[:-1]])
     following = np.concatenate([chain.origin[1:], np.zeros((1, 3))])

@@ -19,19 +19,19 @@ def encoder_reading(position: Lanes, resolution: Lanes) -> Lanes:
 def observe(
     reading: Lanes, position: Lanes, velocity: Lanes, period: float, position_gain: float, velocity_gain: float
 ) -> tuple[Lanes, Lanes]:
-    """Track the encoder as a resolver converter does: a critically damped observer of second order.
+    """Advance a critically damped observer of second order, as resolver-to-digital converters have it.
 
     Args:
         reading: the encoder's position, rad.
         position: the observer's position before, rad.
         velocity: the observed velocity before, rad/s.
         period: the tick, s.
-        position_gain: share of the surprise that corrects the position.
-        velocity_gain: correction of the velocity per surprise, 1/s.
+        position_gain: gain of the innovation on the position.
+        velocity_gain: gain of the innovation on the velocity, 1/s.
 
     Returns:
         The observer's position and velocity now.
     """
     predicted = position + period * velocity
-    surprise = reading - predicted
-    return predicted + position_gain * surprise, velocity + velocity_gain * surprise
+    innovation = reading - predicted
+    return predicted + position_gain * innovation, velocity + velocity_gain * innovation

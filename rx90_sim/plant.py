@@ -106,7 +106,7 @@ class Plant:
 
     @property
     def saturated(self) -> NDArray[np.int64]:
-        """Return for how many ticks each motor gave less than was asked, shape (6,)."""
+        """Return for how many ticks each motor gave less than its command, shape (6,)."""
         return np.array(self.state["saturated"][0])
 
     def motor_states(self) -> tuple[Array, Array, Array]:

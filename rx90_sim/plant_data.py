@@ -50,7 +50,7 @@ STATE_DTYPE = np.dtype(
         ("motor_position", np.float64, 6),  # what the encoder says
         ("motor_velocity", np.float64, 6),  # what the observer makes of it
         ("observer", np.float64, 6),  # the observer's position
-        ("saturated", np.int64, 6),  # ticks in which a motor gave less than was asked
+        ("saturated", np.int64, 6),  # ticks in which a motor gave less than its command
         # Workspace of a step; the factor of the mass matrix is also the next step's predictor.
         ("body", BODY_DTYPE),
         ("mass_matrix", np.float64, (6, 6)),

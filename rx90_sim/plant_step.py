@@ -61,7 +61,7 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
         powered: false takes the torque away and closes the brakes.
 
     Returns:
-        -1, or the index of the joint that left its speed limit furthest behind, or whose command is NaN.
+        -1, or the index of the joint that exceeds its speed limit most, or whose command is NaN.
     """
     plant, state = plants[0], states[0]
     _actuate(plant, state, command, powered)
@@ -85,7 +85,7 @@ def sample_drives(plants: Record, states: Record) -> None:
 
 @kernel
 def _worst_joint(plant: Any, state: Any) -> int:
-    """Return the joint to blame: within a tick a diverging joint throws its neighbours off, too."""
+    """Return the joint that exceeds its speed limit most: those next to a diverging joint exceed theirs, too."""
     worst, most = 0, -1.0
     for i in range(6):
         if math.isnan(state.motor_torque[i]):

@@ -312,3 +312,39 @@ def test_every_test_says_what_it_proves(path: Path) -> None:
             text = ast.get_docstring(function)
             assert text, f"{path.name}: {function.name}"
             assert text.splitlines()[0].endswith("."), f"{path.name}: {function.name}"
+
+
+def test_the_walks_name_files_and_functions_that_are_there() -> None:
+    """Each step of the walks in docs/architecture.md names a file of the repository and functions defined in it."""
+    rows = re.findall(r"^\| `([\w/.]+\.(?:py|yaml))` \| ([^|]*) \|", page("architecture.md"), re.MULTILINE)
+    assert len(rows) > 25
+    for file, functions_named in rows:
+        assert (ROOT / file).is_file(), file
+        for dotted in re.findall(r"`([\w.]+)`", functions_named):
+            assert dotted in defined(ast.parse((ROOT / file).read_text(encoding="utf-8"))), f"{file}: {dotted}"
+
+
+def page(name: str) -> str:
+    """Return the text of a page of docs/."""
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def defined(tree: ast.Module) -> set[str]:
+    """Return the functions and classes of a module, methods as Class.method."""
+    found = set()
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            found.update(f"{node.name}.{method.name}" for method in functions(node))
+    return found
+
+
+def test_the_picture_and_the_table_show_every_folder() -> None:
+    """Each package and each folder directly below one stands in the picture and the table of docs/architecture.md."""
+    picture, text = page("images/house.svg"), page("architecture.md")
+    for name in FOLDERS:
+        parts = name.split(".")
+        if len(parts) <= 2:
+            assert parts[-1] in picture, name
+            assert "/".join(parts) in text or f"`{parts[-1]}/`" in text, name

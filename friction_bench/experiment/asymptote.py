@@ -52,11 +52,9 @@ class RampFit:
     Attributes:
         slope: m, Nm/s.
         a, b: asymptote of the velocity, rad/s² and rad/s.
-        offset: c of c - b t + a t²/2, rad.
         covariance: of (a, b), shape (2, 2).
         break_away: time of break-away, s.
         window: first and last time used, s.
-        noise: q, intensity of the integrated Ornstein-Uhlenbeck process, rad²/s.
         points: readings used.
     """
 
@@ -64,17 +62,10 @@ class RampFit:
     slope: float
     a: float
     b: float
-    offset: float
     covariance: Array
     break_away: float
     window: tuple[float, float]
-    noise: float
     points: int
-
-    @property
-    def time_constant(self) -> float:
-        """Return J / f_v as this one ramp shows it, s."""
-        return self.b / self.a - self.break_away
 
 
 def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False) -> RampFit:
@@ -106,11 +97,9 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, pre
         slope=record.slope,
         a=solution.a,
         b=solution.b,
-        offset=solution.offset,
         covariance=solution.covariance,
         break_away=break_away,
         window=(float(time[use][0]), float(time[-1])),
-        noise=solution.noise,
         points=int(use.sum()),
     )
     if not preliminary:
@@ -237,9 +226,7 @@ def _check_length(record: RampRecord, points: int, length: float, T: float) -> N
 class _Solution:
     a: float
     b: float
-    offset: float
     covariance: Array
-    noise: float
 
 
 def integrated_ou_covariance(time: Array, T: float) -> Array:
@@ -287,15 +274,13 @@ def _solve(time: Array, angle: Array, step: float, break_away: float, T: float, 
             [0, 0, half**-2],
         ]
     )
-    c, linear, square = back @ beta
+    _, linear, square = back @ beta
     covariance = back @ np.linalg.inv(information) @ back.T
     to_ab = np.array([[0.0, 0.0, 2.0], [0.0, -1.0, 0.0]])
     return _Solution(
         a=2.0 * float(square),
         b=-float(linear),
-        offset=float(c),
         covariance=np.asarray(to_ab @ covariance @ to_ab.T),
-        noise=math.exp(float(best.x)),
     )
 
 

@@ -38,9 +38,6 @@ class IntervalEstimate:
     low: float
     high: float
 
-    def __str__(self) -> str:
-        return f"{self.value:.5g} [{self.low:.5g}, {self.high:.5g}]"
-
 
 @dataclass(frozen=True)
 class RampFriction:
@@ -111,15 +108,10 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
     return m * b / a, m / a
 
 
-def slopes_of(fits: Sequence[RampFit]) -> list[float]:
-    """Return the distinct slopes of some fits, ascending."""
-    return distinct_slopes(fit.slope for fit in fits)
-
-
-def distinct_slopes(slopes: Iterable[float]) -> list[float]:
-    """Return slopes that differ by more than SAME_SLOPE, ascending."""
+def slopes_of(ramps: Iterable[RampRecord | RampFit]) -> list[float]:
+    """Return the slopes of some ramps that differ by more than SAME_SLOPE, ascending."""
     distinct: list[float] = []
-    for slope in sorted(slopes):
+    for slope in sorted(ramp.slope for ramp in ramps):
         if not distinct or slope > distinct[-1] * (1 + SAME_SLOPE):
             distinct.append(slope)
     return distinct
@@ -137,7 +129,7 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     """
     if not records:
         raise IdentificationError("no ramp to identify from")
-    two_slopes = len(distinct_slopes(record.slope for record in records)) >= 2
+    two_slopes = len(slopes_of(records)) >= 2
     fits = [fit_asymptote(record, preliminary=two_slopes) for record in records]
     exact = None
     consistency = 1.0

@@ -12,12 +12,12 @@ import time
 
 import serial
 
-from friction_bench.protocol.errors import RigLostError
+from friction_bench.protocol.errors import RigInputError, RigLostError
 
 _READ_SLICE = 0.01
 WRITE_TIMEOUT = 0.02
-"""Longest time for which a write may hold its caller, s. The system's buffer takes two seconds' worth of bytes: a
-line that does not even take a heartbeat into it is dead, and the stop must not wait behind it."""
+"""Longest time for which a write may hold its caller, s. The system's buffer holds two seconds' worth of bytes: a
+line without room for a heartbeat in it is dead, and the stop must not wait behind it."""
 _FAILURES = (serial.SerialException, OSError, termios.error, ValueError)
 
 
@@ -32,6 +32,7 @@ class SerialPort:
 
     Raises:
         RigLostError: if the port is not there or another program has it.
+        RigInputError: if the URL is none.
     """
 
     def __init__(self, url: str, baud: int) -> None:
@@ -44,7 +45,8 @@ class SerialPort:
             self._serial.write_timeout = WRITE_TIMEOUT
             self._serial.open()
         except _FAILURES as error:
-            raise RigLostError(f"{url}: cannot be opened ({_reason(error)})") from error
+            kind = RigInputError if type(error) is ValueError else RigLostError  # no URL that pyserial knows
+            raise kind(f"{url}: cannot be opened ({_reason(error)})") from error
 
     def now(self) -> float:
         """Return the monotonic clock, s."""

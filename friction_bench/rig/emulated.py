@@ -6,7 +6,7 @@ from typing import Protocol
 
 from friction_bench.protocol.errors import RigInputError
 from friction_bench.rig.native import NativeBoard
-from friction_bench.rig.plant import Plant
+from friction_bench.rig.plant import RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
 
 SLICE_US = 1000
@@ -52,7 +52,7 @@ class EmulatedRig:
             raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
         self.rig = rig
         self.board: Board = board or NativeBoard(rig.baud)
-        self.plant = Plant(rig.plant, rig.counts_per_revolution, seed)
+        self.plant = RigPlant(rig.plant, rig.counts_per_revolution, seed)
         self.time = 0.0
         self._edges = 0
         self._adc = 0

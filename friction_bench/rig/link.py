@@ -9,7 +9,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
 
 from friction_bench.protocol.errors import RigError, RigLostError, RigResetError
 from friction_bench.protocol.messages import Fault, Report, fault_text
@@ -29,15 +28,6 @@ _DISTURBED = "the line is disturbed"
 """One trouble, whatever shows it: noise, a cable, or a second reader, which is now the one and now the other."""
 
 
-@dataclass(frozen=True)
-class _Job:
-    """What the owner wants done, and how many stops it knew of when it asked."""
-
-    run: Callable[[RigClient], None]
-    future: Future[None]
-    known_stops: int
-
-
 class _Jobs:
     """Jobs that wait for the link's thread, each for the connection on which it was submitted.
 
@@ -47,7 +37,7 @@ class _Jobs:
 
     def __init__(self) -> None:
         self.client: RigClient | None = None
-        self._queue: queue.Queue[_Job] = queue.Queue()
+        self._queue: queue.Queue[tuple[Callable[[RigClient], None], Future[None], int]] = queue.Queue()
         self._lock = threading.Lock()
 
     def submit(self, run: Callable[[RigClient], None]) -> Future[None]:
@@ -56,7 +46,7 @@ class _Jobs:
         with self._lock:
             client = self.client
             if client is not None and client.hello is not None:
-                self._queue.put(_Job(run, future, client.line.stops))
+                self._queue.put((run, future, client.line.stops))
                 return future
         future.set_exception(RigLostError("there is no connection to the rig"))
         return future
@@ -67,7 +57,7 @@ class _Jobs:
             if disconnect:
                 self.client = None
             while not self._queue.empty():
-                future = self._queue.get_nowait().future
+                _, future, _ = self._queue.get_nowait()
                 if future.set_running_or_notify_cancel():
                     future.set_exception(RigLostError(reason))
 
@@ -78,21 +68,17 @@ class _Jobs:
             RigLostError, RigResetError: if the connection ends meanwhile.
         """
         try:
-            job = self._queue.get_nowait()
+            run, future, client.line.known_stops = self._queue.get_nowait()
         except queue.Empty:
             return
-        if not job.future.set_running_or_notify_cancel():
-            return
-        client.line.known_stops = job.known_stops
-        try:
-            job.run(client)
-        except (RigLostError, RigResetError) as error:
-            job.future.set_exception(error)
-            raise
-        except RigError as error:
-            job.future.set_exception(error)
-        else:
-            job.future.set_result(None)
+        if future.set_running_or_notify_cancel():
+            try:
+                run(client)
+                future.set_result(None)
+            except RigError as error:
+                future.set_exception(error)
+                if isinstance(error, RigLostError | RigResetError):
+                    raise
         client.line.known_stops = client.line.stops
 
 
@@ -104,6 +90,7 @@ class _Reporter:
         self._on_good = on_good
         self._reported: set[str] = set()
         self._troubled_at = 0.0
+        self._last_fault = Fault.NONE
         self.greeting = ""  # what `on_good` gets once the line is good
 
     def trouble(self, text: str, kind: str | None = None) -> None:
@@ -112,6 +99,13 @@ class _Reporter:
         if (kind or text) not in self._reported:
             self._reported.add(kind or text)
             self._on_trouble(text)
+
+    def fault(self, report: Report) -> None:
+        """Report the rig's faults when they change."""
+        if report.fault != self._last_fault:
+            self._last_fault = report.fault
+            if report.fault:
+                self._on_trouble(f"the rig switched itself off: {fault_text(report.fault)}; clear and arm it")
 
     def watch(self) -> None:
         """Report that the line is good when it is."""
@@ -144,13 +138,11 @@ class RigLink:
         self.rig = rig
         self._open_port = open_port
         self._on_sample = on_sample
-        self._on_trouble = on_trouble
         self._reporter = _Reporter(on_trouble, on_good)
         self._jobs = _Jobs()
         self._closed = threading.Event()
         self._alive_at = time.monotonic()
         self._port: Port | None = None
-        self._last_fault = Fault.NONE
         self._damage: deque[float] = deque()
         self._seen_damage = 0
         self._past = (0, 0)  # bad frames and lost reports of earlier connections
@@ -183,13 +175,13 @@ class RigLink:
         """Say that the owner is alive; without it the heartbeats stop and the rig switches itself off."""
         self._alive_at = time.monotonic()
 
-    def submit(self, job: Callable[[RigClient], None]) -> Future[None]:
-        """Run `job` with the client on the link's thread; its error comes out of the future.
+    def submit(self, run: Callable[[RigClient], None]) -> Future[None]:
+        """Call `run` with the client on the link's thread; its error comes out of the future.
 
         A job belongs to the connection on which it was submitted: it is never run after a loss or a reset of the
         rig, nor once its future has been cancelled.
         """
-        return self._jobs.submit(job)
+        return self._jobs.submit(run)
 
     def stop_rig(self) -> None:
         """Take the torque away now: from any thread, before anything that is queued or under way.
@@ -227,10 +219,10 @@ class RigLink:
         self._jobs.refuse("the connection to the rig was lost", disconnect=True)
         self._past = damage
         port, self._port = self._port, None
-        if port is not None:
+        if client is not None:
             with contextlib.suppress(RigError):
-                if client is not None:
-                    client.line.urgent_stop()
+                client.line.urgent_stop()
+        if port is not None:
             port.close()
 
     def _serve(self, client: RigClient) -> None:
@@ -254,15 +246,9 @@ class RigLink:
     def _step(self, client: RigClient) -> None:
         for sample in client.pump():
             self._on_sample(sample)
-            self._watch_fault(sample.report)
+            self._reporter.fault(sample.report)
         self._watch_damage(client)
         self._jobs.run_next(client)
-
-    def _watch_fault(self, report: Report) -> None:
-        if report.fault != self._last_fault:
-            self._last_fault = report.fault
-            if report.fault:
-                self._on_trouble(f"the rig switched itself off: {fault_text(report.fault)}; clear and arm it")
 
     def _watch_damage(self, client: RigClient) -> None:
         now = time.monotonic()
@@ -274,7 +260,6 @@ class RigLink:
         # What disarmed the rig once must not do so again when it is armed; and one stop is enough, it is repeated.
         if fresh and len(self._damage) >= DAMAGE_LIMIT:
             self._reporter.trouble("garbage on the line to the rig; it is disarmed", _DISTURBED)
-            armed = client.last is not None and client.last.report.state in SWITCHED_ON
-            if armed and not client.line.stopping:
+            if client.last is not None and client.last.report.state in SWITCHED_ON and not client.line.stopping:
                 client.line.urgent_stop()
                 client.line.known_stops = client.line.stops

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,14 @@ from rx90_common.kernels.compiled import kernel
 class JointFriction:
     """Coulomb and viscous friction of the revolute joint at the load: Nm and Nm s/rad."""
 
+    coulomb: float
+    viscous: float
+
+
+class Shaft(NamedTuple):
+    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad."""
+
+    inertia: float
     coulomb: float
     viscous: float
 
@@ -56,31 +65,20 @@ class PlantParameters:
     viscous: float
     joint: JointFriction | LuGreElement
 
-    def inertia(self, loaded: bool) -> float:
-        """Return the inertia at the motor, kg m²."""
-        load = self.load_inertia + (self.joint_inertia if loaded else 0.0)
-        return self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
-
-    def friction(self, loaded: bool) -> tuple[float, float]:
-        """Return Coulomb torque, Nm, and viscous coefficient, Nm s/rad, at the motor, sliding forward."""
-        if not loaded:
-            return self.coulomb, self.viscous
+    def shaft(self, loaded: bool) -> Shaft:
+        """Return what turns at the motor, sliding forward; without the friction of a LuGre joint."""
         scale = self.gear_ratio * self.gear_efficiency
-        if isinstance(self.joint, LuGreElement):
-            coulomb, viscous = self.joint.tau_c_positive, self.joint.c2
-        else:
-            coulomb, viscous = self.joint.coulomb, self.joint.viscous
-        return self.coulomb + coulomb / scale, self.viscous + viscous / (scale * self.gear_ratio)
-
-    def noiseless(self) -> PlantParameters:
-        """Return the same rig with perfect electronics."""
-        return replace(self, gain_error=0.0, torque_noise=0.0, adc_noise=0.0)
+        load = self.load_inertia + (self.joint_inertia if loaded else 0.0)
+        inertia = self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
+        joint = self.joint
+        if not loaded or isinstance(joint, LuGreElement):
+            return Shaft(inertia, self.coulomb, self.viscous)
+        viscous = self.viscous + joint.viscous / (scale * self.gear_ratio)
+        return Shaft(inertia, self.coulomb + joint.coulomb / scale, viscous)
 
 
 @kernel
-def slide(
-    angle: float, speed: float, torque: float, inertia: float, coulomb: float, viscous: float, dt: float
-) -> tuple[float, float]:
+def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> tuple[float, float]:
     """Advance J w' = torque - f_v w - f_c sgn w over `dt` with a constant torque, exactly.
 
     Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c.
@@ -88,10 +86,10 @@ def slide(
     left = dt
     for _ in range(2):  # at most one reversal: torque is constant
         sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
-        if speed == 0.0 and abs(torque) <= coulomb:
+        if speed == 0.0 and abs(torque) <= shaft.coulomb:
             return angle, 0.0
-        final = (torque - sign * coulomb) / viscous
-        tau = inertia / viscous
+        final = (torque - sign * shaft.coulomb) / shaft.viscous
+        tau = shaft.inertia / shaft.viscous
         run = left
         stops = speed * final < 0.0
         if stops:
@@ -113,28 +111,29 @@ _BRISTLE_STEPS = 20
 
 
 @kernel
-def slide_with_bristles(
+def turn_with_joint(
     angle: float,
     speed: float,
     z: float,
     torque: float,
-    inertia: float,
-    coulomb: float,
-    viscous: float,
-    ratio: float,
-    efficiency: float,
+    shaft: Shaft,
+    gear: tuple[float, float],
     joint: NDArray[np.void],
     dt: float,
 ) -> tuple[float, float, float]:
-    """Advance as `slide`, with a LuGre joint behind the gear; return angle, speed and bristle deflection."""
+    """Advance as `turn`, with a LuGre joint behind the gear (ratio and efficiency).
+
+    Returns angle, speed and bristle deflection.
+    """
     step, element = dt / _BRISTLE_STEPS, one_element(joint[0], 0)
+    ratio, efficiency = gear
     for _ in range(_BRISTLE_STEPS):
         z, friction = bristle_step(element, z, speed / ratio, step)
-        angle, speed = slide(angle, speed, torque - friction / (ratio * efficiency), inertia, coulomb, viscous, step)
+        angle, speed = turn(angle, speed, torque - friction / (ratio * efficiency), shaft, step)
     return angle, speed, z
 
 
-class Plant:
+class RigPlant:
     """The mechanics of one rig in motion; seeded, so that a run can be repeated bit for bit.
 
     Args:
@@ -145,11 +144,8 @@ class Plant:
 
     def __init__(self, parameters: PlantParameters, counts_per_revolution: int, seed: int) -> None:
         self.parameters = parameters
-        self.loaded = False
-        self.angle = 0.0
-        self.speed = 0.0
-        self.torque = 0.0
-        self.bristle = 0.0
+        self.angle = self.torque = 0.0
+        self.load(False)
         self._element = element_arrays((parameters.joint,)) if isinstance(parameters.joint, LuGreElement) else None
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
@@ -161,8 +157,8 @@ class Plant:
     def load(self, loaded: bool) -> None:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
         self.loaded = loaded
-        self.speed = 0.0
-        self.bristle = 0.0
+        self.speed = self.bristle = 0.0
+        self._shaft = self.parameters.shaft(loaded)
 
     def _normal(self) -> float:
         for value in self._noise:
@@ -192,25 +188,14 @@ class Plant:
         return edges
 
     def _move(self, dt: float) -> None:
-        p = self.parameters
-        inertia = p.inertia(self.loaded)
+        state = self.angle, self.speed
         if self.loaded and self._element is not None:
-            self.angle, self.speed, self.bristle = slide_with_bristles(
-                self.angle,
-                self.speed,
-                self.bristle,
-                self.torque,
-                inertia,
-                p.coulomb,
-                p.viscous,
-                p.gear_ratio,
-                p.gear_efficiency,
-                self._element,
-                dt,
+            gear = self.parameters.gear_ratio, self.parameters.gear_efficiency
+            self.angle, self.speed, self.bristle = turn_with_joint(
+                *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
             )
-            return
-        coulomb, viscous = p.friction(self.loaded)
-        self.angle, self.speed = slide(self.angle, self.speed, self.torque, inertia, coulomb, viscous, dt)
+        else:
+            self.angle, self.speed = turn(*state, self.torque, self._shaft, dt)
 
     def current_reading(self) -> float:
         """Return what the current sense amplifier shows, as motor torque, Nm."""

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import FloatArray, Int64Array, JointSeries
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.errors import BagError, ExchangeError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import ENCAPSULATION, LITTLE_ENDIAN, STAMP_BYTES, cdr_stamps_ns, message_time_ns
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 Deserialize = Callable[[bytes], Any]
@@ -20,8 +22,6 @@ Deserialize = Callable[[bytes], Any]
 _BLOCK = 8192  # messages; a few MB at a time, whatever the bag's size
 _MAX_PATTERNS = 8  # of one topic; messages of further ones are deserialised one by one
 _MAX_SLACK = 15  # unused bytes that serialisers may leave at the end
-_STAMP = slice(4, 12)  # seconds and nanoseconds behind the encapsulation
-_NS_PER_S = 1_000_000_000
 
 _Key = tuple[tuple[str, ...], tuple[bool, bool, bool]]
 
@@ -49,15 +49,15 @@ class _MessagePattern:
         high = np.frombuffer(b"\x01" * 8 * len(names))
         bytes_low, bytes_high = (
             np.frombuffer(codec.encode(stamp_ns, *(row if there else None for there in present)), dtype=np.uint8)
-            for stamp_ns, row in ((0, low), (0x01010101 * (_NS_PER_S + 1), high))
+            for stamp_ns, row in ((0, low), (0x01010101 * (NANOSECONDS + 1), high))
         )
         variable = bytes_low != bytes_high
         slack = len(sample) - len(variable)
-        if sample[:4] != bytes_low[:4].tobytes() or not 0 <= slack <= _MAX_SLACK:
+        if sample[:ENCAPSULATION] != LITTLE_ENDIAN or not 0 <= slack <= _MAX_SLACK:
             raise ExchangeError("a pattern that the codec does not write")
         self.key = key
         self.length = len(sample)
-        self._variable = np.flatnonzero(variable)[8:]
+        self._variable = np.flatnonzero(variable)[STAMP_BYTES:]
         self._constant = np.flatnonzero(~variable)
         self._expected = np.frombuffer(sample, dtype=np.uint8)[self._constant]
 
@@ -68,12 +68,9 @@ class _MessagePattern:
     def decode(self, block: NDArray[np.uint8], index: NDArray[np.intp]) -> _Rows:
         """Return the numbers of messages that have this pattern."""
         names, present = self.key
-        stamp = np.ascontiguousarray(block[:, _STAMP])
-        seconds = stamp[:, :4].copy().view("<i4")[:, 0].astype(np.int64)
-        nanoseconds = stamp[:, 4:].copy().view("<u4")[:, 0].astype(np.int64)
         numbers = np.ascontiguousarray(block[:, self._variable]).view("<f8").astype(np.float64, copy=False)
         values = numbers.reshape(len(block), sum(present), len(names))
-        return _Rows(index, seconds * _NS_PER_S + nanoseconds, values)
+        return _Rows(index, cdr_stamps_ns(block), values)
 
 
 class SeriesBuilder:
@@ -130,7 +127,7 @@ class SeriesBuilder:
                 start = min(int(rows.stamp_ns[0]) for rows in self._rows[other])
                 raise BagError(
                     f"{self._topic}: carries {_arrays(present)} in some messages "
-                    f"and {_arrays(other[1])} in others (from t = {start / 1e9:.9f} s)"
+                    f"and {_arrays(other[1])} in others (from t = {start / NANOSECONDS:.9f} s)"
                 )
         index, stamps, values = [], [], []
         for key in keys:
@@ -188,8 +185,7 @@ class SeriesBuilder:
         message = self._deserialize_with_slack(raw)
         names = tuple(message.name)
         arrays = [np.asarray(getattr(message, field), dtype=np.float64) for field in FIELDS]
-        stamp = message.header.stamp
-        stamp_ns = int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
+        stamp_ns = message_time_ns(message.header.stamp)
         self._check(names, arrays, stamp_ns)
         position, velocity, effort = (len(array) > 0 for array in arrays)
         key = (names, (position, velocity, effort))
@@ -215,7 +211,7 @@ class SeriesBuilder:
             raise
 
     def _check(self, names: tuple[str, ...], arrays: Sequence[FloatArray], stamp_ns: int) -> None:
-        where = f"{self._topic} at t = {stamp_ns / 1e9:.9f} s"
+        where = f"{self._topic} at t = {stamp_ns / NANOSECONDS:.9f} s"
         if not names or len(set(names)) != len(names):
             raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")
         for field, array in zip(FIELDS, arrays, strict=True):

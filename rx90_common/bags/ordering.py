@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from enum import Enum, auto
-from typing import Final, NamedTuple
+from typing import NamedTuple
+
+from rx90_common.base.stamps import cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
 _MAX_UNDATED_BYTES = 16 << 20
-_HEAD_BYTES = 12  # encapsulation, seconds, nanoseconds
-_NS_PER_S = 1_000_000_000
 
 
 class TimeSource(Enum):
@@ -85,7 +85,7 @@ class LogOrder:
         self.held_bytes += len(cdr)
         log_ns = self._newest
         if source is not TimeSource.NEWEST:
-            stamp = stamp_ns(cdr)
+            stamp = max(0, cdr_stamp_ns(cdr))
             if source is TimeSource.CLOCK:
                 log_ns = stamp + self._offset(topic, stamp)
                 self._advance(log_ns)
@@ -151,12 +151,3 @@ class LogOrder:
         undated, self._undated, self._undated_bytes = self._undated, [], 0
         for topic, arrival, cdr, received_ns in undated:
             self._entries.append(Entry(received_ns if log_ns is None else log_ns, topic, arrival, cdr))
-
-
-def stamp_ns(cdr: bytes) -> int:
-    """Return the time in ns that stands first in a CDR message; 0 if it lies before 0 or is cut off."""
-    if len(cdr) < _HEAD_BYTES:
-        return 0
-    order: Final = "little" if cdr[1] & 1 else "big"
-    seconds = int.from_bytes(cdr[4:8], order, signed=True)
-    return max(0, seconds * _NS_PER_S + int.from_bytes(cdr[8:12], order))

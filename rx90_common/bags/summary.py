@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.ordering import stamp_ns
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 
 _GAP = 1.5  # times the usual distance of two messages
 _ENOUGH_FOR_GAPS = 3
@@ -87,9 +87,8 @@ def summarise(path: Path | str) -> BagSummary:
 
 def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
     if not bag.is_ros1:
-        return stamp_ns(data)
-    stamp = bag.deserialize(topic, data).header.stamp
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+        return max(0, cdr_stamp_ns(data))
+    return message_time_ns(bag.deserialize(topic, data).header.stamp)
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:

@@ -16,10 +16,10 @@ PROVENANCE = ("published", "derived", "assumed", "identified")
 
 
 class Section:
-    """A mapping of a YAML file that knows its own place, so that errors can name it.
+    """A mapping of a YAML file, with its place in the file for messages.
 
     A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE).
-    Keys that nobody asked for are refused by `finish()`: a misspelt key must not fall back to a default.
+    `finish()` refuses keys that were not read: a misspelt key must not fall back to a default.
     """
 
     def __init__(self, data: dict[str, Any], file: Path, path: str = "") -> None:
@@ -124,7 +124,7 @@ class Section:
         return tuple(value)
 
     def finish(self) -> None:
-        """Refuse keys that nobody asked for."""
+        """Refuse keys that were not read."""
         unknown = sorted(set(self._data) - self._used)
         if unknown:
             known = ", ".join(sorted(self._used - {"source", "provenance", "note"}))

@@ -14,7 +14,7 @@ SHIPPED = {
     "friction": "robot/friction.yaml",
     "controller": "controller/cs7b.yaml",
 }
-"""What each file is called below config/, unless told otherwise."""
+"""What each file is called below config/."""
 
 NO_TOOL = "none"
 
@@ -25,13 +25,18 @@ def _shipped(name: str) -> Path:
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """Paths of the files that describe a robot; the shipped ones unless told otherwise. A tool of None: no tool."""
+    """Paths of the files that describe a robot; by default the shipped ones. A tool of None: no tool."""
 
     urdf: Path = field(default_factory=lambda: _shipped("urdf"))
     tool: Path | None = field(default_factory=lambda: _shipped("tool"))
     drives: Path = field(default_factory=lambda: _shipped("drives"))
     friction: Path = field(default_factory=lambda: _shipped("friction"))
     controller: Path = field(default_factory=lambda: _shipped("controller"))
+
+    @classmethod
+    def of_options(cls, options: object) -> RobotFiles:
+        """Return the files that a command's options of these names say; see `named`."""
+        return cls.named(**{key: getattr(options, key, None) for key in SHIPPED})
 
     @classmethod
     def named(cls, **names: str | None) -> RobotFiles:

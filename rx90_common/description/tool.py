@@ -18,7 +18,7 @@ _COLOR = "0.75 0.15 0.15 1"
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along z of the mount, for the eye: metres."""
+    """A cylinder along z of the mount, for display, m."""
 
     start: float
     end: float
@@ -35,7 +35,7 @@ class Tool:
         inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
         tcp_position: tool centre point, m.
         tcp_rpy: its roll, pitch and yaw about fixed axes, rad.
-        cylinders: its looks.
+        cylinders: its shape, for display.
     """
 
     mass: float
@@ -95,7 +95,7 @@ def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tup
 
 
 def attach(urdf: UrdfFile, tool: Tool) -> None:
-    """Add the links `tool` (inertia, looks) and `tcp` (frame) below `tool0`, in place.
+    """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0`, in place.
 
     Raises:
         ConfigError: if the URDF has no link `tool0`, or already has a `tool` or `tcp`.

@@ -42,32 +42,12 @@ class Limits:
     effort: float
 
 
-class UrdfFile:
-    """A checked URDF.
-
-    Attributes:
-        file: where it came from.
-        root: the XML element `robot`.
-        limits: limits of the revolute joints by name, in chain order from the base.
-
-    Raises:
-        ConfigError: naming file, element, value and what is accepted.
-    """
+class _CheckedElements:
+    """The elements of a URDF, each checked by itself; every refusal names file, element, value and what is accepted."""
 
     def __init__(self, file: Path) -> None:
         self.file = file
         self.root = self._parse()
-        self._links = self._named("link")
-        self._joints = self._named("joint")
-        for name, link in self._links.items():
-            self._check_inertial(name, link)
-        self._parent_joint = self._tree()
-        self.base_link = next(name for name in self._links if name not in self._parent_joint)
-        self.limits = {name: self._limits(name) for name in self._chain()}
-
-    def has_link(self, name: str) -> bool:
-        """Tell whether a link of that name exists."""
-        return name in self._links
 
     def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
         """Raise a ConfigError that names file, element, value and what is accepted."""
@@ -132,6 +112,50 @@ class UrdfFile:
             text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
             self.refuse(f"{where} inertia", text, fault)
 
+    def _limits(self, name: str, joint: ET.Element) -> Limits:
+        where = f"joint '{name}'"
+        if not any(self._numbers(joint.find("axis"), f"{where} axis", "xyz", "1 0 0")):
+            self.refuse(f"{where} axis", "0 0 0", "a direction")
+        element = joint.find("limit")
+        if element is None:
+            self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
+        lower, upper, velocity, effort = (
+            self._numbers(element, f"{where} limit", key, None)[0] for key in ("lower", "upper", "velocity", "effort")
+        )
+        if not lower < upper:
+            self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")
+        for key, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "Nm")):
+            if value <= 0.0:
+                self.refuse(f"{where} limit {key}", value, f"a number > 0 {unit}")
+        return Limits(lower, upper, velocity, effort)
+
+
+class UrdfFile(_CheckedElements):
+    """A checked URDF.
+
+    Attributes:
+        file: where it came from.
+        root: the XML element `robot`.
+        limits: limits of the revolute joints by name, in chain order from the base.
+
+    Raises:
+        ConfigError: naming file, element, value and what is accepted.
+    """
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(file)
+        self._links = self._named("link")
+        self._joints = self._named("joint")
+        for name, link in self._links.items():
+            self._check_inertial(name, link)
+        self._parent_joint = self._tree()
+        self.base_link = next(name for name in self._links if name not in self._parent_joint)
+        self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
+
+    def has_link(self, name: str) -> bool:
+        """Tell whether a link of that name exists."""
+        return name in self._links
+
     def _tree(self) -> dict[str, str]:
         """Return the joint above each link but the root; check that the links form one tree."""
         above: dict[str, str] = {}
@@ -194,21 +218,3 @@ class UrdfFile:
         for joint in chain:
             if joint not in heavy:
                 self.refuse(f"link '{self._end(joint, 'child')}' inertial", None, "mass and inertia")
-
-    def _limits(self, name: str) -> Limits:
-        joint = self._joints[name]
-        where = f"joint '{name}'"
-        if not any(self._numbers(joint.find("axis"), f"{where} axis", "xyz", "1 0 0")):
-            self.refuse(f"{where} axis", "0 0 0", "a direction")
-        element = joint.find("limit")
-        if element is None:
-            self.refuse(f"{where} limit", None, "lower, upper, velocity and effort")
-        lower, upper, velocity, effort = (
-            self._numbers(element, f"{where} limit", key, None)[0] for key in ("lower", "upper", "velocity", "effort")
-        )
-        if not lower < upper:
-            self.refuse(f"{where} limit lower", lower, f"a number < upper = {upper:g} rad")
-        for key, value, unit in (("velocity", velocity, "rad/s"), ("effort", effort, "Nm")):
-            if value <= 0.0:
-                self.refuse(f"{where} limit {key}", value, f"a number > 0 {unit}")
-        return Limits(lower, upper, velocity, effort)

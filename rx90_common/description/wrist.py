@@ -43,6 +43,11 @@ def coupling_matrix() -> NDArray[np.float64]:
     return coupling
 
 
+def element_matrix() -> NDArray[np.float64]:
+    """Return input velocities of the seven friction elements for joint velocities, shape (7, 6)."""
+    return np.vstack([np.eye(6), coupling_matrix()[5]])
+
+
 def coupled_inertia(rotor: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotors' share of the mass matrix, shape (6, 6), for joint-side rotor inertias, kg m^2.
 

@@ -18,10 +18,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.publisher_lock import claim_topic
 
-_NS_PER_S = 1_000_000_000
 _clock = time.perf_counter_ns
 _MOMENT_NS = 200_000
 _REST = 50  # waits after one that took longer
@@ -146,7 +146,7 @@ class Channel:
         wait_set.clear_entities()
         wait_set.add_subscription(self._raw_subscription)
         wait_set.add_guard_condition(self._guard)
-        wait_set.wait(int(timeout_s * _NS_PER_S))
+        wait_set.wait(int(timeout_s * NANOSECONDS))
 
     def wake(self) -> None:
         """Make the current or the next `receive` return at once; callable from every thread."""

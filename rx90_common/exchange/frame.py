@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import ENCAPSULATION
 from rx90_common.kernels.compiled import c_function
 
 # shape: bytes of the message, numbers in a block, and for each of three blocks where it begins in memory, or -1.
@@ -21,8 +23,7 @@ SHAPE_LENGTH = 5
 NO_MATCH = -1
 
 _BLOCKS = 3
-_STAMP_AT = MARGIN + 4
-_NS_PER_S = 1_000_000_000
+_STAMP_AT = MARGIN + ENCAPSULATION
 
 
 @c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
@@ -49,7 +50,7 @@ def read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: igno
         return NO_MATCH
     stamp = carray(memory_at, (_STAMP_AT // 4 + 2,), np.uint32)
     seconds, nanoseconds = np.int64(stamp[_STAMP_AT // 4]), np.int64(stamp[_STAMP_AT // 4 + 1])
-    if seconds > 0x7FFFFFFF or nanoseconds >= _NS_PER_S:
+    if seconds > 0x7FFFFFFF or nanoseconds >= NANOSECONDS:
         return NO_MATCH
     numbers = carray(memory_at, ((MARGIN + size) // 8,), np.float64)
     for block in range(_BLOCKS):
@@ -58,7 +59,7 @@ def read_frame(raw_at, expected_at, mask_at, memory_at, shape_at):  # type: igno
             for i in range(at // 8, at // 8 + shape[1]):
                 if not math.isfinite(numbers[i]):
                     return NO_MATCH
-    return seconds * _NS_PER_S + nanoseconds
+    return seconds * NANOSECONDS + nanoseconds
 
 
 @c_function(types.int64(types.int64, types.voidptr, types.voidptr, types.voidptr, types.voidptr, types.voidptr))
@@ -76,8 +77,8 @@ def write_frame(stamp_ns, memory_at, first_at, second_at, third_at, shape_at):  
     shape = carray(shape_at, (SHAPE_LENGTH,), np.int64)
     size, count = shape[0], shape[1]
     stamp = carray(memory_at, (_STAMP_AT // 4 + 2,), np.uint32)
-    stamp[_STAMP_AT // 4] = stamp_ns // _NS_PER_S
-    stamp[_STAMP_AT // 4 + 1] = stamp_ns % _NS_PER_S
+    stamp[_STAMP_AT // 4] = stamp_ns // NANOSECONDS
+    stamp[_STAMP_AT // 4 + 1] = stamp_ns % NANOSECONDS
     numbers = carray(memory_at, ((MARGIN + size) // 8,), np.float64)
     for block in range(_BLOCKS):
         at = shape[2 + block] // 8

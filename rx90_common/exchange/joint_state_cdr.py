@@ -17,15 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, STAMP_BYTES
 from rx90_common.exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
-from rx90_common.exchange.joint_state_parser import LITTLE_ENDIAN, parse_joint_state
+from rx90_common.exchange.joint_state_parser import parse_joint_state
 
 FloatArray = NDArray[np.float64]
 
-_NS_PER_S = 1_000_000_000
-_MAX_STAMP_NS = (1 << 31) * _NS_PER_S - 1
+_MAX_STAMP_NS = (1 << 31) * NANOSECONDS - 1
 _FLOAT64 = np.dtype("<f8")
-_BODY = MARGIN + len(LITTLE_ENDIAN)  # where a message's body begins in memory
+_BODY = MARGIN + ENCAPSULATION  # where a message's body begins in memory
 
 
 # stamp in ns and three arrays of shape (n,) in the codec's order, None when empty
@@ -47,7 +48,7 @@ class _Layout:
 
     def __init__(self, names: tuple[str, ...], frame_id: str, present: tuple[bool, ...]) -> None:
         numbers = 8 * len(names)
-        body = bytearray(8) + _names_block(names, frame_id)
+        body = bytearray(STAMP_BYTES) + _names_block(names, frame_id)
         blocks = []
         for there in present:
             body += bytes(-len(body) % 4) + struct.pack("<I", len(names) if there else 0)
@@ -55,11 +56,11 @@ class _Layout:
                 body += bytes(-len(body) % 8)
             blocks.append(_BODY + len(body) if there else -1)
             body += bytes(numbers if there else 0)
-        self.size = len(LITTLE_ENDIAN) + len(body)
+        self.size = ENCAPSULATION + len(body)
         self.shape = np.array([self.size, len(names), *blocks], dtype=np.int64)
         self.expected = np.frombuffer(LITTLE_ENDIAN + bytes(body), dtype=np.uint8)
         self.mask = np.full(self.size, 255, dtype=np.uint8)
-        self.mask[len(LITTLE_ENDIAN) : len(LITTLE_ENDIAN) + 8] = 0
+        self.mask[ENCAPSULATION:HEAD] = 0
         for at in blocks:
             if at >= 0:
                 self.mask[at - MARGIN : at - MARGIN + numbers] = 0

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ExchangeError
-
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import ENCAPSULATION, STAMP_BYTES, cdr_stamp
 
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}  # the two plain encodings of CDR
-_ENCAPSULATION_BYTES = 4
 _MAX_SLACK = 15  # serialisers reserve alignment and counts that they then do not need
-_NS_PER_S = 1_000_000_000
 
 Arrays = tuple[NDArray[np.float64] | None, NDArray[np.float64] | None, NDArray[np.float64] | None]
 
@@ -42,14 +40,14 @@ class _CdrReader:
     """Walk through the body of a CDR message; alignment counts from the body's start."""
 
     def __init__(self, raw: bytes) -> None:
-        if len(raw) < _ENCAPSULATION_BYTES:
+        if len(raw) < ENCAPSULATION:
             raise ExchangeError(f"message is cut off: {len(raw)} bytes, no CDR encapsulation")
         order = _BYTE_ORDERS.get(bytes(raw[:2]))
         if order is None:
             found = bytes(raw[:2]).hex()
             raise ExchangeError(f"message has the encapsulation 0x{found}; accepted: plain CDR, 0x0000 or 0x0001")
         self._order = order
-        self._body = raw[_ENCAPSULATION_BYTES:]
+        self._raw, self._body = raw, raw[ENCAPSULATION:]
         self._at = 0
 
     def _take(self, size: int, alignment: int, what: str) -> bytes:
@@ -60,10 +58,12 @@ class _CdrReader:
         return self._body[start : self._at]
 
     def stamp_ns(self) -> int:
-        seconds, nanoseconds = struct.unpack(f"{self._order}iI", self._take(8, 4, "header.stamp"))
-        if nanoseconds >= _NS_PER_S:
-            raise ExchangeError(f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {_NS_PER_S - 1}")
-        return int(seconds * _NS_PER_S + nanoseconds)
+        """Return the stamp, with which the body begins."""
+        self._take(STAMP_BYTES, 4, "header.stamp")
+        seconds, nanoseconds = cdr_stamp(self._raw)
+        if nanoseconds >= NANOSECONDS:
+            raise ExchangeError(f"header.stamp.nanosec is {nanoseconds}; accepted: 0 to {NANOSECONDS - 1}")
+        return seconds * NANOSECONDS + nanoseconds
 
     def count(self, what: str, least_bytes: int) -> int:
         """Return a length; refuse one that the rest of the message cannot hold before anything is built."""

@@ -27,13 +27,13 @@ class LuGreElement:
 
     Attributes:
         tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.
-        tau_s_positive, tau_s_negative: static friction torque, Nm, the same.
+        tau_s_positive, tau_s_negative: static friction torque, at least tau_c, Nm, the same.
         omega_s: Stribeck velocity, rad/s.
         delta: Stribeck exponent, 1.
         c0: bristle stiffness, Nm/rad.
         c1: micro-viscous damping at rest, Nm s/rad.
         c2: viscous friction, Nm s/rad.
-        omega_d: velocity at which c1 has fallen to 1/e, rad/s.
+        omega_d: velocity in the fading c1 exp(-(v/omega_d)^2), rad/s.
 
     Raises:
         ConfigError: for a value that is not finite or not in its range.

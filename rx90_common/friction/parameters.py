@@ -22,7 +22,6 @@ class FrictionParameter:
         positive: whether 0 is refused; negative values always are.
         signed: whether it has a value for each sign of the velocity.
         optional: whether it may be left out, which means infinity.
-        remark: what else is to know; empty for nothing.
     """
 
     name: str
@@ -31,7 +30,6 @@ class FrictionParameter:
     positive: bool = True
     signed: bool = False
     optional: bool = False
-    remark: str = ""
 
     @property
     def attributes(self) -> tuple[str, ...]:
@@ -56,19 +54,13 @@ class FrictionParameter:
 
 FRICTION_PARAMETERS = (
     FrictionParameter("tau_c", "Coulomb friction torque", "Nm", signed=True),
-    FrictionParameter("tau_s", "static friction torque", "Nm", positive=False, signed=True, remark="at least tau_c"),
+    FrictionParameter("tau_s", "static friction torque, at least tau_c", "Nm", positive=False, signed=True),
     FrictionParameter("omega_s", "Stribeck velocity", "rad/s"),
     FrictionParameter("delta", "Stribeck exponent", "1"),
     FrictionParameter("c0", "bristle stiffness", "Nm/rad"),
     FrictionParameter("c1", "micro-viscous damping at rest", "Nm s/rad", positive=False),
     FrictionParameter("c2", "viscous friction", "Nm s/rad", positive=False),
-    FrictionParameter(
-        "omega_d",
-        "velocity at which c1 has fallen to 1/e",
-        "rad/s",
-        optional=True,
-        remark="c1 fades as exp(-(v/omega_d)^2); without it, as in the paper, c1 is constant and not passive at speed",
-    ),
+    FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", optional=True),
 )
 
 FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
@@ -77,11 +69,10 @@ FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for 
 
 def legend() -> str:
     """Return the table as lines of comment, as they stand at the head of friction files."""
-    lines = []
+    lines = ""
     for parameter in FRICTION_PARAMETERS:
-        accepted = f"{'>' if parameter.positive else '>='} 0{', optional' if parameter.optional else ''}"
-        lines.append(f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}")
-        signs = "one value, or {positive: x, negative: y}" if parameter.signed else ""
-        remark = "; ".join(filter(None, (parameter.remark, signs)))
-        lines += [f"#          {remark}"] if remark else []
-    return "\n".join(lines) + "\n"
+        signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
+        optional = "; may be left out, c1 is then constant, not passive at speed" if parameter.optional else ""
+        accepted = ">" if parameter.positive else ">="
+        lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted} 0{signed}{optional}\n"
+    return lines

@@ -1,4 +1,4 @@
-"""Who says that kernels are compiled; kept apart from the compiler, which takes most of a second to import."""
+"""The message that kernels are being compiled; apart from the compiler, which takes most of a second to import."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ _programs: list[str] = []
 
 
 def announce_compilation(program: str) -> None:
-    """From now on say on stderr, once, that kernels are compiled, if any has to be: none may be on disk, or others."""
+    """Let the first compilation from now on be announced on stderr, once; kernels in the cache are not announced."""
     _programs[:] = [program]
 
 
 def compilation_begins() -> None:
-    """Say it, if it has been asked for and not been said."""
+    """Print the announcement, if it was asked for and has not been printed."""
     if _programs:
         print(f"{_programs.pop()}: {_COMPILING}", file=sys.stderr, flush=True)

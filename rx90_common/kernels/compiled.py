@@ -1,9 +1,9 @@
-"""Compile the numerical kernels with numba, cached, and never with stale code.
+"""Compile the numerical kernels with numba; the cache on disk never gives code of older sources.
 
-numba's on-disk cache looks at the file of the compiled function alone: after a change in a *called* kernel
-of another file it would run the old code. The cache therefore lies in a folder named after the hash of all
-files that hold kernels and of what they import. fastmath stays off, so that one kernel gives the same bits
-wherever it is inlined.
+numba's own cache looks at the file of a compiled function alone: after a change in a kernel that it *calls* from
+another file, it would run the old code. The cache therefore lies in a folder named after the hash of all files
+that hold kernels and of what they import. fastmath stays off, so that a kernel gives the same bits wherever it
+is inlined. docs/kernels.md explains when to use which decorator.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
 class _Watch(Listener):
-    """Hears of each kernel that is compiled; those on disk are loaded without a word."""
+    """Announces the compilation of kernels; loading them from disk raises no such event."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002 - the interface of Listener
         announcement.compilation_begins()
@@ -74,7 +74,7 @@ def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., i
     """
 
     def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
-        # numba tells of no compilation here, but of those of its own functions that are called, such as carray.
+        # numba raises no event for this compilation, only for its own functions that are called, such as carray.
         compiled = numba.cfunc(signature, cache=True, error_model="numpy")(function)
         arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
         address: int = compiled.address  # type: ignore[assignment]  # the stubs know it only before compilation

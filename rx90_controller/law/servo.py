@@ -101,8 +101,8 @@ def velocity_servo(
 ) -> VelocityLoop:
     """Return D and C of one base tick: damping, amplifier limit, current loop of first order with limited slew."""
     damping = gains.derivative * (velocity_setpoint - velocity)
-    asked = (position_torque + feed_forward + damping) / gains.torque_constant
-    limited = select(asked > gains.peak_current, 1.0, select(asked < -gains.peak_current, -1.0, 0.0 * asked))
-    change = current_gain * (clip(asked, gains.peak_current) - current)
+    wanted = (position_torque + feed_forward + damping) / gains.torque_constant
+    limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
+    change = current_gain * (clip(wanted, gains.peak_current) - current)
     current = current + clip(change, gains.current_step)
     return VelocityLoop(current, gains.torque_constant * current, limited)

@@ -178,3 +178,29 @@ def approach_time(robot: RobotModel, start: Array, end: Array, speed: float, acc
     by_speed = 15.0 / 8.0 * way / (speed * robot.max_velocity)
     by_acceleration = np.sqrt(10.0 / np.sqrt(3.0) * way / acceleration)
     return float(np.maximum(by_speed, by_acceleration).max())
+
+
+def describe_line(plan: LinePlan) -> str:
+    """Return a table of the plan for a person."""
+    task, profile = plan.task, plan.task.profile()
+    robot = plan.path.robot
+    begin, end = plan.motion
+    degrees = np.degrees
+    lines = [
+        f"line      {task.length:.4f} m at {profile.peak_speed:.4g} m/s, {task.acceleration:.4g} m/s^2",
+        f"time      {plan.duration:.3f} s, moving from {begin:.3f} s to {end:.3f} s",
+        f"knots     {len(plan.times)}, tip error between them {plan.tip_error * 1e6:.3g} um",
+        f"posture   {task.branch}",
+    ]
+    lines += [
+        f"margin    {kind} {margin:.3f} at {at:.3f} m (accepted: >= {task.singularity_margin:g})"
+        for kind, (margin, at) in plan.path.margins.items()
+    ]
+    lines.append(f"{'joint':<10}{'start':>9}{'lowest':>9}{'highest':>9} deg{'peak':>9} deg/s{'of limit':>10}")
+    peak = np.abs(plan.velocity).max(axis=0)
+    columns = (plan.start_pose, plan.position.min(axis=0), plan.position.max(axis=0), peak)
+    share = peak / robot.max_velocity
+    for name, *values, part in zip(plan.joint_names, *(degrees(c) for c in columns), share, strict=True):
+        start, low, high, fast = values
+        lines.append(f"{name:<10}{start:9.2f}{low:9.2f}{high:9.2f}    {fast:9.2f}      {part:10.1%}")
+    return "\n".join(lines)

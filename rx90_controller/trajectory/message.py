@@ -64,3 +64,19 @@ def stamped_points(points: TrajectoryPoints) -> list[StampedPoint]:
     ]
     times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
     return [StampedPoint(*time, *row) for time, *row in zip(times, *columns, strict=True)]
+
+
+def message_content(joint_names: Sequence[str], points: TrajectoryPoints) -> dict[str, Any]:
+    """Return the points as the content of a trajectory_msgs/JointTrajectory, as `ros2 topic pub` takes it in YAML."""
+    return {
+        "joint_names": list(joint_names),
+        "points": [
+            {
+                "positions": point.position,
+                "velocities": point.velocity,
+                "accelerations": point.acceleration,
+                "time_from_start": {"sec": point.sec, "nanosec": point.nanosec},
+            }
+            for point in stamped_points(points)
+        ],
+    }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_emulator.cli.options import number
+from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions. Set-points keep the joints'
@@ -26,11 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
         verb.add_argument("--speeds", type=int, metavar="N",
                           help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
-        verb.add_argument("--urdf", help="robot (shipped RX90B)")
-        verb.add_argument("--tool", help="tool file, or none (shipped laser head)")
-        verb.add_argument("--drives", help="drives file")
-        verb.add_argument("--friction", help="friction file, for --engine")
-        verb.add_argument("--controller-file", help="controller file")
+        add_robot_arguments(verb)
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")
@@ -38,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
     )
-    run.add_argument("--controller", default="rx90_controller", help="name of the node (%(default)s)")
-    seconds = number("a positive number", lambda value: value > 0.0)
-    run.add_argument("--timeout", type=seconds, default=60.0, metavar="S", help="s to wait for the nodes (%(default)s)")
+    add_node_arguments(run, timeout=60.0)
 
 
 def main(options: argparse.Namespace) -> None:
@@ -59,14 +53,7 @@ def main(options: argparse.Namespace) -> None:
     )
     from rx90_emulator.loop.setup import Setup
 
-    files = RobotFiles.named(
-        tool=options.tool,
-        urdf=options.urdf,
-        drives=options.drives,
-        friction=options.friction,
-        controller=options.controller_file,
-    )
-    setup = Setup.load(files)
+    setup = Setup.load(RobotFiles.of_options(options))
     plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
     print(describe(plan, setup), flush=True)
     if options.verb == "plan":
@@ -74,5 +61,5 @@ def main(options: argparse.Namespace) -> None:
     if options.engine:
         record_on_engine(setup, plan, options.output, options.storage)
     else:
-        record_on_nodes(setup, plan, options.output, options.controller, options.timeout)
+        record_on_nodes(setup, plan, options.output, options.node, options.timeout)
     print(f"bags: {options.output}")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
-from rx90_emulator.cli.options import add_robot_arguments, number
+from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
 _USAGE = """\
@@ -44,14 +44,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html)")
     result.add_argument("--force", action="store_true", help="replace files that exist")
     limits = ValidationTolerances()
-    share = number("a positive number", lambda value: value > 0.0)
-    result.add_argument("--torque-tolerance", type=share, default=limits.torque, metavar="SHARE",
+    result.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
                         help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
-    result.add_argument("--worst-torque-tolerance", type=share, default=limits.worst_torque, metavar="SHARE",
+    result.add_argument("--worst-torque-tolerance", type=POSITIVE, default=limits.worst_torque, metavar="SHARE",
                         help="largest difference over largest torque, of each joint (%(default)s)")  # fmt: skip
-    result.add_argument("--tip-tolerance", type=share, default=limits.tip, metavar="M",
+    result.add_argument("--tip-tolerance", type=POSITIVE, default=limits.tip, metavar="M",
                         help="largest distance of the tips, m (%(default)s)")  # fmt: skip
-    add_robot_arguments(parser)
+    add_arm_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> int:

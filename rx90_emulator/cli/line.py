@@ -3,16 +3,37 @@
 from __future__ import annotations
 
 import argparse
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import LineError
-from rx90_common.description.branch import SHOULDERS, SIGNS
-from rx90_emulator.cli.options import number
+from rx90_common.base.errors import LineError, write_error
+from rx90_common.base.share import resolve_config
+from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments
+
+if TYPE_CHECKING:
+    from rx90_controller.lines.plan import LinePlan
+    from rx90_controller.lines.task import LineTask
 
 _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
+_TOOL_DOWN = (0.0, 180.0, 0.0)
+# Options that go into the task as they are.
+_PLAIN_OPTIONS = (
+    "start",
+    "end",
+    "speed",
+    "acceleration",
+    "rest_before",
+    "rest_after",
+    "singularity_margin",
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,23 +58,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     posture.add_argument(
         "--singularity-margin", type=float, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
-    robot = parser.add_argument_group("robot")
-    robot.add_argument("--urdf", default="robot/rx90b.urdf", help="URDF (the shipped one)")
-    robot.add_argument("--tool", default="robot/tool_laser_head.yaml", help="tool file (laser head), or 'none'")
-    robot.add_argument(
-        "--set-point-rate",
-        type=number("a positive number", lambda value: value > 0.0),
-        default=1000.0,
-        metavar="HZ",
-        help="Hz (1000)",
-    )
+    add_robot_arguments(parser, "urdf", "tool", "controller")
     send = parser.add_argument_group("sending")
-    send.add_argument("--controller", default="rx90_controller", help="name of the node (rx90_controller)")
+    send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
+    add_node_arguments(send, timeout=30.0)
     send.add_argument("--start-time", type=float, default=0.0, metavar="S", help="start time, s; 0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
     send.add_argument("--approach-speed", type=float, default=0.25, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=float, default=2.0, help="rad/s^2 (2)")
-    send.add_argument("--timeout", type=float, default=30.0, metavar="S", help="s to wait for the nodes (30)")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=Path, metavar="FILE", help="write the trajectory as a YAML message")
 
@@ -66,6 +78,69 @@ def main(options: argparse.Namespace) -> None:
     """
     if options.from_file is None and (options.start is None or options.end is None):
         raise LineError("a line needs --start and --end, or --from-file")
-    from rx90_emulator.cli.line_job import run  # here, because --help must not wait for it
+    # Here, because --help must not wait for them.
+    from rx90_common.base.config import yaml_text
+    from rx90_common.description.robot import load_robot
+    from rx90_controller.lines.plan import describe_line, plan_line
+    from rx90_controller.trajectory.message import message_content
 
-    run(options)
+    files = RobotFiles.of_options(options)
+    plan = plan_line(load_robot(files.urdf, files.tool), _task(options), 1.0 / options.set_point_rate)
+    _say(describe_line(plan))
+    if options.output is not None:
+        try:
+            options.output.write_text(yaml_text(message_content(plan.joint_names, plan.points)), encoding="utf-8")
+        except OSError as error:
+            raise write_error(options.output, error) from error
+        _say(f"written to {options.output}")
+    if not options.dry_run:
+        _send(plan, files, options)
+
+
+def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
+    return tuple(math.radians(angle) for angle in degrees)
+
+
+def _task(options: argparse.Namespace) -> LineTask:
+    """Return the task of the file with the options laid over it, or of the options alone."""
+    from rx90_controller.lines.task import DEFAULT_BRANCH, LineTask, load_task
+
+    base = None if options.from_file is None else load_task(resolve_config(options.from_file))
+    given: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value
+        for key in _PLAIN_OPTIONS
+        if (value := getattr(options, key)) is not None
+    }
+    if options.tool_rpy is not None:
+        given["start_rpy"] = given["end_rpy"] = _radians(options.tool_rpy)
+    if options.end_tool_rpy is not None:
+        given["end_rpy"] = _radians(options.end_tool_rpy)
+    branch = base.branch if base else DEFAULT_BRANCH
+    given["branch"] = Branch(
+        options.shoulder or branch.shoulder, options.elbow or branch.elbow, options.wrist or branch.wrist
+    )
+    if base is not None:
+        return replace(base, **given)
+    down = _radians(_TOOL_DOWN)
+    usual: dict[str, Any] = {"speed": 0.1, "acceleration": 1.0, "start_rpy": down, "end_rpy": down}
+    return LineTask(**(usual | given))
+
+
+def _send(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) -> None:
+    from rx90_common.exchange.environment import prepare
+
+    prepare()
+    # Here, because planning alone needs no ROS.
+    from rx90_common.exchange.client_node import client_node
+    from rx90_controller.law.parameters import load_controller
+    from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
+
+    approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
+    tolerance = load_controller(files.controller).start_tolerance
+    delivery = Delivery(options.node, options.start_time, tolerance, approach)
+    with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
+        deliver(client, plan, delivery)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

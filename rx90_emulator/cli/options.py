@@ -7,6 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from rx90_common.description.robot_files import SHIPPED
+
 _EXIT_CODES = """
 exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
 is no (bags differ, messages lost, not confirmed); 2 refused, nothing was written; 3 could not be carried out (nodes
@@ -60,13 +62,27 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
 _FINITE = number("a finite number")
+POSITIVE = number("a positive number", lambda value: value > 0.0)
 
 
-def add_robot_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that describe the robot."""
-    robot = parser.add_argument_group("this project's robot")
-    robot.add_argument("--tool", help="tool file, or none (shipped laser head)")
-    robot.add_argument("--drives", help="drives file")
+def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
+    """Add the options that name the files of this project's robot, by default all; read by `RobotFiles.of_options`."""
+    robot = parser.add_argument_group("robot", "own files, or names of shipped ones; left out: the shipped RX90B's")
+    for name in names or SHIPPED:
+        what = {"urdf": "URDF", "tool": "tool file, or none"}.get(name, f"{name} file")
+        robot.add_argument(f"--{name}", metavar="FILE", help=f"{what} ({SHIPPED[name]})")
+
+
+def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
+    """Add the options of a command that asks the running nodes, and waits for them for `timeout` s by default."""
+    group.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
+    group.add_argument("--timeout", type=POSITIVE, default=timeout, metavar="S",
+                       help="s to wait for the nodes (%(default)g)")  # fmt: skip
+
+
+def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that describe the arm which bags come from: this project's robot, or any other."""
+    add_robot_arguments(parser, "tool", "drives")
     either = parser.add_argument_group("any robot")
     either.add_argument("--fallback", metavar="FILE",
                         help="friction file for omega_d and for parameters that are not identifiable, or none (shipped "

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rx90_emulator.cli.options import add_robot_arguments
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
@@ -22,15 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
     )
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
-    parser.add_argument("--urdf", help="robot (shipped RX90B)")
-    parser.add_argument("--tool", help="tool file (shipped laser head)")
-    parser.add_argument("--drives", help="drives file")
-    parser.add_argument("--friction", help="friction file")
-    parser.add_argument("--controller", help="controller file")
     parser.add_argument("--no-feed-forward", action="store_true", help="switch the feed-forward block off")
     parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
     parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
+    add_robot_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> None:

@@ -12,13 +12,13 @@ import numpy as np
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import SETTLING, run_line
 from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
-from rx90_emulator.loop.setup import Setup, load_setup
+from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.trajectory_file import load_trajectory
 
 Run = TypeVar("Run", bound=RunResult)
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     if options.arrays is not None and options.arrays.exists():
         raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
     rates = Rates(options.base_rate, options.position_rate)
-    setup = load_setup(**{role: getattr(options, role) for role in SHIPPED}, rates=rates)
+    setup = Setup.load(RobotFiles.of_options(options), rates)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):

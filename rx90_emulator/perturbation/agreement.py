@@ -52,12 +52,8 @@ def agreement(
     tip = forward(model.setup.robot.chain, full.slow.joint_states[window, 0]).position - model.nominal_tip[window]
     ours = result.tip_deviation[run][window]
     distances = [np.linalg.norm(deviation, axis=1) for deviation in (tip, ours)]
-    worst, rms = ([measure(d) for d in distances] for measure in (_largest, _root_mean_square))
-    return Agreement((worst[0], worst[1]), (rms[0], rms[1]), _largest(np.linalg.norm(tip - ours, axis=1)))
-
-
-def _largest(distance: Array) -> float:
-    return float(distance.max())
+    worst, rms = ([float(norm(d)) for d in distances] for norm in (np.max, _root_mean_square))
+    return Agreement((worst[0], worst[1]), (rms[0], rms[1]), float(np.linalg.norm(tip - ours, axis=1).max()))
 
 
 def _root_mean_square(distance: Array) -> float:

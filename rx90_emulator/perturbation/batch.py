@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Record = NDArray[Any]
 
 FEW, MANY = 4, 16
-"""Runs that go through the formulas together: one vector of the processor, or several that hide each other's waits."""
+"""Runs that go through the formulas together: one vector of the processor, or several to hide latency."""
 
 _SERVO_NAMES = tuple(name for name in CONTROLLER_DTYPE.names or () if name != "gear")
 _STATE_ROWS = {
@@ -34,7 +34,7 @@ _STATE_ROWS = {
     "current": 6,
     "limited": 6,
     "saturated": 6,
-    "lost": 1,  # 1 where a joint left its speed limit far behind, or is not a number
+    "diverged": 1,  # 1 where a joint exceeded its speed limit, or is not a number
     # Workspace of a step.
     "q_mid": 6,
     "v_mid": 6,

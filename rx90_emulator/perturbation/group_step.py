@@ -121,7 +121,7 @@ def _run(
             if k % ratio == 0:
                 _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
                 _position_loops(servos[group], tables.reference[row], state, lanes)
-                _notice_loss(plant.speed_limit, state, lanes)
+                _mark_divergence(plant.speed_limit, state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
             _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
             _predict(state, lanes)
@@ -267,12 +267,12 @@ def _add_friction(elements: Record, state: Any, step: float, lanes: int) -> None
 
 
 @inlined
-def _notice_loss(speed_limit: Array, state: Any, lanes: int) -> None:
-    lost = load(state.lost[0], lanes)
+def _mark_divergence(speed_limit: Array, state: Any, lanes: int) -> None:
+    diverged = load(state.diverged[0], lanes)
     for i in range(6):
         # The comparison is false for NaN too.
-        lost = select(absolute(load(state.velocity[i], lanes)) <= speed_limit[i], lost, 1.0)
-    store(state.lost[0], lost)
+        diverged = select(absolute(load(state.velocity[i], lanes)) <= speed_limit[i], diverged, 1.0)
+    store(state.diverged[0], diverged)
 
 
 @inlined

@@ -17,8 +17,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, Record, lanes_for, pack
 from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
-from rx90_emulator.perturbation.linearisation import linearise
-from rx90_emulator.perturbation.nominal import NominalMotion, nominal_motion, nominal_torque
+from rx90_emulator.perturbation.nominal import NominalMotion, linearise, nominal_motion, nominal_torque
 
 Array = NDArray[np.float64]
 
@@ -36,7 +35,7 @@ class PerturbationResult:
         bristles: deflections of the seven friction elements, rad, shape (runs, m, 7).
         tip_deviation: J(q0) dq, m, shape (runs, m, 3).
         saturated: ticks in which each amplifier was at its limit, shape (runs, 6).
-        lost: runs in which a joint left its speed limit far behind; their series mean nothing. Shape (runs,).
+        diverged: whether a joint exceeded its speed limit tenfold; such a run's series mean nothing. Shape (runs,).
     """
 
     model: PerturbationModel
@@ -44,7 +43,7 @@ class PerturbationResult:
     bristles: Array
     tip_deviation: Array
     saturated: NDArray[np.int64]
-    lost: NDArray[np.bool_]
+    diverged: NDArray[np.bool_]
 
     def joint_position(self, run: int) -> Array:
         """Return q0 + dq of a run, rad, shape (m, 6)."""
@@ -122,10 +121,10 @@ class PerturbationModel:
         run = run_few if lanes == FEW else run_many
         ratio = self.setup.rates.ratio
         run(self.plants, self.tables, self.spacing, ratio, *groups, series)
-        # A lost run may have counted into NaN.
+        # A diverged run may have counted into NaN.
         saturated = np.nan_to_num(np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs])
-        lost = states["lost"].reshape(-1)[:runs]
-        return PerturbationResult(self, *series, saturated.astype(np.int64), lost.astype(np.bool_))
+        diverged = states["diverged"].reshape(-1)[:runs]
+        return PerturbationResult(self, *series, saturated.astype(np.int64), diverged.astype(np.bool_))
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         drives, rates = self.setup.drives, self.setup.rates

@@ -1,13 +1,16 @@
-"""The nominal motion: the set-points as prescribed motion of the joints, and the torques that it takes."""
+"""The nominal motion: set-points as a prescribed motion of the joints, its torques, and the arm linearised about it."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90_common.base.rates import Rates
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_sim.manipulator import mass_and_bias
@@ -47,7 +50,7 @@ def nominal_motion(points: TrajectoryPoints, hold: Array, start: int, ticks: int
         rates: rates of the loops.
     """
     everywhere = np.full(6, np.inf)
-    # What the controller has accepted between its own ticks is not to be judged again.
+    # The controller has checked the trajectory; between its ticks no limits apply.
     limits = JointLimits(("",) * 6, -everywhere, everywhere, everywhere, start_tolerance=np.inf)
     generator = TrajectoryGenerator(limits, rates.period, hold)
     generator.accept(points, 0, start)
@@ -88,3 +91,48 @@ def _inverse_dynamics(
             torque[k, i] = state.bias[i]
             for j in range(6):
                 torque[k, i] += state.mass_matrix[i, j] * acceleration[k, j]
+
+
+class Linearisation(NamedTuple):
+    """Derivatives of the inverse dynamics M a + h along a motion.
+
+    Attributes:
+        mass: M0 = M(q0), rotors included, kg m^2, shape (n, 6, 6).
+        damping: C0 = dh/dv, Nm s/rad, shape (n, 6, 6).
+        stiffness: K0 = d(M a0 + h)/dq, gravity and spring included, Nm/rad, shape (n, 6, 6).
+    """
+
+    mass: Array
+    damping: Array
+    stiffness: Array
+
+    def for_steps(self) -> Array:
+        """Return the inverse of M0, C0 and K0 as steps use them, shape (n, 3, 6, 6)."""
+        return np.ascontiguousarray(np.stack([np.linalg.inv(self.mass), self.damping, self.stiffness], axis=1))
+
+
+def linearise(
+    robot: RobotModel, drives: DriveParameters, position: Array, velocity: Array, acceleration: Array
+) -> Linearisation:
+    """Return M0, C0 and K0 at n points of a motion.
+
+    Args:
+        robot: the arm with its tool.
+        drives: rotors and spring.
+        position: rad, shape (n, 6).
+        velocity: rad/s, shape (n, 6).
+        acceleration: rad/s^2, shape (n, 6).
+    """
+    data = robot.model.createData()
+    count = len(position)
+    mass, damping, stiffness = (np.empty((count, 6, 6)) for _ in range(3))
+    for n, state in enumerate(zip(position, velocity, acceleration, strict=True)):
+        by_position, by_velocity, by_acceleration = pin.computeRNEADerivatives(robot.model, data, *state)
+        upper = np.triu(by_acceleration)
+        mass[n] = upper + np.triu(upper, 1).T
+        damping[n], stiffness[n] = by_velocity, by_position
+    # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k cos(q) to K0.
+    mass += drives.rotor_matrix
+    joints = np.arange(6)
+    stiffness[:, joints, joints] += drives.spring * np.cos(position)
+    return Linearisation(mass, damping, stiffness)

@@ -91,7 +91,6 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--repeats", "0"], "--repeats is 0"),
         (["--end-torque", "0.5"], "--end-torque is 0.5"),
         (["--rig", "nothing.yaml"], "no file 'nothing.yaml'"),
-        (["--port", "/dev/nothing"], "/dev/nothing: cannot be opened"),
         (["--repeats", "1001"], "--repeats is 1001; accepted: 1 to 1000"),
         (["--seed", "-1"], "--seed is -1; accepted: 0 to"),
         (["--baud", "0"], "--baud is 0; accepted: 1200 to 1000000"),
@@ -100,7 +99,6 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--end-torque", "nan"], "--end-torque is nan"),
         (["--end-torque", "0.19"], "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),
         (["--text", "counts"], "--text is given without a file"),
-        (["--port", "/etc/hostname"], "/etc/hostname: cannot be opened"),
         (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
         (["--output", "/proc/friction"], "/proc/friction: cannot be written ("),
         (["--output", "/dev/null"], "/dev/null: cannot be written ("),
@@ -118,6 +116,15 @@ def test_mistakes_get_one_line(
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert message in error
     assert error.startswith("friction_ramp: ")
+
+
+@pytest.mark.parametrize("port", ["/dev/nothing", "/etc/hostname"])
+def test_a_rig_that_cannot_be_reached_is_a_failure(
+    port: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A port that is not there, or is no serial one, is one line and exit code 3."""
+    assert run("friction_ramp", ["--output", str(tmp_path / "out"), "--port", port]) == 3
+    assert f"friction_ramp: {port}: cannot be opened" in capsys.readouterr().err
 
 
 def test_existing_bag_is_not_overwritten(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -163,7 +170,7 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
     monkeypatch.setattr(ramp_job, "SerialPort", lambda *_: VirtualPort(emulated))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--load", "none", "--output", str(tmp_path / "a")]) == 0
-    assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--output", str(tmp_path / "b")]) == 2
+    assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--output", str(tmp_path / "b")]) == 3
     assert "nobody there to couple the joint" in capsys.readouterr().err
 
 
@@ -177,6 +184,6 @@ def test_latched_fault_is_named_and_cleared_by_option(
     client.arm()
     emulated.advance(0.3)  # nobody pumps: as after kill -9
     monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: emulated)
-    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path / "a")]) == 2
+    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path / "a")]) == 3
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
     assert run("friction_ramp", [*QUICK, "--load", "none", "--clear", "--output", str(tmp_path / "b")]) == 0

@@ -19,7 +19,7 @@ from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.plant import slide
+from friction_bench.rig.plant import Shaft, turn
 from friction_bench.rig.rig_file import Rig
 
 MODELS = [
@@ -52,7 +52,7 @@ def test_closed_form_solves_equation_3(model: RampModel) -> None:
 
 
 @pytest.mark.parametrize(("speed", "torque"), [(5.0, 0.1), (5.0, -0.1), (-3.0, 0.02), (0.0, 0.04), (0.0, 0.06)])
-def test_emulated_slide_is_the_solution_of_equation_3(speed: float, torque: float) -> None:
+def test_emulated_shaft_is_the_solution_of_equation_3(speed: float, torque: float) -> None:
     """One exact slice equals a stiff solver with a smoothed sign, through a stop and a reversal."""
     inertia, coulomb, viscous, dt = 6e-5, 0.05, 8e-4, 0.02
 
@@ -60,7 +60,7 @@ def test_emulated_slide_is_the_solution_of_equation_3(speed: float, torque: floa
         return [y[1], (torque - viscous * y[1] - coulomb * np.tanh(y[1] / 1e-4)) / inertia]
 
     exact = solve_ivp(derivative, (0, dt), [0.0, speed], "Radau", rtol=1e-9, atol=1e-11).y[:, -1]
-    assert slide(0.0, speed, torque, inertia, coulomb, viscous, dt) == pytest.approx(exact, abs=3e-4)
+    assert turn(0.0, speed, torque, Shaft(inertia, coulomb, viscous), dt) == pytest.approx(exact, abs=3e-4)
 
 
 def test_emulated_experiment_stays_within_the_sources_bands(rig: Rig) -> None:

@@ -39,7 +39,7 @@ def rig_with(rig: Rig, fc: float, fv: float, inertia: float, quiet: bool = False
     assert rig.plant is not None
     load = (inertia - rig.plant.rotor_inertia) * rig.gear_ratio**2 * rig.gear_efficiency
     plant = replace(rig.plant, coulomb=fc, viscous=fv, load_inertia=load)
-    return replace(rig, plant=plant.noiseless() if quiet else plant)
+    return replace(rig, plant=replace(plant, gain_error=0.0, torque_noise=0.0, adc_noise=0.0) if quiet else plant)
 
 
 def measure(rig: Rig, seed: int, repeats: int, end_torque: float, slopes: tuple[float, ...]) -> RampIdentification:

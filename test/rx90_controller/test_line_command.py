@@ -108,8 +108,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
         ("--from-file task/reference_line.yaml --start-time -1", 2, "start time is -1 s"),
-        ("--from-file task/reference_line.yaml --timeout 0", 2, "timeout is 0 s"),
-        ("--from-file task/reference_line.yaml --controller bad/-name", 2, "name is 'bad/-name' ("),
+        ("--from-file task/reference_line.yaml --node bad/-name", 2, "name is 'bad/-name' ("),
         ("--from-file task/reference_line.yaml --ros-args -r", 2, "ROS arguments "),
         ("--from-file task/reference_line.yaml --ros-args -p foo", 2, "ROS arguments "),
     ],
@@ -125,7 +124,9 @@ def test_a_mistake_gives_one_line_and_a_status(
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", ["", "--start 0.6 0 0.2", "--start a b c --end 0 0 1", "--shoulder up"])
+@pytest.mark.parametrize(
+    "arguments", ["", "--start 0.6 0 0.2", "--start a b c --end 0 0 1", "--shoulder up", "--timeout 0"]
+)
 def test_wrong_usage_ends_with_status_2(capsys: pytest.CaptureFixture[str], arguments: str) -> None:
     """Missing or unreadable options end as argparse ends: usage, one line, status 2."""
     assert run("rx90_line", arguments.split()) == 2
@@ -304,7 +305,7 @@ def test_a_controller_in_a_namespace_has_its_arm_beside_it(
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     listener.tell(shipped.robot.joint_names, plan.start_pose)
     listener.listen()
-    process = start_line("--controller", "/cell/rx90_controller", "--timeout", str(PATIENCE))
+    process = start_line("--node", "/cell/rx90_controller", "--timeout", str(PATIENCE))
     out, err = process.communicate(timeout=2 * PATIENCE)
     assert process.returncode == 0, err
     assert "sent 72 points to /cell/rx90_controller/joint_trajectory" in out

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.rigid_torque import configurations, rigid_torque
+from rx90_common.description.wrist import element_matrix
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
@@ -45,9 +46,8 @@ class RigidArm:
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
         names = setup.robot.joint_names
-        matrix = np.vstack([np.eye(6), [0.0, 0.0, 0.0, 0.0, 1.0, 1.0]])
         drives = setup.drives
-        return cls(names, element_names(names), matrix, setup.robot.model, drives.rotor_matrix, drives.spring)
+        return cls(names, element_names(names), element_matrix(), setup.robot.model, drives.rotor_matrix, drives.spring)
 
     @classmethod
     def from_urdf(

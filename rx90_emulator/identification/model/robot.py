@@ -90,7 +90,7 @@ def _own(options: RobotOptions) -> RecordedRobot:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
             )
-    setup = Setup.load(RobotFiles.named(tool=options.tool, drives=options.drives))
+    setup = Setup.load(RobotFiles.of_options(options))
     arm = RigidArm.from_setup(setup)
     name = options.fallback or "robot/friction.yaml"
     return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)

@@ -16,6 +16,7 @@ from scipy.signal import butter, sosfiltfilt
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.record import JointRecord, spikes
 
@@ -50,7 +51,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
     position, effort = _required(path, series, "position"), _required(path, series, "effort")
     kept = _good_rows(path, series, position, effort)
-    time = series.stamp_ns[kept] / 1e9
+    time = series.stamp_ns[kept] / NANOSECONDS
     missing = _missing(series.time)
     velocity = None if series.velocity is None else series.velocity[kept]
     position, effort = position[kept], effort[kept]
@@ -97,15 +98,15 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
     steps = np.diff(series.stamp_ns)
     if len(steps) and not steps.any():
         raise IdentificationError(
-            f"{path}: {series.topic}: every stamp is {series.stamp_ns[0] / 1e9:.9f} s; accepted: increasing stamps, or "
-            "--record-time"
+            f"{path}: {series.topic}: every stamp is {series.stamp_ns[0] / NANOSECONDS:.9f} s; accepted: increasing "
+            "stamps, or --record-time"
         )
     back = np.flatnonzero(steps < 0)
     if len(back):
         k = int(back[0])
         raise IdentificationError(
-            f"{path}: {series.topic}: the stamp goes back from {series.stamp_ns[k] / 1e9:.9f} s "
-            f"to {series.stamp_ns[k + 1] / 1e9:.9f} s; accepted: increasing stamps, or --record-time"
+            f"{path}: {series.topic}: the stamp goes back from {series.stamp_ns[k] / NANOSECONDS:.9f} s "
+            f"to {series.stamp_ns[k + 1] / NANOSECONDS:.9f} s; accepted: increasing stamps, or --record-time"
         )
     good = np.append(True, steps > 0)
     for values in (position, effort, series.velocity):

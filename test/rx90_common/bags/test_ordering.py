@@ -7,7 +7,8 @@ from typing import Any, Literal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rx90_common.bags.ordering import Entry, LogOrder, TimeSource, stamp_ns
+from rx90_common.bags.ordering import Entry, LogOrder, TimeSource
+from rx90_common.base.stamps import cdr_stamp_ns
 
 MS = 1_000_000
 
@@ -90,11 +91,16 @@ def test_undated_messages_do_not_pile_up() -> None:
 
 
 @given(st.integers(0, (1 << 31) * 10**9 - 1), st.sampled_from(["little", "big"]))
-def test_stamp_of_a_message(stamp: int, order: Literal["little", "big"]) -> None:
-    """The stamp is read in both byte orders; times before 0 and messages cut off count as 0."""
-    assert stamp_ns(message(stamp, order, b"rest")) == stamp
-    assert stamp_ns(message(-stamp - 1, order)) == 0
-    assert stamp_ns(message(stamp, order)[:11]) == 0
+def test_messages_are_dated_by_their_stamps(stamp: int, order: Literal["little", "big"]) -> None:
+    """The stamp counts in both byte orders; times before 0 and messages cut off count as 0."""
+    for cdr, expected in (
+        (message(stamp, order, b"rest"), stamp),
+        (message(-stamp - 1, order), 0),
+        (message(stamp, order)[:11], 0),
+    ):
+        dated = LogOrder()
+        dated.add(0, TimeSource.CLOCK, cdr, 0)
+        assert [e.log_ns for e in dated.release_all()] == [expected]
 
 
 def test_a_reset_is_told_and_keeps_the_runs_apart() -> None:
@@ -112,7 +118,7 @@ def test_a_reset_is_told_and_keeps_the_runs_apart() -> None:
     released = order.release_all()
     assert [e.log_ns for e in released] == sorted(e.log_ns for e in released)
     for topic in (0, 1):
-        stamps = [stamp_ns(e.cdr) for e in released if e.topic == topic]
+        stamps = [cdr_stamp_ns(e.cdr) for e in released if e.topic == topic]
         assert stamps == [s * MS for run in runs for s in run]
     assert order.set_backs == [(290 * MS, 0)]
     assert order.newest_ns == 190 * MS

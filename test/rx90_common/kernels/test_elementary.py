@@ -45,8 +45,8 @@ def samples() -> Array:
     rng = np.random.default_rng(7)
     turns = np.arange(-40, 40) * (math.pi / 4)
     beside = [np.nextafter(turns, -9e9), turns, np.nextafter(turns, 9e9)]
-    spread = rng.choice([-1, 1], 4000) * 10.0 ** rng.uniform(-12, 3, 4000)
-    x = np.concatenate([*beside, spread, rng.uniform(-7, 7, 4000), [0.0, -0.0]])
+    spread = rng.choice([-1, 1], 100_000) * 10.0 ** rng.uniform(-12, 3, 100_000)
+    x = np.concatenate([*beside, spread, rng.uniform(-7, 7, 100_000), [0.0, -0.0]])
     return x[: x.size // 8 * 8]
 
 
@@ -65,17 +65,17 @@ def test_the_constants_are_those_that_the_script_derives() -> None:
 
 @pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="needs an extended precision to compare with")
 def test_errors_stay_below_two_units_in_the_last_place() -> None:
-    """Down to the smallest normal number exp, and to a thousand radians sin and cos, are off by less than 2 ulp."""
+    """Down to the smallest normal number exp is off by less than 1.2 ulp, to a thousand radians sin and cos by 1.6."""
     x = samples()
     got = np.empty((3, x.size))
     in_lanes(x, got)
     wide = x.astype(np.longdouble)
     want = np.array([np.exp(-np.abs(wide)), np.sin(wide), np.cos(wide)])
     normal = want[0] > 1e-307
-    assert np.all(np.abs(got[0] - want[0])[normal] < 2 * np.spacing(got[0][normal]))
+    assert np.all(np.abs(got[0] - want[0])[normal] < 1.2 * np.spacing(got[0][normal]))
     assert np.all(got[0][~normal] < 1e-307)
     # Next to a zero of sine or cosine the rounding of the reduced angle counts, 1e-26 at most.
-    assert np.all(np.abs(got[1:] - want[1:]) < 2 * np.spacing(np.abs(got[1:])) + 1e-26)
+    assert np.all(np.abs(got[1:] - want[1:]) < 1.6 * np.spacing(np.abs(got[1:])) + 1e-26)
 
 
 def test_values_that_must_be_exact() -> None:

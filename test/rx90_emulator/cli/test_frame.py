@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
+from collections.abc import Iterator
+from importlib import import_module
 
 import pytest
 
+from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process.children import executable
 from rx90_emulator.cli.frame import EXECUTABLES
-from rx90_emulator.cli.options import split_ros_args
+from rx90_emulator.cli.options import CommandParser, split_ros_args
+
+
+def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    """Yield the options of a parser and of its verbs."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                yield from actions(verb)
+        else:
+            yield action
 
 
 @pytest.mark.parametrize("name", EXECUTABLES)
@@ -37,3 +51,18 @@ def test_arguments_for_ros_end_at_two_dashes() -> None:
     """What stands between --ros-args and -- is for ROS, all else for the command."""
     words = ["a", "--ros-args", "-r", "x:=y", "--", "b", "--ros-args", "-p", "c:=1"]
     assert split_ros_args(words) == (["a", "b"], ["--ros-args", "-r", "x:=y", "--ros-args", "-p", "c:=1"])
+
+
+def test_an_option_means_the_same_everywhere() -> None:
+    """What names a file in one command does so in all, and no option of a name takes here a value and there none."""
+    kinds: dict[str, set[tuple[type, object]]] = {}
+    for name, module in EXECUTABLES.items():
+        parser = CommandParser(prog=name)
+        import_module(module).add_arguments(parser)
+        for action in actions(parser):
+            for flag in action.option_strings:
+                metavar = action.metavar if flag[2:] in {*SHIPPED, "node", "timeout"} else None
+                kinds.setdefault(flag, set()).add((type(action), metavar))
+    assert {flag for flag, found in kinds.items() if len(found) > 1} == set()
+    assert {kinds[f"--{role}"].pop()[1] for role in SHIPPED} == {"FILE"}
+    assert kinds["--node"].pop()[1] == "NAME"

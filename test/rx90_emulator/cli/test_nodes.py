@@ -79,10 +79,10 @@ def read_until(process: subprocess.Popen[str], line: str) -> None:
 pytestmark = pytest.mark.ros
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("moment", ["importing done", "up"])
 def test_a_signal_ends_in_order_and_silently(start, moment: str, number: signal.Signals) -> None:  # type: ignore[no-untyped-def]
-    """Ctrl-C and SIGTERM, also twice, give exit code 0 and nothing on stderr, while starting and while running."""
+    """Ctrl-C, SIGTERM and SIGHUP, also twice, while starting and while running: exit code 0, nothing on stderr."""
     process = start()
     read_until(process, moment)
     process.send_signal(number)

@@ -202,7 +202,7 @@ def test_a_lost_run_is_named_and_harms_no_other(shipped: Setup, model: Perturbat
         simulate(dataclasses.replace(shipped, friction=wild), there_and_back(), HOME, 0.4)
     result = model.run([friction, wild, friction])
     alone = model.run_one()
-    assert result.lost.tolist() == [False, True, False]
+    assert result.diverged.tolist() == [False, True, False]
     for run in (0, 2):
         assert result.tip_deviation[run].tobytes() == alone.tip_deviation[0].tobytes()
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
 from rx90_common.base.rates import Rates
+from rx90_common.description.rigid_torque import rigid_torque
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.linearisation import linearise
-from rx90_emulator.perturbation.nominal import nominal_motion, nominal_torque
+from rx90_emulator.perturbation.nominal import linearise, nominal_motion, nominal_torque
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
@@ -19,14 +18,8 @@ REST = [0.0] * 6
 
 
 def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
-    """Return the torque on the joints by Pinocchio, rotors and spring put in by hand."""
-    torque = np.array(pin.rnea(setup.robot.model, setup.robot.model.createData(), q, v, a))
-    rotor = setup.drives.rotor_inertia
-    torque += rotor * a
-    torque[4] += rotor[5] * (a[4] + a[5])
-    torque[5] += rotor[5] * a[4]
-    torque[1] += setup.drives.spring_torque * np.sin(q[1])
-    return torque
+    """Return the torque on the joints at one state, shape (6,)."""
+    return rigid_torque(setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring, q[None], v[None], a[None])[0]
 
 
 def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
