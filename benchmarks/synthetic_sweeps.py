@@ -137,7 +137,7 @@ def measured(
 
 
 def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
-    """Return elements with every parameter moved at random, the signs of the velocity told apart."""
+    """Return elements with every parameter moved at random, each sign of the velocity by itself."""
     elements = []
     for name, element in zip(base.names, base.elements, strict=True):
         up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c_positive

@@ -1,3 +1,3 @@
 """From recorded bags to the friction parameters of a robot, with their uncertainty and a cross-check."""
 
-__all__ = ["estimate", "identify", "job", "rigid_arm"]
+__all__ = ["identify", "job"]

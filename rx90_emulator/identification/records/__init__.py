@@ -1,3 +1,3 @@
 """What was recorded, by which robot: bags read into series that an estimate can use."""
 
-__all__ = ["foreign_urdf", "reading", "record", "robot", "spikes", "tolerances"]
+__all__ = ["layout", "reading", "record"]
