@@ -1,4 +1,4 @@
-"""The folder of a series of experiments: one bag each, and an index that says what each is for."""
+"""The folder of a series of experiments: a bag of each, and an index of the bags by use."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ samples in step with the set-points always fall on that jump."""
 
 @dataclass(frozen=True)
 class IdentificationBags:
-    """Bags by use: sweeps, micro-oscillations, and runs that are not used but compared with."""
+    """Bags by use: sweeps, micro-oscillations, and runs for the validation."""
 
     sliding: tuple[Path, ...]
     presliding: tuple[Path, ...] = ()

@@ -1,4 +1,4 @@
-"""What a user can say about the robot that bags come from and about the validation; light to import."""
+"""Options of an identification: the robot that bags come from, and tolerances. Imports nothing slow, for --help."""
 
 from __future__ import annotations
 

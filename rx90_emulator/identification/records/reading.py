@@ -119,7 +119,7 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
 
 
 def _missing(time: Array) -> int:
-    """Return how many messages a steady stream would have had besides."""
+    """Return how many messages are missing from a steady stream."""
     steps = np.diff(time)
     if not len(steps):
         return 0

@@ -27,7 +27,7 @@ class BagSource:
         path: the bag.
         sha256: digest of its storage.
         duration: time from the first to the last sample, s.
-        missing: messages that a steady stream would have had besides.
+        missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
     """
 
@@ -50,7 +50,7 @@ class JointRecord:
         torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
         source: the bag.
         sha256: digest of the bag.
-        missing: messages that a steady stream would have had besides.
+        missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
 
     Raises:
@@ -86,7 +86,7 @@ class JointRecord:
 
     @property
     def bag(self) -> BagSource:
-        """Return the bag with what was read of it."""
+        """Return the bag, with the figures of what was read of it."""
         duration = float(self.time[-1] - self.time[0])
         return BagSource(self.source, self.sha256, duration, self.missing, self.outliers)
 
