@@ -5,4 +5,4 @@ result (all elements, and the validation) -> output. The model (rigid arm, robot
 experiments make bags. `identify.identify_friction` does it all, `job.write_identification` writes what it returns.
 """
 
-__all__ = ["job"]
+__all__ = ["identify", "job"]

@@ -66,16 +66,16 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path, storage: str = "mcap") -> None:
+def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | str, storage: str = "mcap") -> None:
     """Run experiments in the closed loop without ROS, each into a bag of a new folder.
 
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    with _new_folder(folder):
+    with _new_folder(Path(folder)) as new:
         for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
-            run_on_engine(setup, experiment, folder / experiment.name, storage)
-            write_index(folder, plan[: number + 1])
+            run_on_engine(setup, experiment, new / experiment.name, storage)
+            write_index(new, plan[: number + 1])
 
 
 def record_on_nodes(
@@ -98,10 +98,10 @@ def record_on_nodes(
 
 
 @contextmanager
-def _new_folder(folder: Path) -> Iterator[None]:
+def _new_folder(folder: Path) -> Iterator[Path]:
     make_folder(folder)
     try:
-        yield
+        yield folder
     finally:
         # A folder without any bag would refuse the next attempt.
         with suppress(OSError):
