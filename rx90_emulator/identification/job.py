@@ -85,7 +85,9 @@ def _identify(
     """Return the result, its checks, and what each record was used for."""
     everything = [(use, path) for use, paths in vars(bags).items() for path in paths]
     total = len(everything) + 2 + len(bags.validation)
-    with tqdm(total=total, bar_format="{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}]", file=sys.stderr) as bar:
+    with tqdm(
+        total=total, bar_format="{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]", file=sys.stderr
+    ) as bar:
 
         def step(text: str) -> None:
             bar.set_description_str(text)

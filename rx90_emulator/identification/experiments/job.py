@@ -9,7 +9,6 @@ from contextlib import suppress
 import numpy as np
 from tqdm import tqdm
 
-from rx90_common.base.errors import ExchangeError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
@@ -78,9 +77,10 @@ def run(options: argparse.Namespace) -> None:
 
 def _record(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
     if options.engine:
-        for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
-            run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
-            write_index(options.output, plan[: number + 1])
+        with tqdm(plan, desc="engine", unit="experiment") as bar:  # an interrupt ends its line
+            for number, experiment in enumerate(bar):
+                run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
+                write_index(options.output, plan[: number + 1])
     else:
         _run_on_nodes(plan, setup, options)
 
@@ -89,8 +89,6 @@ def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Na
     from rx90_common.exchange.environment import prepare
 
     prepare()
-    try:
-        from rx90_emulator.identification.experiments.nodes import run_on_nodes
-    except ImportError as error:
-        raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
+    from rx90_emulator.identification.experiments.nodes import run_on_nodes
+
     run_on_nodes(setup, plan, options.output, options.node, options.timeout, lambda text: print(text, flush=True))

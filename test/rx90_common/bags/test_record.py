@@ -272,9 +272,9 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
 
 CRAMPED = """
 import resource, sys
-from rx90_emulator.cli.bag import main
+from rx90_emulator.cli.frame import rx90_bag
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
-sys.exit(main(sys.argv[1:]))
+sys.exit(rx90_bag())
 """
 
 
