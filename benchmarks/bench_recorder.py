@@ -37,13 +37,13 @@ def publish(seconds: float) -> None:
 
     from rx90_common.exchange.environment import prepare
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
-    from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
+    from rx90_common.exchange.topics import STATE_QOS, TICK_QOS
 
     prepare()
     rclpy.init()
     node = rclpy.create_node("bench_publisher")
-    fast = [node.create_publisher(JointState, topic, TICK_QOS) for topic in FAST]
-    slow = [node.create_publisher(JointState, topic, STATE_QOS) for topic in SLOW]
+    fast = [node.create_publisher(JointState, topic, TICK_QOS.profile) for topic in FAST]
+    slow = [node.create_publisher(JointState, topic, STATE_QOS.profile) for topic in SLOW]
     codec = JointStateCodec([f"motor_{i}" for i in range(1, 7)])
     values = np.arange(6.0)
     sys.stdin.readline()

@@ -107,14 +107,14 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepSimulation
-    from rx90_common.exchange.qos import TICK_QOS
+    from rx90_common.exchange.topics import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = rclpy.create_node("ping_pong_simulation")
-        bare = _WaitSet(node, *_BARE, TICK_QOS)
-        through = Channel(node, *_CHANNEL, TICK_QOS)
-        channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
+        bare = _WaitSet(node, *_BARE, TICK_QOS.profile)
+        through = Channel(node, *_CHANNEL, TICK_QOS.profile)
+        channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         for waiting in (bare, through, channel):
             _wait_for_peer(waiting)
         states, commands = JointStateCodec(MOTOR_NAMES), JointStateCodec(MOTOR_NAMES)
@@ -177,12 +177,12 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepController
     from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
-    from rx90_common.exchange.qos import TICK_QOS
+    from rx90_common.exchange.topics import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")
-    ends = [_WaitSet(node, *_BARE[::-1], TICK_QOS), Channel(node, *_CHANNEL[::-1], TICK_QOS)]
-    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
+    ends = [_WaitSet(node, *_BARE[::-1], TICK_QOS.profile), Channel(node, *_CHANNEL[::-1], TICK_QOS.profile)]
+    channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
 
     class NoLaw:
         command = np.zeros(6)

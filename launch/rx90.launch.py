@@ -1,8 +1,5 @@
 """Start the simulation and the controller and, when asked, robot_state_publisher and RViz."""
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
@@ -10,22 +7,22 @@ from launch.substitutions import LaunchConfiguration, OrSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED
+
 PACKAGE = "rx90_emulator"
+FILES = ("tool", "drives", "friction", "controller")
 ARGUMENTS = (
     ("time_mode", "lock_step", "lock_step or free_running"),
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
-    ("tool", "robot/tool_laser_head.yaml", "tool file, shipped or your own; none: no tool"),
-    ("drives", "robot/drives.yaml", "drives file, shipped or your own"),
-    ("friction", "robot/friction.yaml", "friction file, shipped or your own"),
-    ("controller", "controller/cs7b.yaml", "controller file, shipped or your own"),
+    *((name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in FILES),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
 )
 
 
 def generate_launch_description() -> LaunchDescription:
-    share = Path(get_package_share_directory(PACKAGE))
-    urdf = (share / "config/robot/rx90b.urdf").read_text(encoding="utf-8")
+    urdf = config_path(SHIPPED["urdf"]).read_text(encoding="utf-8")
 
     def given(*names: str) -> dict[str, ParameterValue]:
         return {name: ParameterValue(LaunchConfiguration(name), value_type=str) for name in names}
@@ -55,7 +52,7 @@ def generate_launch_description() -> LaunchDescription:
     rviz = Node(
         package="rviz2",
         executable="rviz2",
-        arguments=["-d", str(share / "config/rviz/rx90.rviz")],
+        arguments=["-d", str(config_path("rviz/rx90.rviz"))],
         parameters=[{"use_sim_time": True}],
         condition=IfCondition(LaunchConfiguration("rviz")),
     )

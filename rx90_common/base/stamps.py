@@ -1,7 +1,7 @@
-"""Times of messages in nanoseconds: those in the head of a CDR message, and those of message objects.
+"""Times of messages in nanoseconds: at the head of CDR bytes, and in message objects.
 
-A message that begins with a std_msgs/Header or a time begins with four bytes of encapsulation, whose second one tells
-the byte order, seconds as int32 and nanoseconds as uint32.
+A message with a header begins with four bytes of encapsulation, whose second tells the byte order, int32 seconds and
+uint32 nanoseconds.
 """
 
 from __future__ import annotations
@@ -14,23 +14,14 @@ from numpy.typing import NDArray
 
 from rx90_common.base.rates import NANOSECONDS
 
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""The encapsulation of plain CDR, little endian."""
-ENCAPSULATION = len(LITTLE_ENDIAN)
-"""Bytes before the body of a message."""
-STAMP_BYTES = 8
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # the encapsulation
+ENCAPSULATION, STAMP_BYTES = 4, 8
 HEAD = ENCAPSULATION + STAMP_BYTES
-"""Bytes up to the end of the stamp."""
-
 _LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
 
 
 def cdr_stamp(cdr: bytes) -> tuple[int, int]:
-    """Return seconds and nanoseconds at the head of a CDR message, as they stand there.
-
-    Raises:
-        struct.error: if it is cut off.
-    """
+    """Return seconds and nanoseconds at the head of a CDR message, at least HEAD bytes, as they stand there."""
     seconds, nanoseconds = (_LITTLE if cdr[1] & 1 else _BIG).unpack_from(cdr, ENCAPSULATION)
     return seconds, nanoseconds
 
@@ -45,9 +36,8 @@ def cdr_stamp_ns(cdr: bytes) -> int:
 
 def cdr_stamps_ns(messages: NDArray[np.uint8]) -> NDArray[np.int64]:
     """Return the times of equally long little-endian messages, shape (n, length), ns, shape (n,)."""
-    fields = np.ascontiguousarray(messages[:, ENCAPSULATION:HEAD])
-    seconds = fields[:, :4].copy().view("<i4")[:, 0].astype(np.int64)
-    nanoseconds = fields[:, 4:].copy().view("<u4")[:, 0].astype(np.int64)
+    seconds = messages[:, ENCAPSULATION : ENCAPSULATION + 4].copy().view("<i4")[:, 0].astype(np.int64)
+    nanoseconds = messages[:, ENCAPSULATION + 4 : HEAD].copy().view("<u4")[:, 0].astype(np.int64)
     return np.asarray(seconds * NANOSECONDS + nanoseconds)
 
 

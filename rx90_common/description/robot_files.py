@@ -18,6 +18,15 @@ SHIPPED = {
 
 NO_TOOL = "none"
 
+DESCRIPTIONS = {
+    "urdf": "URDF of the arm",
+    "tool": f"tool file, or {NO_TOOL}",
+    "drives": "drives file",
+    "friction": "friction file",
+    "controller": "controller file: gains, limits and switches",
+}
+"""What each file is, in words for a user."""
+
 
 def _shipped(name: str) -> Path:
     return config_path(SHIPPED[name])

@@ -9,7 +9,6 @@ __all__ = [
     "motor_messages",
     "node_tools",
     "pacing",
-    "qos",
     "ros_start",
     "throttle",
     "time_mode",

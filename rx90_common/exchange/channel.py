@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.arrivals import count_arrivals
-from rx90_common.exchange.publisher_lock import claim_topic
+from rx90_common.exchange.publisher_lock import lock_publisher
 
 _clock = time.perf_counter_ns
 _MOMENT_NS = 200_000
@@ -63,7 +63,7 @@ class Channel:
     """
 
     def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
-        self._claim = claim_topic(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
+        self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
         self._publisher = node.create_publisher(JointState, publish_topic, qos)
         self._subscription = node.create_subscription(
             JointState, subscribe_topic, _ignore, qos, raw=True, callback_group=_NeverExecuted()

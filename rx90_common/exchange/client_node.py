@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
@@ -21,10 +22,11 @@ POLL = 0.05
 """The longest time without a look for Ctrl-C, s."""
 
 
+@dataclass(frozen=True)
 class ClientNode:
     """A node whose messages are taken by `spin`, on the caller's thread.
 
-    Args:
+    Attributes:
         node: for publishers, subscriptions and service clients.
         executor: one that has the node.
         timeout: longest wait for another node, s.
@@ -32,24 +34,15 @@ class ClientNode:
         check_interrupt: called in each `spin`; may raise.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        executor: Executor,
-        timeout: float,
-        say: Callable[[str], None],
-        check_interrupt: Callable[[], None] = lambda: None,
-    ) -> None:
-        self.node, self.timeout, self.say = node, timeout, say
-        self._executor, self.check_interrupt = executor, check_interrupt
+    node: Node
+    executor: Executor
+    timeout: float
+    say: Callable[[str], None]
+    check_interrupt: Callable[[], None]
 
     def spin(self) -> None:
-        """Take a message or an answer, or wait a moment for one.
-
-        Raises:
-            KeyboardInterrupt: if Ctrl-C was pressed.
-        """
-        self._executor.spin_once(timeout_sec=POLL)
+        """Take a message or an answer, or wait a moment for one."""
+        self.executor.spin_once(timeout_sec=POLL)
         self.check_interrupt()
 
     def wait(self, ready: Callable[[], bool], what: str) -> None:
@@ -59,13 +52,11 @@ class ClientNode:
             ExchangeError: after the timeout.
         """
         deadline = time.monotonic() + self.timeout
-        announced = False
+        if not ready():
+            self.say(f"waiting for {what}")
         while not ready():
             if time.monotonic() >= deadline:
                 raise ExchangeError(f"found no {what.removeprefix('a ')} within {self.timeout:g} s")
-            if not announced:
-                self.say(f"waiting for {what}")
-                announced = True
             self.spin()
 
     def call(self, kind: Any, service: str, request: Any) -> Any:
@@ -75,13 +66,10 @@ class ClientNode:
             ExchangeError: if the service is not there or does not answer within the timeout.
         """
         caller = self.node.create_client(kind, service)
-        try:
-            self.wait(caller.service_is_ready, f"a service {caller.srv_name}")
-            answer = caller.call_async(request)
-            self.wait(answer.done, f"an answer of {caller.srv_name}")
-            return answer.result()
-        finally:
-            self.node.destroy_client(caller)
+        self.wait(caller.service_is_ready, f"a service {caller.srv_name}")
+        answer = caller.call_async(request)
+        self.wait(answer.done, f"an answer of {caller.srv_name}")
+        return answer.result()
 
 
 @contextmanager

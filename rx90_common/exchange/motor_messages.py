@@ -70,7 +70,7 @@ class MotorMessages:
     def __init__(
         self, topic: str, names: Sequence[str], rates: Rates, command: Array, complain: Callable[[str], None]
     ) -> None:
-        self._topic, self.rates = topic, rates
+        self._topic, self.rates, self._period_ns = topic, rates, rates.period_ns
         self.same_rates = False
         # Two, in turns: a message that is refused half-way leaves the states before it as they are.
         self._codec, self._spare = JointStateCodec(names), JointStateCodec(names)
@@ -91,9 +91,9 @@ class MotorMessages:
                 raise ExchangeError("no positions or no velocities; accepted: both")
         except ExchangeError as error:
             raise self._refused("states", str(error)) from error
-        if stamp_ns < 0 or stamp_ns % self.rates.period_ns:
+        if stamp_ns < 0 or stamp_ns % self._period_ns:
             text = (
-                f"the stamp is {stamp_ns} ns; accepted: multiples of {self.rates.period_ns} ns (base_rate "
+                f"the stamp is {stamp_ns} ns; accepted: multiples of {self._period_ns} ns (base_rate "
                 f"{self.rates.base_hz} Hz, as the simulation's)"
             )
             raise self._refused("stamp", text) if self.same_rates else ExchangeError(f"{self._topic}: {text}")

@@ -20,8 +20,9 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.exchange.qos import CLOCK_QOS
+from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.ros_start import start_ros
+from rx90_common.exchange.topics import CLOCK_QOS
 from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2
@@ -68,6 +69,17 @@ def declare(
     return value  # type: ignore[no-any-return]
 
 
+def declare_robot_files(node: Node, *names: str) -> RobotFiles:
+    """Declare a parameter for each of these keys of SHIPPED; return the files that they name.
+
+    Raises:
+        ConfigError: for a file that is not there.
+    """
+    return RobotFiles.named(
+        **{name: declare(node, name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in names}
+    )
+
+
 def _with_real_numbers(override: Parameter, default: object) -> Parameter:
     """Return the parameter with whole numbers made real ones where those are asked for: 1 is as good as 1.0."""
     if isinstance(default, float) and override.type_ is Parameter.Type.INTEGER:
@@ -104,7 +116,7 @@ class Diagnostics:
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
         self._node = node
         self._collect = collect
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS)
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
         self._timer = node.create_timer(1.0, self._publish)
 
     def _publish(self) -> None:

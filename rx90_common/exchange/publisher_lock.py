@@ -2,7 +2,8 @@
 
 The graph cannot tell: a node that was killed stays in it, looking alive, until its lease expires, and its successor
 would have to wait for that. A name in the abstract socket namespace goes with the process that holds it, however it
-ends, and tells who holds it. It reaches as far as loopback does; publishers elsewhere are found out by what they send.
+ends, and tells which process that is. It reaches as far as loopback does; publishers elsewhere are found out by what
+they send.
 """
 
 from __future__ import annotations
@@ -17,25 +18,25 @@ _CREDENTIALS = struct.Struct("3i")  # pid, uid, gid
 _PROBE_TIMEOUT = 1.0
 
 
-def claim_topic(domain: int, topic: str) -> socket.socket:
-    """Become the publisher of `topic` in DDS domain `domain`, for as long as the returned socket is open.
+def lock_publisher(domain: int, topic: str) -> socket.socket:
+    """Lock `topic` in DDS domain `domain` for this process's publisher, for as long as the returned socket is open.
 
     Raises:
-        ExchangeError: if another process on this machine is it already; the text names its process id.
+        ExchangeError: if another process on this machine has locked it; the text names its process id.
     """
     # Hashed, because the kernel takes 107 bytes and a namespace may be longer.
     name = "\0rx90_emulator/" + hashlib.sha256(f"{domain} {topic}".encode()).hexdigest()
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        claim.bind(name)
+        lock.bind(name)
     except OSError:
-        claim.close()
+        lock.close()
         raise ExchangeError(
             f"{topic} in ROS_DOMAIN_ID {domain} is already published by process {_holder(name)}; accepted: one "
             "publisher; end that process, or choose another ROS_DOMAIN_ID or namespace"
         ) from None
-    claim.listen(1)
-    return claim
+    lock.listen(1)
+    return lock
 
 
 def _holder(name: str) -> str:

@@ -14,7 +14,6 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import resolve_config
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange import node_tools
@@ -22,11 +21,20 @@ from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TIME_MODE
+from rx90_common.exchange.topics import (
+    FREE_RUNNING,
+    LATCHED_QOS,
+    MOTOR_COMMANDS,
+    MOTOR_NAMES,
+    MOTOR_STATES,
+    STATE_QOS,
+    TICK_QOS,
+    TIME_MODE,
+    TRAJECTORY_QOS,
+)
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.free_running import FreeRunningController
@@ -36,17 +44,18 @@ _WAIT_SLICE = 0.1
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
-class SetPointTopics:
-    """The topics ~/reference and ~/tracking_error; called by the ticking thread."""
+class ControllerOutputs:
+    """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
 
     def __init__(self, node: Node, channel: Channel, cs7b: CS7B) -> None:
         self._node, self._cs7b = node, cs7b
         codec = JointStateCodec(cs7b.joint_names)
         self._encode_reference = codec.encoder(*cs7b.reference())
         self._encode_error = codec.encoder(*cs7b.tracking_error())
-        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS)
-        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS)
+        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
+        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
         self._all = (self._reference, self._error, channel.publisher)
+        self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
@@ -62,6 +71,16 @@ class SetPointTopics:
             self._cs7b.tracking_error()
             self._error.publish(self._encode_error(stamp_ns))
 
+    # rclpy takes a line of code for one severity only: it must not see who else calls these.
+
+    def info(self, text: str) -> None:
+        """Print what happened."""
+        self._log.info(text)
+
+    def error(self, text: str) -> None:
+        """Print what went wrong."""
+        self._log.error(text)
+
 
 class Control:
     """The node and its ticking thread's loop."""
@@ -71,19 +90,19 @@ class Control:
         self._log = self.node.get_logger()
         rates = self._read_rates()
         self._cs7b = cs7b = self._build(rates)
-        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS)
-        outputs = SetPointTopics(self.node, channel, cs7b)
-        self._loop = ServoLoop(cs7b, outputs, self._log)
-        self._messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, self._log.error)
+        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        outputs = ControllerOutputs(self.node, channel, cs7b)
+        self._loop = ServoLoop(cs7b, outputs)
+        self._messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
-        self._lockstep = LockstepController(channel, self._messages, self._loop, self._log.info)
-        self._free = FreeRunningController(channel, self._messages, self._loop, self._pacer, self._log.info)
+        self._lockstep = LockstepController(channel, self._messages, self._loop, outputs.info)
+        self._free = FreeRunningController(channel, self._messages, self._loop, self._pacer, outputs.info)
         self._stopped = False
         self._mode: str | None = None
         self._refused: ExchangeError | None = None
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
-        self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS)
-        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS)
+        self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS.profile)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = Diagnostics(self.node, self._status)
 
@@ -93,16 +112,8 @@ class Control:
         return Rates(base, position)
 
     def _build(self, rates: Rates) -> CS7B:
-        node = self.node
-        urdf = declare(node, "urdf", "robot/rx90b.urdf", "URDF of the arm, for joint names and limits")
-        drives = declare(node, "drives", "robot/drives.yaml", "drives file")
-        gains = declare(node, "controller", "controller/cs7b.yaml", "file with gains, limits and switches")
-        cs7b = CS7B(
-            load_robot(resolve_config(urdf)),
-            load_drives(resolve_config(drives)),
-            load_controller(resolve_config(gains)),
-            rates,
-        )
+        files = declare_robot_files(self.node, "urdf", "drives", "controller")
+        cs7b = CS7B(load_robot(files.urdf), load_drives(files.drives), load_controller(files.controller), rates)
         cs7b.warm_up()
         return cs7b
 

@@ -12,7 +12,7 @@ from rx90_controller.trajectory.message import points_from_message, start_tick
 
 
 class Outputs(Protocol):
-    """Where set-points and tracking errors go."""
+    """Where set-points, tracking errors and lines for the user go."""
 
     def wait_for_subscribers(self) -> None:
         """Wait, not without end, until those who listen will get the first message."""
@@ -20,14 +20,10 @@ class Outputs(Protocol):
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
 
-
-class Log(Protocol):
-    """Prints lines for the user."""
-
-    def info(self, text: str, /) -> object:
+    def info(self, text: str) -> None:
         """Print what happened."""
 
-    def error(self, text: str, /) -> object:
+    def error(self, text: str) -> None:
         """Print what went wrong."""
 
 
@@ -36,8 +32,7 @@ class ServoLoop:
 
     Args:
         cs7b: the control law, warmed up.
-        outputs: set-points and tracking errors.
-        log: says what became of a trajectory.
+        outputs: get what it does, and what became of a trajectory.
 
     Attributes:
         command: see `CS7B`.
@@ -46,8 +41,8 @@ class ServoLoop:
         rejected: number of trajectories that were refused.
     """
 
-    def __init__(self, cs7b: CS7B, outputs: Outputs, log: Log) -> None:
-        self._cs7b, self._outputs, self._log = cs7b, outputs, log
+    def __init__(self, cs7b: CS7B, outputs: Outputs) -> None:
+        self._cs7b, self._outputs = cs7b, outputs
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.enabled = True
@@ -102,7 +97,7 @@ class ServoLoop:
                 self._accept(trajectory)
             else:
                 self._waiting = trajectory
-                self._log.info("a trajectory waits for the simulation's first tick")
+                self._outputs.info("a trajectory waits for the simulation's first tick")
 
     def _accept(self, trajectory: Any) -> None:
         cs7b = self._cs7b
@@ -114,9 +109,9 @@ class ServoLoop:
             begin = cs7b.trajectory.accept(points, cs7b.position_tick, start)
         except TrajectoryError as error:
             self.rejected += 1
-            self._log.error(f"trajectory rejected: {error}")
+            self._outputs.error(f"trajectory rejected: {error}")
             return
         period = cs7b.rates.position_period
-        self._log.info(
+        self._outputs.info(
             f"trajectory accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin * period:.3f} s"
         )

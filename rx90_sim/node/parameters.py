@@ -8,10 +8,9 @@ from rclpy.node import Node
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import resolve_config
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.exchange.node_tools import declare
+from rx90_common.exchange.node_tools import declare, declare_robot_files
 from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_sim.plant import Plant
@@ -87,16 +86,12 @@ def build_plant(node: Node, parameters: SimulationParameters) -> tuple[RobotMode
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    tool = declare(node, "tool", "robot/tool_laser_head.yaml", "tool file, shipped or your own; none: no tool")
-    urdf = declare(node, "urdf", "robot/rx90b.urdf", "URDF of the arm, shipped or your own")
-    robot = load_robot(resolve_config(urdf), None if tool == "none" else resolve_config(tool))
-    drives = load_drives(resolve_config(declare(node, "drives", "robot/drives.yaml", "drives file")))
-    friction = load_friction(
-        resolve_config(declare(node, "friction", "robot/friction.yaml", "friction file")), robot.joint_names
-    )
+    files = declare_robot_files(node, "urdf", "tool", "drives", "friction")
+    robot = load_robot(files.urdf, files.tool)
+    friction = load_friction(files.friction, robot.joint_names)
     for line in friction.passivity_warnings(robot.max_velocity.tolist()):
         node.get_logger().warning(line)
-    plant = Plant(robot, drives, friction, parameters.rates, parameters.substeps)
+    plant = Plant(robot, load_drives(files.drives), friction, parameters.rates, parameters.substeps)
     plant.reset(parameters.initial_position)
     plant.warm_up()
     return robot, plant

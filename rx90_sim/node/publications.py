@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
+from rx90_common.exchange.topics import CLOCK_QOS, STATE_QOS
 from rx90_sim.plant import Plant
 
 
@@ -28,9 +28,9 @@ class Publications:
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, clock_hz)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
-        self._joints = node.create_publisher(JointState, "joint_states", STATE_QOS)
-        self._friction = node.create_publisher(JointState, "friction_states", STATE_QOS)
-        self._clock = node.create_publisher(Clock, "/clock", CLOCK_QOS)
+        self._joints = node.create_publisher(JointState, "joint_states", STATE_QOS.profile)
+        self._friction = node.create_publisher(JointState, "friction_states", STATE_QOS.profile)
+        self._clock = node.create_publisher(Clock, "/clock", CLOCK_QOS.profile)
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:

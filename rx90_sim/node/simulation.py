@@ -11,9 +11,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.node_tools import Diagnostics, declare
-from rx90_common.exchange.qos import LATCHED_QOS
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import LOCK_STEP, TIME_MODE
+from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, TIME_MODE
 from rx90_sim.node.parameters import build_plant, read_parameters
 from rx90_sim.node.ticks import Ticks
 
@@ -28,9 +27,9 @@ class Simulation:
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
         self._ticks = Ticks(node, self._plant, self._parameters)
-        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS)
+        self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
-        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS)
+        self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
         self._mode.publish(String(data=TimeMode(self._parameters.time_mode, self._parameters.rates).text))
         declare(node, "step_ticks", 1, "ticks of one call of ~/step", low=1, high=100_000_000, read_only=False)
         node.create_service(SetBool, "~/pause", self._on_pause)

@@ -14,18 +14,14 @@ from rx90_common.exchange.client_node import ClientNode
 
 
 class SimulationClient:
-    """The services of a simulation node, and the newest time that it has told.
-
-    Args:
-        client: the node to ask with.
-        simulation: name of the simulation node.
+    """The services of a simulation node, each of which raises ExchangeError if it does not do what it is asked.
 
     Attributes:
-        time: simulated time, s, brought up to date by `ClientNode.spin`.
+        time: newest simulated time, s, brought up to date by `ClientNode.spin`.
     """
 
-    def __init__(self, client: ClientNode, simulation: str = "rx90_sim") -> None:
-        self._client, self._name = client, simulation
+    def __init__(self, client: ClientNode) -> None:
+        self._client = client
         self.time = 0.0
         client.node.create_subscription(Clock, "/clock", self._on_clock, 10)
 
@@ -33,22 +29,18 @@ class SimulationClient:
         self.time = message_time_ns(message.clock) / NANOSECONDS
 
     def pause(self, paused: bool) -> None:
-        """Let time stand still, or run.
-
-        Raises:
-            ExchangeError: if the simulation does not do it, as for `step` and `reset`.
-        """
-        self._ask(SetBool, "pause", SetBool.Request(data=paused))
+        """Let time stand still, or run."""
+        self._ask(SetBool, "rx90_sim/pause", SetBool.Request(data=paused))
 
     def step(self) -> None:
         """Pause, and run as many ticks as the simulation's parameter `step_ticks` says."""
-        self._ask(Trigger, "step", Trigger.Request())
+        self._ask(Trigger, "rx90_sim/step", Trigger.Request())
 
     def reset(self) -> None:
         """Begin again at tick 0."""
-        self._ask(Trigger, "reset", Trigger.Request())
+        self._ask(Trigger, "rx90_sim/reset", Trigger.Request())
 
     def _ask(self, kind: Any, service: str, request: Any) -> None:
-        answer = self._client.call(kind, f"{self._name}/{service}", request)
+        answer = self._client.call(kind, service, request)
         if not answer.success:
-            raise ExchangeError(f"{self._name}/{service}: {answer.message}")
+            raise ExchangeError(f"{service}: {answer.message}")

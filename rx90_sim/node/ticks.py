@@ -14,9 +14,8 @@ from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import TICK_QOS
 from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TICK_QOS
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
@@ -48,7 +47,7 @@ class Ticks:
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS)
+        self._channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1

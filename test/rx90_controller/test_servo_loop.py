@@ -43,7 +43,7 @@ class Rig:
         self.around = Surroundings()
         self.cs7b = setup.cs7b()
         self.names = setup.robot.joint_names
-        self.loop = ServoLoop(self.cs7b, self.around, self.around)
+        self.loop = ServoLoop(self.cs7b, self.around)
         self.period = setup.rates.period_ns
         self.position = np.zeros(6)
 

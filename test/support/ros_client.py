@@ -33,7 +33,7 @@ class Client:
         self.node = rclpy.create_node("test_client", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None)
+        self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None, lambda: None)
         self.simulation = SimulationClient(self.asking)
 
     def close(self) -> None:

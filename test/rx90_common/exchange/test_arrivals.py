@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.qos import TICK_QOS
+from rx90_common.exchange.topics import TICK_QOS
 
 PATIENCE = 60.0
 
@@ -50,8 +50,8 @@ def _receive_until(channel: Channel, received: list[bytes], count: int, timeout:
 @pytest.mark.ros
 def test_every_message_is_counted(node: Node) -> None:
     """The counter goes up by one with each message, though nobody takes any."""
-    publisher = node.create_publisher(JointState, "numbers", TICK_QOS)
-    subscription = node.create_subscription(JointState, "numbers", lambda _message: None, TICK_QOS, raw=True)
+    publisher = node.create_publisher(JointState, "numbers", TICK_QOS.profile)
+    subscription = node.create_subscription(JointState, "numbers", lambda _message: None, TICK_QOS.profile, raw=True)
     counter = ctypes.c_int64(0)
     assert count_arrivals(subscription, counter)
     _until(lambda: publisher.get_subscription_count() == 1)
@@ -65,8 +65,8 @@ def test_every_message_is_counted(node: Node) -> None:
 @pytest.mark.parametrize("timeout", [0.0, 0.001])
 def test_a_burst_is_received_to_its_last_message(node: Node, timeout: float) -> None:
     """Messages that came while nobody looked are all received, in order, and then there are none."""
-    channel = Channel(node, "out", "in", TICK_QOS)
-    publisher = node.create_publisher(JointState, "in", TICK_QOS)
+    channel = Channel(node, "out", "in", TICK_QOS.profile)
+    publisher = node.create_publisher(JointState, "in", TICK_QOS.profile)
     _until(lambda: channel.matches().publishers == 1)
     received: list[bytes] = []
     for burst in (1, 7, 3):
@@ -82,8 +82,8 @@ def test_a_burst_is_received_to_its_last_message(node: Node, timeout: float) -> 
 def test_a_channel_works_where_nothing_is_counted(node: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the middleware does not tell of new messages, the channel finds them by asking."""
     monkeypatch.setattr("rx90_common.exchange.channel.count_arrivals", lambda *_: False)
-    channel = Channel(node, "out", "in", TICK_QOS)
-    publisher = node.create_publisher(JointState, "in", TICK_QOS)
+    channel = Channel(node, "out", "in", TICK_QOS.profile)
+    publisher = node.create_publisher(JointState, "in", TICK_QOS.profile)
     _until(lambda: channel.matches().publishers == 1)
     publisher.publish(JointState(name=["one"]))
     received: list[bytes] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import struct
 from itertools import cycle
 
@@ -11,8 +12,7 @@ from ros_client import Client, seconds
 from sensor_msgs.msg import JointState
 
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.qos import TICK_QOS
-from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_common.exchange.topics import MOTOR_NAMES, TICK_QOS
 
 MODES = ("real_time_factor:=1.0", "time_mode:=free_running")
 GARBAGE = (
@@ -34,7 +34,7 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     client.spin_until(lambda: bool(reference), "the controller to hold")
     client.send([(0.4, [0.02] * 6)])
     controller.wait_for("trajectory accepted")
-    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS)
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
     client.spin_until(lambda: publisher.get_subscription_count() > 0, "the controller's ears")
     garbage = cycle(GARBAGE)
     # In free-running time only the newest of several messages is looked at.
@@ -46,6 +46,25 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     assert list(reference[-1].position) == pytest.approx([0.02] * 6, abs=1e-12)
     assert sum("ignored" in line for line in controller.lines) <= 3
     assert controller.returncode is None
+
+
+@pytest.mark.ros
+def test_a_lag_after_a_malformed_message_is_only_a_line(processes: Processes, client: Client) -> None:
+    """A controller that has complained about a message lives on when it then falls behind the simulation."""
+    processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
+    controller = processes.start("rx90_controller")
+    joints = client.listen("joint_states", depth=1)
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.spin_until(lambda: bool(reference) and bool(joints), "the controller to hold")
+    publisher = client.node.create_publisher(JointState, "motor_states", TICK_QOS.profile)
+    client.spin_until(lambda: publisher.publish(GARBAGE[0]) or "ignored" in controller.output, "the complaint")
+    controller.signal(signal.SIGSTOP)
+    stopped = seconds(joints[-1])
+    client.spin_until(lambda: seconds(joints[-1]) > stopped + 1.0, "the simulation to run ahead")
+    controller.signal(signal.SIGCONT)
+    controller.wait_for("behind the simulation")
+    client.spin_until(lambda: seconds(reference[-1]) > stopped + 1.0, "the controller to run on")
+    assert "Traceback" not in controller.output
 
 
 @pytest.mark.ros
@@ -72,7 +91,7 @@ def test_a_second_publisher_of_commands_in_free_running_is_told(processes: Proce
     simulation = processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
     processes.start("rx90_controller")
     simulation.wait_for("the brakes open")
-    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS)
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
     raw = JointStateCodec(MOTOR_NAMES).encode(0)
     client.spin_until(lambda: publisher.publish(raw) or "two controllers" in simulation.output, "the report")
     assert simulation.output.count("two controllers") == 1
