@@ -132,7 +132,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -
     return records, f"{len(records)} ramps on the {kind}"
 
 
-_BAR = "{desc} {bar} {n:.0f}/{total:.0f} s {postfix}"
+_BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
 def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:

@@ -172,11 +172,8 @@ class ProcessGroup:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # A second Ctrl-C must not leave the children behind.
-        previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
+        with interrupts_later():
             self.end()
-        finally:
-            signal.signal(signal.SIGINT, previous)
 
     def end(self) -> list[ChildProcess]:
         """End all, with what they have started; return those that did not end on SIGINT."""

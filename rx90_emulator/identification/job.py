@@ -19,7 +19,7 @@ from rx90_emulator.identification.output.report import report_page
 from rx90_emulator.identification.output.summary import identification_summary
 from rx90_emulator.identification.result.identification import FrictionIdentification
 
-_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}]"
+_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 
 
 def write_identification(

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from rx90_common.base.errors import ExchangeError
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
@@ -72,8 +71,9 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    with _new_folder(Path(folder)) as new:
-        for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
+    # An interrupt ends the bar's line.
+    with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment") as bar:
+        for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name, storage)
             write_index(new, plan[: number + 1])
 
@@ -90,10 +90,8 @@ def record_on_nodes(
         from rx90_common.exchange.environment import prepare
 
         prepare()
-        try:
-            from rx90_emulator.identification.experiments.nodes import run_on_nodes
-        except ImportError as error:
-            raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
+        from rx90_emulator.identification.experiments.nodes import run_on_nodes
+
         run_on_nodes(setup, plan, folder, controller, timeout, lambda text: print(text, flush=True))
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
+import threading
 from pathlib import Path
 
 import processes as module
@@ -12,6 +14,7 @@ import pytest
 from processes import Processes, own_domain, wait_until
 
 from rx90_common.base.errors import ProcessError
+from rx90_common.process.children import ProcessGroup
 
 STUBBORN = """
 import os, signal, time
@@ -38,6 +41,26 @@ def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children() -> None:
     child = int(stubborn.wait_for(r"child (\d+)")[1])
     assert started.end() == [stubborn.name]
     wait_until(lambda: ended(child) and ended(stubborn.pid), "both processes to be gone", 10.0)
+
+
+def test_more_interrupts_leave_no_child_behind() -> None:
+    """Where Ctrl-C and SIGTERM come again while the children end, these are ended all the same."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    group = ProcessGroup(grace=0.5)
+    stubborn = group.start("stubborn", [sys.executable, "-c", STUBBORN])
+
+    def leave() -> None:
+        with group:
+            stubborn.wait_for("child")
+            for number in (signal.SIGINT, signal.SIGTERM):
+                threading.Timer(0.2, os.kill, (os.getpid(), number)).start()
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            leave()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert stubborn.returncode == -signal.SIGTERM
 
 
 def test_a_line_is_waited_for_once(processes: Processes) -> None:
