@@ -23,18 +23,27 @@ from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, Noise, random_friction
 from rx90_common.friction import FrictionSet
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, make_plan
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 SETS = 10
 LEVELS = {"no noise": 0.0, "half the rig's noise": 0.5, "the rig's noise": 1.0, "twice the rig's noise": 2.0}
-THINNED = 4
+BLOCK = 4
 """Samples of joint_states that are averaged into one, as rx90_identify does: 250 Hz."""
 TWO_PERCENT = 0.02
-COLUMNS = ("sliding parameters", "median %", "95 % below", "worst %", "within 2 %", "covered %", "not told", "fit s")
+COLUMNS = (
+    "sliding parameters",
+    "median %",
+    "95 % below",
+    "worst %",
+    "within 2 %",
+    "covered %",
+    "not identifiable",
+    "fit s",
+)
 
 
 class Tally:
@@ -44,7 +53,7 @@ class Tally:
         self.errors: list[float] = []
         self.scores: list[float] = []
         self.outside: Counter[str] = Counter()
-        self.untold = 0
+        self.lacking = 0
         self.seconds: list[float] = []
 
     def identify(self, records: Sequence[JointRecord], arm: RigidArm, friction: FrictionSet) -> None:
@@ -61,7 +70,7 @@ class Tally:
                     self.outside[f"{name} of {estimate.element}"] += error >= TWO_PERCENT
                     self.scores.append(abs(found.value - true) / found.deviation)
                 else:
-                    self.untold += 1
+                    self.lacking += 1
 
     @property
     def covered(self) -> float:
@@ -73,24 +82,31 @@ class Tally:
         errors = np.array(self.errors)
         sizes = [f"{100.0 * value:.2f}" for value in (np.median(errors), np.quantile(errors, 0.95), errors.max())]
         within = f"{100.0 * np.mean(errors < TWO_PERCENT):.1f}"
-        return (label, *sizes, within, f"{100 * self.covered:.1f}", str(self.untold), f"{np.median(self.seconds):.1f}")
+        return (
+            label,
+            *sizes,
+            within,
+            f"{100 * self.covered:.1f}",
+            str(self.lacking),
+            f"{np.median(self.seconds):.1f}",
+        )
 
 
 def sweep(setup: Setup, experiment: Experiment) -> JointRecord:
     """Run one experiment and return what is read of its bag."""
     run = simulate(setup, experiment.points, experiment.points.position[0], experiment.duration)
     states = run.slow.joint_states
-    rows = len(states) // THINNED
-    fields = states[: rows * THINNED].reshape(rows, THINNED, 3, 6).mean(axis=1).transpose(1, 0, 2)
+    rows = len(states) // BLOCK
+    fields = states[: rows * BLOCK].reshape(rows, BLOCK, 3, 6).mean(axis=1).transpose(1, 0, 2)
     position, velocity, torque = np.ascontiguousarray(fields)
-    time_axis = setup.rates.position_period * THINNED * np.arange(rows)
+    time_axis = setup.rates.position_period * BLOCK * np.arange(rows)
     return JointRecord(setup.robot.joint_names, time_axis, position, velocity, torque, Path(experiment.name), "0" * 64)
 
 
 def noisy(record: JointRecord, factor: float, rng: np.random.Generator) -> JointRecord:
     """Add white noise to the torque; its deviation is that of a sample at 1 kHz, before samples are averaged."""
     noise: NDArray[np.float64] = rng.normal(size=record.torque.shape) * STEADY_TORQUE * Noise.torque
-    return replace(record, torque=record.torque + factor / np.sqrt(THINNED) * noise)
+    return replace(record, torque=record.torque + factor / np.sqrt(BLOCK) * noise)
 
 
 def main() -> int:

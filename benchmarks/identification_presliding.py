@@ -27,8 +27,8 @@ from benchmarks.presliding_runs import (
 )
 from benchmarks.report import merge, print_table
 from benchmarks.synthetic_sweeps import Noise
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.fit import identify_presliding
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 
 SETS = 5
@@ -67,17 +67,28 @@ def main() -> int:
         seconds = float(np.median([one[level][1] for one in found]))
         for name in ("c0", "c1"):
             here = [outcome for one in found for outcome in one[level][0] if outcome.parameter == name]
-            told = [outcome for outcome in here if outcome.told]
-            error = 100.0 * np.abs([outcome.error for outcome in told])
-            score = np.array([outcome.score for outcome in told])
+            known = [outcome for outcome in here if outcome.identifiable]
+            error = 100.0 * np.abs([outcome.error for outcome in known])
+            score = np.array([outcome.score for outcome in known])
             covered = float(np.mean(np.abs(score) < 1.96))
             figures = (np.median(error), np.quantile(error, 0.95), error.max(), 100.0 * covered, score.mean())
             shown = (f"{value:.2f}" for value in figures)
-            rows.append((f"{name}, noise of the rig x {level:g}", *shown, f"{len(here) - len(told)}", f"{seconds:.1f}"))
+            rows.append(
+                (f"{name}, noise of the rig x {level:g}", *shown, f"{len(here) - len(known)}", f"{seconds:.1f}")
+            )
             if level == 1.0:
                 merge({f"presliding_{name}_coverage": covered, f"presliding_{name}_worst_error": error.max() / 100.0})
                 merge({"presliding_fit_s": seconds})
-    headers = ("presliding", "median %", "95 % below", "worst %", "covered %", "mean score", "not told", "fit s")
+    headers = (
+        "presliding",
+        "median %",
+        "95 % below",
+        "worst %",
+        "covered %",
+        "mean score",
+        "not identifiable",
+        "fit s",
+    )
     print_table(headers, rows)
     return 0
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, WRIST, Noise
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_emulator.identification.estimate import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
+from rx90_emulator.identification.model.estimates import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -42,7 +42,7 @@ class Run:
 
 
 class Outcome(NamedTuple):
-    """One estimate against the truth: relative error, and error in standard deviations; NaN if not told."""
+    """One estimate against the truth: relative error, and error in standard deviations; NaN if not identifiable."""
 
     element: str
     parameter: str
@@ -50,8 +50,8 @@ class Outcome(NamedTuple):
     score: float
 
     @property
-    def told(self) -> bool:
-        """Return whether the data told the value."""
+    def identifiable(self) -> bool:
+        """Return whether there is an estimate."""
         return self.error == self.error
 
 
@@ -61,7 +61,7 @@ def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[LuGreElement]
     for estimate, element in zip(estimates, truth, strict=True):
         for name in PRESLIDING:
             one, true = estimate.parameters[name], getattr(element, name)
-            error = one.value - true  # NaN if it is not told
+            error = one.value - true  # NaN if it is not identifiable
             score = error / one.deviation if one.identifiable else error
             found.append(Outcome(estimate.element, name, error / true, score))
     return found

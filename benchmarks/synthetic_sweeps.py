@@ -44,15 +44,6 @@ class Noise:
     counts: float = 65536.0
 
 
-def stribeck(element: LuGreElement, velocity: Array) -> Array:
-    """Return the torque of steady sliding by equations 17 to 19, Nm; none at rest."""
-    up = velocity > 0
-    coulomb = np.where(up, element.tau_c_positive, element.tau_c_negative)
-    static = np.where(up, element.tau_s_positive, element.tau_s_negative)
-    decay = np.exp(-((np.abs(velocity) / element.omega_s) ** element.delta))
-    return np.sign(velocity) * (coulomb + (static - coulomb) * decay) + element.c2 * velocity
-
-
 def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array], payload: float = 0.0) -> Array:
     """Return joint torques of the drives; elements at rest carry STUCK.
 
@@ -73,7 +64,7 @@ def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array
     torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
     torque += setup.drives.spring * np.sin(q)
     inputs = v @ INPUT.T
-    sliding = np.column_stack([stribeck(e, inputs[:, k]) for k, e in enumerate(friction.elements)])
+    sliding = np.column_stack([e.steady_torque(inputs[:, k]) for k, e in enumerate(friction.elements)])
     return torque + np.where(inputs == 0.0, STUCK, sliding) @ INPUT
 
 
@@ -146,7 +137,7 @@ def measured(
 
 
 def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
-    """Return elements with every parameter moved at random, the signs of the velocity told apart."""
+    """Return elements with every parameter moved at random, each sign of the velocity by itself."""
     elements = []
     for name, element in zip(base.names, base.elements, strict=True):
         up, down = rng.uniform(0.7, 1.4, 2) * element.tau_c_positive

@@ -16,8 +16,10 @@ Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
 Friction        FrictionFile, FrictionSet, LuGreElement
-Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, Block, SweptParameter,
-                Values, Uniform, LogUniform, Normal
+Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
+                SweptParameter, Values, Uniform, LogUniform, Normal
+Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
+                Experiment, FrictionIdentification, IdentificationBags, RobotOptions, ValidationTolerances
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
@@ -46,11 +48,20 @@ if TYPE_CHECKING:
     from rx90_common.bags.writing import write_joint_states
     from rx90_common.base.errors import Rx90Error
     from rx90_common.base.rates import Rates
+    from rx90_common.description.robot_files import RobotFiles
     from rx90_common.friction import FrictionSet, LuGreElement
     from rx90_common.friction.friction_file import FrictionFile
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
+    from rx90_emulator.identification.experiments.folder import IdentificationBags
+    from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
+    from rx90_emulator.identification.experiments.plan import Experiment
+    from rx90_emulator.identification.identify import identify_friction
+    from rx90_emulator.identification.job import write_identification
+    from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+    from rx90_emulator.identification.output.summary import identification_summary
+    from rx90_emulator.identification.result.identification import FrictionIdentification
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
@@ -67,8 +78,11 @@ if TYPE_CHECKING:
 __all__ = [
     "BagComparison",
     "Block",
+    "Experiment",
     "FrictionFile",
+    "FrictionIdentification",
     "FrictionSet",
+    "IdentificationBags",
     "JointSeries",
     "LinePlan",
     "LineRun",
@@ -78,6 +92,8 @@ __all__ = [
     "Normal",
     "PathAccuracy",
     "Rates",
+    "RobotFiles",
+    "RobotOptions",
     "RunResult",
     "Rx90Error",
     "Scope",
@@ -90,27 +106,33 @@ __all__ = [
     "TopicComparison",
     "TrajectoryPoints",
     "Uniform",
+    "ValidationTolerances",
     "Values",
     "Verdict",
     "compare_bags",
     "compare_series",
     "comparison_text",
+    "identification_summary",
+    "identify_friction",
     "load_setup",
     "load_sweep_plan",
     "load_task",
     "load_trajectory",
     "parameters",
     "path_accuracy",
+    "plan_experiments",
     "plan_line",
     "read_bag",
     "read_joint_states",
     "read_sweep",
+    "record_on_engine",
     "run_line",
     "run_sweep",
     "save_arrays",
     "simulate",
     "with_parameters",
     "write_bag",
+    "write_identification",
     "write_joint_states",
 ]
 
@@ -123,11 +145,20 @@ _HOMES = {
     "rx90_common.bags.writing": "write_joint_states",
     "rx90_common.base.errors": "Rx90Error",
     "rx90_common.base.rates": "Rates",
+    "rx90_common.description.robot_files": "RobotFiles",
     "rx90_common.friction": "FrictionSet LuGreElement",
     "rx90_common.friction.friction_file": "FrictionFile",
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
+    "rx90_emulator.identification.experiments.folder": "IdentificationBags",
+    "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
+    "rx90_emulator.identification.experiments.plan": "Experiment",
+    "rx90_emulator.identification.identify": "identify_friction",
+    "rx90_emulator.identification.job": "write_identification",
+    "rx90_emulator.identification.model.options": "RobotOptions ValidationTolerances",
+    "rx90_emulator.identification.output.summary": "identification_summary",
+    "rx90_emulator.identification.result.identification": "FrictionIdentification",
     "rx90_emulator.loop.application": "with_parameters",
     "rx90_emulator.loop.catalogue": "parameters",
     "rx90_emulator.loop.closed_loop": "simulate",

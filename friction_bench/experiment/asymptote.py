@@ -26,20 +26,20 @@ Array = NDArray[np.float64]
 
 MOVED_COUNTS = 2.0
 MOVED_SHARE = 1e-3
-"""A shaft has broken away for certain when it has moved two counts, one may be jitter at an edge, and this
-share of the ramp's angle: bristles let it move a little before."""
+"""Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
+(presliding moves the shaft a little before)."""
 SETTLED = 6.0
 """The window starts after so many time constants: 0.25 % of the transient is left."""
 ONSET_TICKS = 10
-"""The first certain motion is looked at for so many ticks."""
+"""Break-away is fitted to so many readings after the first certain motion."""
 ONSET_SHARE = 0.1
-"""Break-away is sought so far back from it, as a share of the motion's time."""
+"""Break-away is searched over this share of the motion's time before it."""
 MIN_POINTS = 30
 MIN_WINDOW = 4.0
 """Shortest window, in time constants."""
 MOST_POINTS = 100
 ROUGH_POINTS = 30
-"""The least squares problem is solved with at most so many readings; its cost grows with their cube."""
+"""Least squares are solved with at most so many readings, as their cost is cubic; fewer for preliminary fits."""
 CURVATURE_LIMIT = 0.05
 SATURATION_LIMIT = 0.06
 """Relative shortfall of the measured torque that counts as saturation."""

@@ -24,7 +24,7 @@ from rx90_common.base.errors import IdentificationError
 Array = NDArray[np.float64]
 LEVEL = 0.95
 INCONSISTENT = 0.01
-"""Below this probability of their scatter the repeats are believed, not the covariance."""
+"""Below this p-value the intervals come from the repeats' scatter, not from the fits' covariances."""
 SAME_SLOPE = 0.02
 """Slopes closer than this, relative, are one slope."""
 
@@ -43,7 +43,7 @@ class IntervalEstimate:
 class RampFriction:
     """Coulomb friction f_c, Nm, viscous friction f_v, Nm s/rad, inertia J, kg m², at the motor.
 
-    `inertia` is None where one slope alone was run. The covariance is by chance alone, without the torque
+    `inertia` is None where one slope alone was run. The covariance is that of random errors, without the torque
     scale's: `covariance` in the order f_c, f_v (and J), `freedom` its degrees of freedom.
     """
 
@@ -62,7 +62,7 @@ class RampIdentification:
         source: the source's f_c = m b / a and f_v = m / a, mean over all ramps.
         exact: with J from two slopes, intervals from the fits' covariance; None with one slope.
         repeated: the same, intervals from the scatter of the repeats; None with fewer than 2 repeats.
-        consistency: probability of a scatter at least as large as found, were the covariances right.
+        consistency: p-value of the chi-square test of the ramps' scatter against the fits' covariances.
     """
 
     fits: tuple[RampFit, ...]
@@ -89,14 +89,14 @@ class RampIdentification:
         return self.exact
 
 
-def interval(value: float, chance: float, freedom: float, scale: float) -> IntervalEstimate:
-    """Return an estimate from its error by chance and the torque scale's relative uncertainty.
+def interval(value: float, random: float, freedom: float, scale: float) -> IntervalEstimate:
+    """Return an estimate from its random error and the torque scale's relative uncertainty.
 
     The two are independent; the degrees of freedom are combined after Welch and Satterthwaite.
     """
     systematic = abs(value) * scale
-    total = math.hypot(chance, systematic)
-    effective = freedom if math.isinf(freedom) or chance == 0.0 else freedom * (total / chance) ** 4
+    total = math.hypot(random, systematic)
+    effective = freedom if math.isinf(freedom) or random == 0.0 else freedom * (total / random) ** 4
     factor = (
         float(stats.t.ppf((1 + LEVEL) / 2, effective)) if effective < 1e6 else float(stats.norm.ppf((1 + LEVEL) / 2))
     )
@@ -147,7 +147,7 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
 
 
 def _with_common_time_constant(fits: Sequence[RampFit]) -> list[RampFit]:
-    """Fit again with J / f_v from all ramps: one ramp alone knows it only as a small difference."""
+    """Fit again with J / f_v from all ramps: from one ramp alone it is a small difference of large numbers."""
     alpha, _, gamma = _least_squares(fits)[0]
     shortest = max(fit.record.tick for fit in fits) / 4
     return [fit_asymptote(fit.record, max(gamma / alpha, shortest)) for fit in fits]
@@ -171,7 +171,7 @@ def _by_source(fits: Sequence[RampFit], scale: float) -> RampFriction:
 
 
 def _least_squares(fits: Sequence[RampFit]) -> tuple[Array, Array, float]:
-    """Return (alpha, beta, gamma), their covariance, and the probability of the residuals' chi-square."""
+    """Return (alpha, beta, gamma), their covariance, and the p-value of the residuals' chi-square."""
     information = np.zeros((3, 3))
     right = np.zeros(3)
     rows = []
@@ -214,7 +214,7 @@ def _friction(values: Array, covariance: Array, freedom: float, scale: float) ->
 
 
 def _by_repeats(fits: Sequence[RampFit], scale: float) -> RampFriction | None:
-    """Identify each repeat by itself and judge by their scatter: this needs no model of the noise."""
+    """Identify each repeat by itself and take the intervals from their scatter, without a model of the noise."""
     groups: dict[float, list[RampFit]] = {slope: [] for slope in slopes_of(fits)}
     for fit in fits:
         nearest = min(groups, key=lambda slope: abs(slope - fit.slope))
@@ -241,7 +241,7 @@ class JointFrictionEstimate:
 def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig: Rig) -> JointFrictionEstimate:
     """Return f_joint = f_load - f_noload with propagated uncertainty.
 
-    Both came off the same torque scale, so its error scales the difference and does not add to both sides.
+    Both were measured on the same torque scale: its error scales the difference and counts once.
     The gear takes the torque to the joint's side with n eta, the viscous coefficient with n^2 eta.
     """
     motor, joint = [], []
@@ -250,14 +250,14 @@ def joint_friction(unloaded: RampIdentification, loaded: RampIdentification, rig
     high, low = loaded.best, unloaded.best
     values = high.coulomb.value - low.coulomb.value, high.viscous.value - low.viscous.value
     for index, (value, factor) in enumerate(zip(values, scales, strict=True)):
-        chance, freedom = _difference(high, low, index)
-        motor.append(interval(value, chance, freedom, rig.scale_uncertainty))
-        joint.append(interval(value * factor, chance * factor, freedom, relative))
+        random, freedom = _difference(high, low, index)
+        motor.append(interval(value, random, freedom, rig.scale_uncertainty))
+        joint.append(interval(value * factor, random * factor, freedom, relative))
     return JointFrictionEstimate(motor[0], motor[1], joint[0], joint[1])
 
 
 def _difference(loaded: RampFriction, unloaded: RampFriction, index: int) -> tuple[float, float]:
-    """Return the error by chance of the difference of two estimates and its degrees of freedom."""
+    """Return the random error of the difference of two estimates and its degrees of freedom."""
     variances = loaded.covariance[index, index], unloaded.covariance[index, index]
     total = float(sum(variances))
     shares = variances[0] ** 2 / loaded.freedom + variances[1] ** 2 / unloaded.freedom

@@ -17,7 +17,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.rates import NANOSECONDS
 
 REST_TICKS = 10
-"""The shaft rests when it has not moved for so many ticks."""
+"""The shaft is at rest when it has not moved for so many ticks."""
 REST_TIMEOUT = 30.0
 
 

@@ -80,7 +80,7 @@ class FrameDecoder:
         frames = []
         for byte in data:
             if byte:
-                self._take(byte)
+                self._append(byte)
                 continue
             frame = None if self._overlong else decode(bytes(self._buffer))
             if frame is not None:
@@ -91,8 +91,8 @@ class FrameDecoder:
             self._overlong = False
         return frames
 
-    def _take(self, byte: int) -> None:
-        # COBS adds one byte; a line of noise without a zero must not eat memory.
+    def _append(self, byte: int) -> None:
+        # COBS adds one byte; noise without a zero must not fill the memory.
         if len(self._buffer) > MAX_DECODED:
             self._overlong = True
         else:

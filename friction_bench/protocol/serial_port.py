@@ -76,7 +76,7 @@ class SerialPort:
         than its timeout; it serves here where there is no file descriptor.
 
         Raises:
-            RigLostError: if the line takes nothing for WRITE_TIMEOUT.
+            RigLostError: if the line accepts nothing for WRITE_TIMEOUT.
         """
         try:
             descriptor = self._serial.fileno()
@@ -90,7 +90,7 @@ class SerialPort:
             if not data:
                 return
             if not select.select([], [descriptor], [], max(0.0, end - self.now()))[1]:
-                raise RigLostError(f"{self.url}: lost while writing (the line takes nothing)")
+                raise RigLostError(f"{self.url}: lost while writing (the line accepts no bytes)")
 
     def read(self, timeout: float) -> bytes:
         """Return what has come; wait up to `timeout` seconds, in slices of 10 ms, for the first byte."""

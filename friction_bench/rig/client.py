@@ -68,7 +68,7 @@ class RigClient:
 
     Attributes:
         line: the frames on that port, and the urgent stop.
-        hello: what the firmware says of itself, None before `connect`.
+        hello: the firmware's greeting, None before `connect`.
         last: the latest reading.
         beating: heartbeats are sent; without them an armed rig switches itself off.
         lost_reports: ticks without a reading so far.

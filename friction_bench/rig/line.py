@@ -10,11 +10,11 @@ from friction_bench.protocol.errors import RigLostError, RigRefusedError
 from friction_bench.protocol.messages import Command, Report, State
 
 HEARTBEAT = 0.02
-"""Time between heartbeats, s; the firmware forgives 120 ms."""
+"""Time between heartbeats, s; the firmware's watchdog trips after 120 ms."""
 SILENCE = 0.5
 """A rig that reports nothing for so long, s, is lost."""
-_LONGEST_LOOK = 2 * HEARTBEAT
-"""What may count as listening between two looks at the line, s: a program that stood still did not listen."""
+_LONGEST_LISTENING = 2 * HEARTBEAT
+"""The most that counts as listening between two reads, s: a program that was suspended did not listen."""
 STOP_SEQUENCES = range(240, 256)
 """Sequence numbers of urgent stops; each has its own, so that its answer cannot be that to an earlier one."""
 SWITCHED_ON = frozenset((State.ARMED, State.RAMPING))
@@ -60,7 +60,7 @@ class RigLine:
         self._stop_lock = threading.Lock()
         self._decoder = FrameDecoder()
         self._sent_at = -1.0
-        self._looked_at = port.now()
+        self._read_at = port.now()
         self._heard_at = 0.0  # of the time listened
 
     @property
@@ -94,7 +94,7 @@ class RigLine:
         """Take the torque away now.
 
         A command that is under way is given up: its repetition after the stop would undo it. The stop itself is
-        repeated by `keep_alive` until the rig answers it, with no heartbeat in between: if the line takes it no more,
+        repeated by `keep_alive` until the rig answers it, with no heartbeat in between: if the line accepts it no more,
         the firmware's watchdog switches the rig off.
 
         It waits for one write of another thread and for its own, each at most the port's write timeout, and never
@@ -138,8 +138,8 @@ class RigLine:
             RigLostError: if the rig has been silent for too long.
         """
         frames = self._decoder.feed(self.port.read(timeout))
-        before, self._looked_at = self._looked_at, self.port.now()
-        self.listened += min(self._looked_at - before, _LONGEST_LOOK)
+        before, self._read_at = self._read_at, self.port.now()
+        self.listened += min(self._read_at - before, _LONGEST_LISTENING)
         if frames:
             self.excuse_silence()
         elif self.listened - self._heard_at > SILENCE:

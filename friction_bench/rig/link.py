@@ -17,15 +17,15 @@ from friction_bench.rig.line import SWITCHED_ON, Port
 from friction_bench.rig.rig_file import Rig
 
 OWNER_SILENCE = 0.1
-"""Heartbeats stop when the owner has not called `alive` for so long, s: a hung program is a dead host."""
+"""Heartbeats stop when the owner has not called `alive` for so long, s, as a hung program must not keep the rig on."""
 BACKOFF = (0.25, 0.5, 1.0, 2.0)
 DAMAGE_LIMIT = 3
 """So many damaged or missing frames within DAMAGE_WINDOW seconds disarm the rig."""
 DAMAGE_WINDOW = 1.0
 CALM = 2.0
-"""So long without trouble, s, and the line is good again: until then nothing is reported a second time."""
+"""The line is good again after so long without trouble, s; until then no kind of trouble is reported twice."""
 _DISTURBED = "the line is disturbed"
-"""One trouble, whatever shows it: noise, a cable, or a second reader, which is now the one and now the other."""
+"""One kind of trouble for noise, a loose cable and a second reader, whose symptoms alternate."""
 
 
 class _Jobs:

@@ -43,7 +43,7 @@ class PlantParameters:
 
     Attributes:
         gain_error: standard deviation of the amplifier's relative gain error, drawn once per rig.
-        torque_noise: standard deviation of the torque noise's means over 1 ms, Nm.
+        torque_noise: standard deviation of the torque noise, averaged over 1 ms, Nm.
         adc_noise: standard deviation of a torque reading, Nm.
         load_inertia, joint_inertia: at the load, kg m².
         coulomb, viscous: friction of motor, brushes, gear and bearings.

@@ -1,4 +1,4 @@
-"""Find the messages of two series that belong together: those with the same stamp."""
+"""Pair the messages of two series that have the same stamp."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _KEY = np.dtype([("stamp", np.int64), ("occurrence", np.int64)])
 
 @dataclass(frozen=True)
 class Side:
-    """What only one of two series has.
+    """What one of two series has and the other lacks, or has twice.
 
     Attributes:
         missing: stamps inside the common range that the other one lacks.

@@ -1,4 +1,4 @@
-"""Compare two bags value by value, and judge."""
+"""Compare two bags value by value, with a verdict."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rx90_common.base.rates import NANOSECONDS
 
 
 class Verdict(IntEnum):
-    """What a comparison comes to; its number is the exit code, and the worst one stands for the whole."""
+    """The verdict of a comparison; its number is the exit code, and the worst topic's is that of the bags."""
 
     SAME = 0
     DIFFERS = 1
@@ -37,7 +37,7 @@ class ValueDifference:
         maximum: largest absolute difference of finite values.
         at_ns: stamp of that difference; None when it is 0.
         rms: root mean square of the differences of finite values.
-        tolerance: what the difference may be; 0 wants equal bits.
+        tolerance: the largest difference accepted; 0 asks for equal bits.
         beyond: number of pairs beyond the tolerance, also those of which only one is NaN or infinite.
         not_finite: number of pairs of which only one is NaN, or which are infinite and unequal.
     """
@@ -65,7 +65,7 @@ class TopicComparison:
         b: what only the second bag has.
         values: the differences by field and joint.
         reasons: why the topic differs or cannot be compared, values aside.
-        verdict: the judgement.
+        verdict: on this topic.
     """
 
     topic: str
@@ -81,7 +81,7 @@ class TopicComparison:
 
 @dataclass(frozen=True)
 class BagComparison:
-    """The comparison of two bags; `skipped` names what is there and is no JointState."""
+    """The comparison of two bags; `skipped` names the topics that are no JointState."""
 
     path_a: Path
     path_b: Path

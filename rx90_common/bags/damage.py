@@ -1,4 +1,4 @@
-"""Say in one line what is wrong with a bag that cannot be read, and what can be saved of it."""
+"""Explain in one line why a bag cannot be read, and what can be recovered from it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _what_remains(file: Path) -> str:
         return f"{file.name} is whole: give its path instead, or let 'ros2 bag reindex' write the metadata"
     count, end_ns = _count_whole_chunks(file)
     if not count:
-        return f"{file.name} is cut off before its first whole chunk: nothing can be saved"
+        return f"{file.name} is cut off before its first whole chunk: nothing can be recovered"
     return (
         f"{file.name} is cut off (its recorder was killed?): {count} messages up to t = {end_ns / NANOSECONDS:.6f} s "
         "are whole, 'mcap recover' restores them"

@@ -19,7 +19,7 @@ from rx90_common.base.errors import BagError
 
 @dataclass(frozen=True)
 class BagTopic:
-    """What a bag says of one of its topics."""
+    """A topic as a bag lists it."""
 
     name: str
     msgtype: str
@@ -86,7 +86,7 @@ class BagReader:
         """Yield (topic, log time in ns, serialised message) in the order of log time.
 
         Raises:
-            BagError: if the bag is damaged, or holds fewer or more messages than it says.
+            BagError: if the bag is damaged, or does not hold as many messages as it lists.
         """
         wanted = {(topic.name, topic.msgtype): topic for topic in topics}
         connections = [c for c in self._open.connections if (c.topic, c.msgtype) in wanted]
@@ -126,23 +126,23 @@ class BagReader:
         return self._reader
 
     def _check_metadata(self) -> None:
-        """Compare what metadata.yaml says with what the storage files say of themselves."""
+        """Compare the counts in metadata.yaml with those in the storage files."""
         for reader in self._open.readers:
             if not isinstance(reader, Reader) or not isinstance(reader.storage, DirectoryReader):
                 continue
-            said = _counts(reader.connections)
+            listed = _counts(reader.connections)
             held = _counts(c for storage in reader.storage.storages for c in storage.connections)
-            for key in sorted(said.keys() | held.keys()):
-                if said[key] != held[key]:
+            for key in sorted(listed.keys() | held.keys()):
+                if listed[key] != held[key]:
                     topic, msgtype = key
                     raise BagError(
-                        f"{self.path}: metadata.yaml says {said[key]} messages of {topic} ({msgtype}), "
+                        f"{self.path}: metadata.yaml says {listed[key]} messages of {topic} ({msgtype}), "
                         f"the storage holds {held[key]}; 'ros2 bag reindex' writes it anew"
                     )
-            if reader.message_count != said.total():
+            if reader.message_count != listed.total():
                 raise BagError(
                     f"{self.path}: metadata.yaml says {reader.message_count} messages in all, "
-                    f"its topics add up to {said.total()}; 'ros2 bag reindex' writes it anew"
+                    f"its topics add up to {listed.total()}; 'ros2 bag reindex' writes it anew"
                 )
 
 

@@ -14,7 +14,7 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 
-_GAP = 1.5  # times the usual distance of two messages
+_GAP = 1.5  # times the median interval between two messages
 _ENOUGH_FOR_GAPS = 3
 
 
@@ -30,7 +30,7 @@ class TopicSummary:
         first_ns: earliest time, None without messages.
         last_ns: latest time.
         rate: messages per second between the two, None below two different times.
-        gaps: distances of more than 1.5 times the usual (median) one.
+        gaps: intervals between messages of more than 1.5 times the median.
         longest_gap_ns: the longest of these, None when there is none.
         longest_gap_at_ns: time of the message before it.
         backward: messages with an earlier time than the one before.

@@ -1,4 +1,4 @@
-"""How far values may differ: per field, per topic, per joint; nothing said means not by a single bit."""
+"""How far values may differ: per field, per topic, per joint; by default not by a single bit."""
 
 from __future__ import annotations
 
@@ -39,10 +39,9 @@ class ToleranceRule:
 
 
 class Tolerances:
-    """A list of rules; the most special one that fits decides, and among equals the last.
+    """A list of rules; the most specific one that fits decides, and among equals the last.
 
-    A rule for topic and joint is more special than one for the topic, that more than one for a joint of any
-    topic, and that more than one for the field alone.
+    From most to least specific: topic and joint, topic, joint of any topic, field alone.
     """
 
     def __init__(self, rules: Iterable[ToleranceRule] = ()) -> None:
@@ -62,7 +61,7 @@ class Tolerances:
         return next((r.value for r in reversed(self._rules) if r.fits(topic, joint, field)), 0.0)
 
     def check(self, topics: Collection[str], joints: Mapping[str, Collection[str]]) -> None:
-        """Refuse rules that fit nothing: they are misspelt.
+        """Refuse rules that fit nothing, as they are misspelt.
 
         Args:
             topics: the topics of both bags.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -107,7 +106,7 @@ def read_element(section: Section) -> LuGreElement:
             numbers = [pair.number(sign, 0.0, above=above) for sign in SIGNS]
             pair.finish()
             values |= zip(parameter.attributes, numbers, strict=True)
-        elif name in section or not parameter.optional:
+        elif name in section or parameter.default is None:
             values |= dict.fromkeys(parameter.attributes, section.number(name, 0.0, above=above))
     section.finish()
     try:
@@ -123,6 +122,6 @@ def _values(element: LuGreElement) -> dict[str, Any]:
         numbers = [float(getattr(element, name)) for name in parameter.attributes]
         if len(set(numbers)) > 1:
             values[parameter.name] = dict(zip(SIGNS, numbers, strict=True))
-        elif math.isfinite(numbers[0]):
+        elif numbers[0] != parameter.default:
             values[parameter.name] = numbers[0]
     return values

@@ -21,7 +21,7 @@ class FrictionParameter:
         unit: its unit, 1 for a pure number.
         positive: whether 0 is refused; negative values always are.
         signed: whether it has a value for each sign of the velocity.
-        optional: whether it may be left out, which means infinity.
+        default: its value where it is left out; None where it is required.
     """
 
     name: str
@@ -29,7 +29,7 @@ class FrictionParameter:
     unit: str
     positive: bool = True
     signed: bool = False
-    optional: bool = False
+    default: float | None = None
 
     @property
     def attributes(self) -> tuple[str, ...]:
@@ -39,7 +39,7 @@ class FrictionParameter:
     @property
     def accepted(self) -> str:
         """Return its range in words."""
-        return f"a {'' if self.optional else 'finite '}number {'>' if self.positive else '>='} 0"
+        return f"a {'' if self.default == math.inf else 'finite '}number {'>' if self.positive else '>='} 0"
 
     def check(self, attribute: str, value: float) -> None:
         """Refuse a value that is not in the range.
@@ -48,7 +48,7 @@ class FrictionParameter:
             ConfigError: naming attribute, value and range.
         """
         above = value > 0.0 if self.positive else value >= 0.0
-        if not above or (math.isinf(value) and not self.optional):
+        if not above or (math.isinf(value) and self.default != math.inf):
             raise ConfigError(f"{attribute} is {value}; accepted: {self.accepted}")
 
 
@@ -60,7 +60,7 @@ FRICTION_PARAMETERS = (
     FrictionParameter("c0", "bristle stiffness", "Nm/rad"),
     FrictionParameter("c1", "micro-viscous damping at rest", "Nm s/rad", positive=False),
     FrictionParameter("c2", "viscous friction", "Nm s/rad", positive=False),
-    FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", optional=True),
+    FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", default=math.inf),
 )
 
 FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
@@ -72,7 +72,7 @@ def legend() -> str:
     lines = ""
     for parameter in FRICTION_PARAMETERS:
         signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
-        optional = "; may be left out, c1 is then constant, not passive at speed" if parameter.optional else ""
+        optional = "" if parameter.default is None else f"; {parameter.default:g} if it is left out"
         accepted = ">" if parameter.positive else ">="
         lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted} 0{signed}{optional}\n"
     return lines

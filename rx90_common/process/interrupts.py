@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.machinery import ExtensionFileLoader
 from types import FrameType
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -14,10 +16,10 @@ _RETRY = 0.02
 
 
 def raise_where_heard() -> None:
-    """From now on let Ctrl-C wait while Python is where an exception gets lost: the compiler's callbacks, destructors.
+    """From now on let Ctrl-C wait while Python is where an exception gets lost or becomes another one.
 
-    The compiler calls back whenever it loads a kernel from its cache, so this is a likely moment in a program's first
-    seconds.
+    That is in the compiler's callbacks, which come whenever it loads a kernel from its cache, in destructors, and while
+    an extension module initialises itself, where numpy makes an ImportError of it: likely in the first seconds.
     """
     signal.signal(signal.SIGINT, _raise_where_heard)
 
@@ -25,7 +27,11 @@ def raise_where_heard() -> None:
 def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
     while frame is not None:
         code = frame.f_code
-        if "llvmlite" in code.co_filename or code.co_name == "__del__":
+        if (
+            "llvmlite" in code.co_filename
+            or code.co_name == "__del__"
+            or (code.co_name.endswith("_module") and isinstance(frame.f_locals.get("self"), ExtensionFileLoader))
+        ):
             again = threading.Timer(_RETRY, os.kill, [os.getpid(), signal.SIGINT])
             again.daemon = True
             again.start()
@@ -66,13 +72,13 @@ def leave_when_asked() -> None:
     _take_over(lambda _number, _frame: os._exit(0))
 
 
-def overlook_late_requests() -> None:
-    """Keep the exit code of a program that has taken SIGTERM over, when one more comes while Python shuts down.
+def keep_exit_code() -> None:
+    """Overlook signals that come when all else has ended, in place of an impatient end by SIGINT.
 
-    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone.
+    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone. To be
+    called early: what is registered later is called before, threads are waited for, and Ctrl-C still ends that.
     """
-    if callable(signal.getsignal(signal.SIGTERM)):
-        _take_over(signal.SIG_IGN)
+    atexit.register(_take_over, signal.SIG_IGN)
 
 
 def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handlers) -> None:

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s or Nm; the most special one that fits decides; default 0: equal bits",
+        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
     )  # fmt: skip
     parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")

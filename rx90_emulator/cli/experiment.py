@@ -43,6 +43,23 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    from rx90_emulator.identification.experiments.job import run  # here, because --help must not wait for it
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.identification.experiments.job import (
+        describe,
+        plan_experiments,
+        record_on_engine,
+        record_on_nodes,
+    )
+    from rx90_emulator.loop.setup import Setup
 
-    run(options)
+    setup = Setup.load(RobotFiles.of_options(options))
+    plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
+    print(describe(plan, setup), flush=True)
+    if options.verb == "plan":
+        return
+    if options.engine:
+        record_on_engine(setup, plan, options.output, options.storage)
+    else:
+        record_on_nodes(setup, plan, options.output, options.node, options.timeout)
+    print(f"bags: {options.output}")

@@ -6,16 +6,16 @@ Nothing slow is imported before the signals are taken care of, nor before the op
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from types import SimpleNamespace
 
 from rx90_common.base.errors import FAILED, INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
+    keep_exit_code,
     leave_when_asked,
-    overlook_late_requests,
     raise_where_heard,
     terminations_as_interrupts,
 )
@@ -64,17 +64,15 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
         leave_when_asked()
     else:
         raise_where_heard()
+    keep_exit_code()
     announce_compilation(program)
     check_output()
-    try:
-        return run(program, sys.argv[1:] if words is None else words)
-    finally:
-        overlook_late_requests()
+    return run(program, sys.argv[1:] if words is None else words)
 
 
 def run(program: str, words: Sequence[str]) -> int:
     """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
-    options = Namespace()
+    options = SimpleNamespace()
     try:
         try:
             return _run(program, words, options)
@@ -100,7 +98,7 @@ def run(program: str, words: Sequence[str]) -> int:
         return INTERRUPTED
 
 
-def _run(program: str, words: Sequence[str], options: Namespace) -> int:
+def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
     from rx90_emulator.cli.options import CommandParser, split_ros_args
 
     command = import_module(EXECUTABLES[program])

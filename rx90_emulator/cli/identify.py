@@ -6,9 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from rx90_common.base.errors import DONE, VERDICT_NO
+from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
-from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--output", type=Path, required=True, metavar="FILE", help="friction file to write (.yaml)")
     result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html)")
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits = Tolerances()
+    limits = ValidationTolerances()
     result.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
                         help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
     result.add_argument("--worst-torque-tolerance", type=POSITIVE, default=limits.worst_torque, metavar="SHARE",
@@ -59,9 +59,19 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    from rx90_emulator.identification.job import run  # here, because --help must not wait for it
+    # Here, because --help must not wait for them.
+    from rx90_emulator.identification.experiments.folder import IdentificationBags
+    from rx90_emulator.identification.job import run_identification
 
-    if run(options):
+    limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
+    robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+    single = [*options.sliding, *options.presliding, *options.validation]
+    if options.folder is not None and single:
+        raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
+    bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
+    if run_identification(
+        bags, robot, ValidationTolerances(*limits), options.output, options.report, force=options.force
+    ):
         return DONE
     print("rx90_identify: the validation does not confirm the result", file=sys.stderr)
     return VERDICT_NO

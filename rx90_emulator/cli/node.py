@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import argparse  # not before the frame has taken care of the signals
 
 NODES = {
     "rx90_sim": "rx90_sim.node.simulation",

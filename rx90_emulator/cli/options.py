@@ -85,8 +85,8 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     add_robot_arguments(parser, "tool", "drives")
     either = parser.add_argument_group("any robot")
     either.add_argument("--fallback", metavar="FILE",
-                        help="friction file for omega_d and for what the bags do not tell, or none (shipped for this "
-                        "project's robot, none for another)")  # fmt: skip
+                        help="friction file for omega_d and for parameters that are not identifiable, or none (shipped "
+                        "for this project's robot, none for another)")  # fmt: skip
     either.add_argument("--torque-delay", metavar="S", default=0.0,
                         type=number(f"s, from {-_LONGEST_DELAY:g} to {_LONGEST_DELAY:g}",
                                     lambda value: abs(value) <= _LONGEST_DELAY),

@@ -1,3 +1,8 @@
-"""From recorded bags to the friction parameters of a robot, with their uncertainty and a cross-check."""
+"""From recorded bags to the friction of a robot, with standard deviations, a report and a validation.
 
-__all__ = ["estimate", "identify", "job", "rigid_arm"]
+Data flow: records (bags as joint-side series) -> sliding (tau_c, tau_s, omega_s, delta, c2) -> presliding (c0, c1) ->
+result (all elements, and the validation) -> output. The model (rigid arm, robot, estimates) is shared by them; the
+experiments make bags. `identify.identify_friction` does it all, `job.write_identification` writes what it returns.
+"""
+
+__all__ = ["identify", "job"]

@@ -1,138 +1,111 @@
-"""From records to a complete friction set: sliding first, then presliding with the sliding regime given."""
+"""From bags to identified friction, for Python users and the command alike."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.estimate import PARAMETERS, PRESLIDING, ElementEstimate, Estimate, Source
-from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
+from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
-from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.result.identification import FrictionIdentification, identify_records
+from rx90_emulator.identification.result.validation import validate
 
-_ANY_BRISTLE = {"c0": 1e4, "c1": 0.0}
-
-
-@dataclass(frozen=True, eq=False)
-class IdentifiedElement:
-    """One friction element with what is known about each of its parameters.
-
-    Attributes:
-        element: values to simulate with.
-        estimates: by the names in PARAMETERS.
-        sources: the bags each parameter rests on.
-    """
-
-    element: LuGreElement
-    estimates: dict[str, Estimate]
-    sources: dict[str, tuple[Source, ...]]
+_RATES = {"sliding": 250.0, "presliding": None, "validation": 1000.0}
+"""Hz that records are averaged to: plateaus are averaged anyway, and the validation looks below 40 Hz."""
+_BEYOND = 2.0  # times the range of a joint: travel that no offset of its zero explains
+_DEFAULT_ROBOT = RobotOptions()
+_DEFAULT_TOLERANCES = ValidationTolerances()
 
 
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """The result.
-
-    Attributes:
-        arm: whose elements these are.
-        elements: in the order of the arm's.
-        sliding: the fit of the sliding regime.
-        presliding: the fit of the presliding regime.
-    """
-
-    arm: RigidArm
-    elements: tuple[IdentifiedElement, ...]
-    sliding: SlidingFit
-    presliding: PreslidingFit
-
-    @property
-    def lugre(self) -> tuple[LuGreElement, ...]:
-        """Return the elements to simulate with."""
-        return tuple(one.element for one in self.elements)
-
-
-def identify(
-    sliding: Sequence[JointRecord],
-    presliding: Sequence[JointRecord],
-    arm: RigidArm,
-    fallback: Sequence[LuGreElement] | None,
-    torque_delay: float = 0.0,
-    step: Callable[[str], None] = lambda _: None,
-    plant_period: float | None = None,
-) -> Identification:
-    """Identify all elements of an arm.
+def identify_friction(
+    bags: IdentificationBags | Path | str,
+    robot: RobotOptions = _DEFAULT_ROBOT,
+    tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
+    progress: Callable[[str], None] = lambda _: None,
+) -> FrictionIdentification:
+    """Identify the friction of a robot from recorded bags (section 4 of Waiboer, Aarts and Jonker).
 
     Args:
-        sliding: sweeps at constant velocity.
-        presliding: micro-oscillations; without any, c0 and c1 are not told.
-        arm: rigid-body model.
-        fallback: elements whose values stand in for what the data do not tell, and whose omega_d is taken over; None
-            to refuse such data.
-        torque_delay: how much later than its stamp a recorded torque acted, s.
-        step: called with a word before each step.
-        plant_period: as in `identify_presliding`.
+        bags: by use, or a folder that `rx90_experiment` wrote.
+        robot: that the bags come from; by default this project's.
+        tolerances: what counts as agreement with the validation bags.
+        progress: called with the name of each step before it: each bag, the two fits, each validation.
+
+    Returns:
+        Estimates with standard deviations, both fits, and a validation for each validation bag.
 
     Raises:
-        IdentificationError: if the data do not fit or do not suffice.
+        IdentificationError: for bags or options that do not fit each other, and data that do not suffice.
+        BagError: for a bag that cannot be read.
+        ConfigError: for a file of the robot that cannot be used.
     """
-    step("sliding regime")
-    slid = identify_sliding(sliding, arm)
-    # Not yet known parameters are irrelevant for the sliding part of an element.
-    known = [_merged(est, None, _standing(fallback, e), _ANY_BRISTLE) for e, est in enumerate(slid.estimates)]
-    step("presliding regime")
-    covariances = [estimate.covariance() for estimate in slid.estimates]
-    bent = (
-        identify_presliding(presliding, arm, known, torque_delay, covariances, plant_period)
-        if presliding
-        else _not_bent(arm)
-    )
-    elements = []
-    for e, (first, second) in enumerate(zip(slid.estimates, bent.estimates, strict=True)):
-        element = _merged(first, second, _standing(fallback, e), {})
-        estimates = {**first.parameters, **second.parameters}
-        sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
-        elements.append(IdentifiedElement(element, estimates, sources))
-    return Identification(arm, tuple(elements), slid, bent)
+    chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
+    _check_bags(chosen)
+    source = RecordedRobot.load(robot)
+    if not chosen.presliding and source.fallback is None:
+        raise IdentificationError(
+            "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
+            "--fallback FILE"
+        )
+    records = _read(chosen, source, progress)
+    result = identify_records(records["sliding"], records["presliding"], source, progress)
+    checks = []
+    for record in records["validation"]:
+        progress(record.source.name)
+        checks.append(validate(source, result.lugre, result.sliding, record, tolerances))
+    used = tuple((use, record.bag) for use, some in records.items() for record in some)
+    return replace(result, bags=used, validations=tuple(checks))
 
 
-def _not_bent(arm: RigidArm) -> PreslidingFit:
-    unknown = dict.fromkeys(PRESLIDING, Estimate.unknown("no bag with micro-oscillations was given"))
-    nothing = np.full((len(PRESLIDING), len(PRESLIDING)), np.nan)
-    return PreslidingFit(tuple(ElementEstimate(name, unknown, nothing, ()) for name in arm.element_names), (), 0)
+def _check_bags(bags: IdentificationBags) -> None:
+    if not bags.sliding:
+        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+    for use, paths in vars(bags).items():
+        places = [bag.resolve() for bag in paths]
+        for bag in paths:
+            if places.count(bag.resolve()) > 1:
+                raise IdentificationError(f"{bag}: given twice for --{use}; accepted: each bag once")
 
 
-def _standing(fallback: Sequence[LuGreElement] | None, index: int) -> LuGreElement | None:
-    return None if fallback is None else fallback[index]
+def _read(
+    bags: IdentificationBags, robot: RecordedRobot, progress: Callable[[str], None]
+) -> dict[str, list[JointRecord]]:
+    """Return the records by use; all bags are read before anything is fitted, so that a bad one is refused soon."""
+    everything = [(use, path) for use, paths in vars(bags).items() for path in paths]
+    layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]
+    records: dict[str, list[JointRecord]] = {use: [] for use in vars(bags)}
+    for (use, path), layout in zip(everything, layouts, strict=True):
+        progress(path.name)
+        record = read_record(path, layout, _RATES[use])
+        _check_range(record, robot)
+        records[use].append(record)
+    _check_unused(records)
+    return records
 
 
-def _merged(
-    sliding: ElementEstimate,
-    presliding: ElementEstimate | None,
-    fallback: LuGreElement | None,
-    given: dict[str, float],
-) -> LuGreElement:
-    """Return the element; what the data do not tell comes from the fallback."""
-    estimates = {**sliding.parameters, **({} if presliding is None else presliding.parameters)}
-    values = dict(given)
-    for name in PARAMETERS:
-        estimate = estimates.get(name)
-        if estimate is not None and estimate.identifiable:
-            values[name] = estimate.value
-        elif name not in values:
-            if fallback is None:
-                reason = "" if estimate is None else f" ({estimate.reason})"
-                raise IdentificationError(
-                    f"{sliding.element}: the bags do not tell {name}{reason}; accepted: bags that do, or "
-                    "--fallback with a friction file for such values"
-                )
-            values[name] = float(getattr(fallback, name))
-    for sign in ("positive", "negative"):
-        # A fallback's static torque may lie below an identified Coulomb torque.
-        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
-    if fallback is not None:
-        values["omega_d"] = fallback.omega_d
-    return LuGreElement(**values)
+def _check_range(record: JointRecord, robot: RecordedRobot) -> None:
+    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
+    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
+        if 0.0 < _BEYOND * width < travel:
+            raise IdentificationError(
+                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
+                "accepted: angles of the joints in rad, or of the motors with their --gear"
+            )
+
+
+def _check_unused(records: Mapping[str, Sequence[JointRecord]]) -> None:
+    """Refuse a validation bag whose content, under whatever name, the identification rests on."""
+    used = {record.sha256: record.source for record in (*records["sliding"], *records["presliding"])}
+    for record in records["validation"]:
+        if record.sha256 in used:
+            other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
+            raise IdentificationError(
+                f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
+            )

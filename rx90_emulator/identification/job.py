@@ -2,136 +2,89 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.experiments.folder import Bags, read_index
-from rx90_emulator.identification.identify import Identification, identify
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
+from rx90_emulator.identification.identify import identify_friction
+from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.output.files import check_targets, write_all
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.output_files import check_targets, write_all
 from rx90_emulator.identification.output.report import report_page
-from rx90_emulator.identification.output.summary import summary
-from rx90_emulator.identification.output.validation import Validation
-from rx90_emulator.identification.output.validation_run import validate
-from rx90_emulator.identification.records.reading import read_record
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.records.robot import Robot, robot_of
-from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.identification.output.summary import identification_summary
+from rx90_emulator.identification.result.identification import FrictionIdentification
 
-_RATES = {"sliding": 250.0, "presliding": None, "validation": 1000.0}
-"""Hz that records are averaged to: plateaus are averaged anyway, and the validation looks below 40 Hz."""
-_BEYOND = 2.0  # times the range of a joint that no offset of its zero explains
+_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}]"
 
 
-def _bags(options: argparse.Namespace) -> Bags:
-    given = Bags(tuple(options.sliding), tuple(options.presliding), tuple(options.validation))
-    single = given.sliding + given.presliding + given.validation
-    if options.folder is not None and single:
-        raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
-    bags = given if options.folder is None else read_index(options.folder)
-    if not bags.sliding:
-        raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
-    for name, paths in vars(bags).items():
-        places = [bag.resolve() for bag in paths]
-        for bag in paths:
-            if places.count(bag.resolve()) > 1:
-                raise IdentificationError(f"{bag}: given twice for --{name}; accepted: each bag once")
-    return bags
+def write_identification(
+    result: FrictionIdentification, output: Path | str, report: Path | str | None = None, *, force: bool = False
+) -> tuple[Path, Path]:
+    """Write friction file and report, both or none, and return their names.
+
+    Args:
+        result: what was identified.
+        output: friction file, .yaml.
+        report: HTML page; by default beside the friction file.
+        force: whether files that exist are replaced.
+
+    Raises:
+        IdentificationError: for files that exist, or that are not acceptable.
+        OutputError: for files that cannot be written.
+    """
+    file, page = _targets(Path(output), None if report is None else Path(report), force=force)
+    write_all({file: friction_text(result), page: report_page(result, file.name)})
+    return file, page
 
 
-def _targets(options: argparse.Namespace) -> tuple[Path, Path]:
-    output: Path = options.output
-    report: Path = options.report or output.with_suffix(".html")
-    if output.resolve() == report.resolve():
+def _targets(output: Path, report: Path | None, *, force: bool) -> tuple[Path, Path]:
+    page = report or output.with_suffix(".html")
+    if output.resolve() == page.resolve():
         raise IdentificationError(f"--output and --report are both {output}; accepted: two files")
-    check_targets((output, report), force=options.force)
-    return output, report
+    check_targets((output, page), force=force)
+    return output, page
 
 
-def run(options: argparse.Namespace) -> bool:
-    """Identify, write the files, print a summary, and return whether the result is confirmed, or nothing checks it.
+def run_identification(
+    bags: IdentificationBags | Path,
+    robot: RobotOptions,
+    tolerances: ValidationTolerances,
+    output: Path,
+    report: Path | None = None,
+    *,
+    force: bool = False,
+) -> bool:
+    """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
+
+    Args:
+        bags: as in `identify_friction`, as are robot and tolerances.
+        robot: that the bags come from.
+        tolerances: of the validation.
+        output: as in `write_identification`, as are report and force; checked before anything long begins.
+        report: HTML page.
+        force: whether files that exist are replaced.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    output, report = _targets(options)
-    bags = _bags(options)
-    robot = robot_of(options)
-    if not bags.presliding and robot.fallback is None:
-        raise IdentificationError(
-            "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
-            "--fallback FILE"
-        )
-    result, checks, used = _identify(bags, robot, options)
-    write_all(
-        {
-            output: friction_text(result, robot.fallback_name),
-            report: report_page(result, checks, output.name, used, robot.fallback_name),
-        }
-    )
-    print(f"{summary(result, checks)}\nfriction file: {output}\nreport: {report}")
-    return all(check.passed for check in checks)
-
-
-def _identify(
-    bags: Bags, robot: Robot, options: argparse.Namespace
-) -> tuple[Identification, list[Validation], list[tuple[str, JointRecord]]]:
-    """Return the result, its checks, and what each record was used for."""
-    everything = [(use, path) for use, paths in vars(bags).items() for path in paths]
-    total = len(everything) + 2 + len(bags.validation)
-    with tqdm(total=total, bar_format="{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}]", file=sys.stderr) as bar:
+    _targets(output, report, force=force)
+    chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
+    total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
+    with ExitStack() as shown:
+        bars: list[tqdm[Any]] = []
 
         def step(text: str) -> None:
-            bar.set_description_str(text)
-            bar.update()
+            if not bars:  # only now: what is refused before the first step needs no bar
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
+            bars[0].set_description_str(text)
+            bars[0].update()
 
-        # All of them first: what is wrong with the last bag must not show after the whole fit.
-        layouts = [robot.layout(path, fast=use != "sliding") for use, path in everything]
-        records: dict[str, list[JointRecord]] = {use: [] for use in vars(bags)}
-        for (use, path), layout in zip(everything, layouts, strict=True):
-            step(path.name)
-            records[use].append(read_record(path, layout, _RATES[use]))
-            _check_range(records[use][-1], robot)
-        _check_unused(records)
-        result = identify(
-            records["sliding"],
-            records["presliding"],
-            robot.arm,
-            robot.fallback,
-            options.torque_delay,
-            step,
-            robot.plant_period,
-        )
-        tolerances = Tolerances(options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance)
-        checks = []
-        for record in records["validation"]:
-            step(record.source.name)
-            checks.append(validate(result, robot, record, tolerances))
-    return result, checks, [(use, record) for use, some in records.items() for record in some]
-
-
-def _check_range(record: JointRecord, robot: Robot) -> None:
-    """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
-    for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
-        if 0.0 < _BEYOND * width < travel:
-            raise IdentificationError(
-                f"{record.source}: {name} moves through {travel:.3g} rad, in its URDF through {width:.3g} rad at most; "
-                "accepted: angles of the joints in rad, or of the motors with their --gear"
-            )
-
-
-def _check_unused(records: Mapping[str, Sequence[JointRecord]]) -> None:
-    """Refuse a validation bag whose content, under whatever name, the identification rests on."""
-    used = {record.sha256: record.source for record in (*records["sliding"], *records["presliding"])}
-    for record in records["validation"]:
-        if record.sha256 in used:
-            other = "" if used[record.sha256] == record.source else f" as {used[record.sha256]}"
-            raise IdentificationError(
-                f"{record.source}: also used for the identification{other}; accepted: another bag for the validation"
-            )
+        result = identify_friction(chosen, robot, tolerances, step)
+    files = write_identification(result, output, report, force=force)
+    print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
+    return result.confirmed

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 import runpy
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 
 from rx90_common.base.share import config_path
+from rx90_emulator.cli.frame import EXECUTABLES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -70,8 +70,7 @@ def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: py
     *arguments, node = described(monkeypatch)
     assert node.kind == "Node"
     assert node.named["package"] == ElementTree.parse(REPOSITORY / "package.xml").findtext("name")
-    scripts = re.findall(r'"(\w+) = [\w.]+:\w+"', (REPOSITORY / "setup.py").read_text())
-    assert node.named["executable"] in scripts
+    assert node.named["executable"] in EXECUTABLES
     parameters = declared_parameters()
     (given,) = node.named["parameters"]
     assert set(given) <= set(parameters)

@@ -144,7 +144,7 @@ def turn(session: Session) -> None:
 
 
 def test_two_rigs_beside_each_other_know_nothing_of_each_other(pair: tuple[Session, Session]) -> None:
-    """Two nodes in namespaces run a ramp each; while one turns the other rests, and each tells its own rig's angle."""
+    """Two nodes in namespaces run a ramp each; while one turns the other rests: each publishes its own rig's angle."""
     for turning, resting in (pair, pair[::-1]):
         begins_at, heard = resting.states[-1].position[0], len(resting.states)
         turn(turning)

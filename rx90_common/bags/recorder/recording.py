@@ -25,7 +25,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import start_ros
 
 READY: Final = "ready: all"
-"""How the line begins that says that every topic is matched."""
+"""Beginning of the line that reports that all topics are matched."""
 
 _CYCLE_S = 0.02
 _ANNOUNCE_WAIT_S = 1.0
@@ -131,7 +131,7 @@ class Recorder:
     def _record(self, streams: Streams, reader: MessageReader, writer: BagWriter, stop: Event) -> None:
         start = last = time.monotonic()
         matched_at = math.inf
-        ready = said = False
+        ready = reported = False
         while not stop.is_set():
             now = time.monotonic()
             last = self._note_stall(last)
@@ -140,8 +140,8 @@ class Recorder:
             if not ready and now > matched_at + _SETTLE_S:
                 ready = True
                 self._announce(streams, writer)
-            if not said and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
-                said = True
+            if not reported and math.isinf(matched_at) and now > start + _ANNOUNCE_WAIT_S:
+                reported = True
                 self._status.say(f"waiting for {', '.join(streams.missing())}")
             self._order_all(reader)
             if ready or self._order.held_bytes > _MAX_HELD_BYTES:

@@ -20,8 +20,8 @@ class SequenceCounter:
     """Counts the messages of one topic per writer.
 
     A message names its sequence number but not its writer. Every writer counts its own messages from 1 and
-    leaves no hole. So a number that continues no writer's count is either the first one of a writer that has
-    not been heard yet, of which there are as many as matches, or proof of a loss.
+    leaves no gap. A number that continues no writer's count is therefore the first one received of a new writer, as
+    long as fewer writers are known than were matched, or else proof of a loss.
 
     Args:
         matched: returns how many writers were ever matched.

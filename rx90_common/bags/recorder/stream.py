@@ -83,7 +83,7 @@ class Stream:
         node: owner of the subscription.
         topic: absolute name.
         index: place in the list of topics.
-        endpoints: what the graph says of the publishers or, where there are none yet, of the subscriptions.
+        endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.

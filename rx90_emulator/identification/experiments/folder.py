@@ -1,8 +1,8 @@
-"""The folder of a series of experiments: one bag each, and an index that says what each is for."""
+"""The folder of a series of experiments: a bag of each, and an index of the bags by use."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,19 +17,29 @@ TOPICS = {
     Kind.PRESLIDING: ("motor_states", "robot_description"),
     Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
 }
-"""What is recorded: the sweeps do not need the base rate, and bags stay small.
+"""What is recorded: sweeps do not need the base rate, which keeps their bags small.
 
 The validation does: each period of the set-points begins with a jump of torque that grows with the acceleration, and
-samples in step with it show that alone."""
+samples in step with the set-points always fall on that jump."""
 
 
 @dataclass(frozen=True)
-class Bags:
-    """Bags by what they are for."""
+class IdentificationBags:
+    """Bags by use: sweeps, micro-oscillations, and runs for the validation."""
 
     sliding: tuple[Path, ...]
-    presliding: tuple[Path, ...]
-    validation: tuple[Path, ...]
+    presliding: tuple[Path, ...] = ()
+    validation: tuple[Path, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        sliding: Iterable[Path | str],
+        presliding: Iterable[Path | str] = (),
+        validation: Iterable[Path | str] = (),
+    ) -> IdentificationBags:
+        """Return bags given by their names."""
+        return cls(*(tuple(Path(bag) for bag in bags) for bags in (sliding, presliding, validation)))
 
 
 def make_folder(folder: Path) -> None:
@@ -47,7 +57,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
-    """Say what the bags that are there are for; written after each experiment, so that a series may be cut short."""
+    """Write the uses of the bags recorded so far; after each experiment, so that a series may be cut short."""
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
     (folder / INDEX).write_text(yaml_text(content), encoding="utf-8")
 
@@ -59,7 +69,7 @@ def _names(folder: Path) -> list[str]:
         return []
 
 
-def read_index(folder: Path) -> Bags:
+def read_index(folder: Path) -> IdentificationBags:
     """Return the bags of a series.
 
     Raises:
@@ -78,4 +88,4 @@ def read_index(folder: Path) -> Bags:
                 raise IdentificationError(f"{folder / INDEX} names {bag.name}, which is not there")
         found[str(kind)] = bags
     root.finish()
-    return Bags(**found)
+    return IdentificationBags(**found)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ExchangeError
-from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
@@ -27,11 +27,22 @@ _QUICK = PlanOptions(
 )
 
 
-def _plan(options: argparse.Namespace, setup: Setup) -> tuple[Experiment, ...]:
-    values = vars(_QUICK if options.quick else PlanOptions()) | {"groups": tuple(options.group)}
-    if options.speeds is not None:
-        values["speeds"] = options.speeds
-    return make_plan(setup.robot, setup.drives, PlanOptions(**values))
+def plan_experiments(
+    setup: Setup, groups: Sequence[str] = (), *, quick: bool = False, speeds: int | None = None
+) -> tuple[Experiment, ...]:
+    """Return the experiments for an arm.
+
+    Args:
+        setup: robot and drives.
+        groups: names of directions; all of them if empty.
+        quick: whether fewer speeds, one pose and one micro-oscillation do.
+        speeds: in each direction; None for the plan's own number.
+
+    Raises:
+        IdentificationError: for an unknown group or a number of speeds that is not acceptable.
+    """
+    options = replace(_QUICK if quick else PlanOptions(), groups=tuple(groups))
+    return make_plan(setup.robot, setup.drives, options if speeds is None else replace(options, speeds=speeds))
 
 
 def describe(plan: Sequence[Experiment], setup: Setup) -> str:
@@ -55,42 +66,43 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
     return "\n".join(lines)
 
 
-def run(options: argparse.Namespace) -> None:
-    """Show the plan and run it, if asked to.
+def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | str, storage: str = "mcap") -> None:
+    """Run experiments in the closed loop without ROS, each into a bag of a new folder.
 
     Raises:
         Rx90Error: for what cannot be done; complete bags stay.
     """
-    setup = Setup.load(RobotFiles.of_options(options))
-    plan = _plan(options, setup)
-    print(describe(plan, setup), flush=True)
-    if options.verb == "plan":
-        return
-    make_folder(options.output)
-    try:
-        _record(plan, setup, options)
-    finally:
-        # Where no bag came about, the folder would refuse the next attempt.
-        with suppress(OSError):
-            options.output.rmdir()
-    print(f"bags: {options.output}")
-
-
-def _record(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
-    if options.engine:
+    with _new_folder(Path(folder)) as new:
         for number, experiment in enumerate(tqdm(plan, desc="engine", unit="experiment")):
-            run_on_engine(setup, experiment, options.output / experiment.name, options.storage)
-            write_index(options.output, plan[: number + 1])
-    else:
-        _run_on_nodes(plan, setup, options)
+            run_on_engine(setup, experiment, new / experiment.name, storage)
+            write_index(new, plan[: number + 1])
 
 
-def _run_on_nodes(plan: Sequence[Experiment], setup: Setup, options: argparse.Namespace) -> None:
-    from rx90_common.exchange.environment import prepare
+def record_on_nodes(
+    setup: Setup, plan: Sequence[Experiment], folder: Path, controller: str = "rx90_controller", timeout: float = 60.0
+) -> None:
+    """Run experiments on a controller node, each into a bag of a new folder; waits for the nodes for `timeout`, s.
 
-    prepare()
+    Raises:
+        Rx90Error: for what cannot be done; complete bags stay.
+    """
+    with _new_folder(folder):
+        from rx90_common.exchange.environment import prepare
+
+        prepare()
+        try:
+            from rx90_emulator.identification.experiments.nodes import run_on_nodes
+        except ImportError as error:
+            raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
+        run_on_nodes(setup, plan, folder, controller, timeout, lambda text: print(text, flush=True))
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[Path]:
+    make_folder(folder)
     try:
-        from rx90_emulator.identification.experiments.nodes import run_on_nodes
-    except ImportError as error:
-        raise ExchangeError(f"--nodes needs ROS 2's rclpy, which is not installed ({error})") from error
-    run_on_nodes(setup, plan, options.output, options.node, options.timeout, lambda text: print(text, flush=True))
+        yield folder
+    finally:
+        # A folder without any bag would refuse the next attempt.
+        with suppress(OSError):
+            folder.rmdir()

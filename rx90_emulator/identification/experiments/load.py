@@ -1,4 +1,4 @@
-"""How near a planned motion comes to the arm's limits, and the refusal of one that passes them."""
+"""The shares of the arm's limits that a planned motion uses; a motion beyond them is refused."""
 
 from __future__ import annotations
 

@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 _QUINTIC_PEAK_SPEED = 15.0 / 8.0  # of a rest-to-rest quintic, times mean speed
 _QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time squared
 _RAMP_PEAK_ACCELERATION = 1.5  # of a quintic from rest to a velocity, times the mean acceleration
-_KNOT_ANGLE = 0.55  # of the fastest sine between two knots, rad: exact knots' quintics miss it by 1e-6 of its amplitude
+_KNOT_ANGLE = (
+    0.55  # of the fastest sine between two knots, rad: quintics between exact knots miss it by 1e-6 of its size
+)
 _LONGEST_KNOT_PERIOD = 0.02  # s, for the fades
 
 

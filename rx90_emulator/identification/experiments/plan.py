@@ -1,4 +1,4 @@
-"""The plan of an identification: which motions, how long, and how near to the arm's limits."""
+"""The plan of a series of experiments: which motions, at which speeds and poses, and for how long."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ POSES = (
 )
 """Where sweeps take place, rad.
 
-Gravity torques of either sign and over most of their range, because a constant torque is what the two directions'
-Coulomb torques differ by, and over a small range gravity is one.
+Gravity torques of either sign and over most of their range. A constant torque is not separable from the difference of
+the two directions' Coulomb torques, and over a small range the gravity torque is constant.
 """
 _MOST_SPEEDS = 1000  # two hours for each group
 _SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
@@ -61,8 +61,8 @@ class PlanOptions:
         speeds: how many speeds in each direction, spaced logarithmically.
         lowest_speed: slowest sweep, rad/s.
         highest_share: fastest sweep as a share of the joint's speed limit.
-        travel: most that a sweep goes at its speed, rad. The curve's shape shows where the speed is near omega_s; held
-            for 4 s instead of 0.7 s, noise of the torque moves omega_s and delta less than half as much.
+        travel: longest travel of a sweep at its speed, rad. Speeds near omega_s determine the curve's shape; held for
+            4 s instead of 0.7 s, the torque's noise changes omega_s and delta less than half as much.
         acceleration: of sweeps and moves, rad/s².
         home: where every experiment begins and ends, rad.
         poses: where the sweeps take place, rad.
@@ -70,7 +70,7 @@ class PlanOptions:
         presliding_cycles: amplitudes of the slow presliding cycles, rad.
         tones: frequencies of the micro-oscillation, Hz.
         tone_amplitudes: of the micro-oscillations that follow the cycles, rad, summed over the tones. Several, because
-            the controller's own Coulomb compensation may break a joint away where another one only bends its bristles.
+            the controller's own Coulomb compensation may break one joint away while another one stays in presliding.
         burst: how long the micro-oscillation lasts, s.
     """
 
@@ -138,7 +138,7 @@ class Direction:
 
 
 def directions(names: Sequence[str]) -> tuple[Direction, ...]:
-    """Return the directions whose motions tell the seven elements apart.
+    """Return the directions whose motions separate the seven elements.
 
     Element 7 has q5' + q6' as input. Joint 5 alone moves elements 5 and 7, joint 6 alone 6 and 7, both against each
     other 5 and 6 but not 7, both together all three, 7 at twice the speed.
@@ -175,8 +175,8 @@ def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, d
     motion = Motion(options.home)
     highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
     speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, 2 * options.speeds, drives)
-    # Many speeds, each in one direction at one pose, rather than few everywhere: what ripple in step with the sampling
-    # puts on the torque differs from speed to speed, not from pose to pose, and turns its sign with the direction.
+    # Many speeds, each in one direction at one pose, rather than few everywhere: the error by ripple in step with the
+    # sampling differs between speeds, not between poses, and changes its sign with the direction.
     there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
     for number, pose in enumerate(options.poses):
         for speed in there_and_back[number :: len(options.poses)].ravel():
@@ -210,11 +210,11 @@ def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -
     _approach(robot, options, motion, pose - 0.03 * direction.vector)
     motion.rest(0.2)
     count = 0
-    # Sliding first: the bristles then have forgotten what was before.
+    # Sliding first: the deflection of the bristles then does not depend on what was before.
     motion.sweep(direction.vector, 0.05, 0.6, options.acceleration)
     for amplitude, tone_amplitude in zip(options.presliding_cycles, options.tone_amplitudes, strict=True):
-        # Each one fades out, which leaves the bristles near zero. At rest under load they would creep: they feel
-        # vibrations that are below the resolution of the encoders.
+        # Each one fades out, which leaves the bristles near zero. Bristles under load would creep, by vibrations that
+        # are below the resolution of the encoders.
         motion.oscillate(direction.vector, [amplitude], [1.0], 2.0)
         amplitudes = [tone_amplitude / len(options.tones)] * len(options.tones)
         motion.oscillate(direction.vector, amplitudes, options.tones, options.burst)

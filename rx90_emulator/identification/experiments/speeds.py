@@ -2,7 +2,7 @@
 
 A motor that passes nearly a whole number of encoder steps in each period of the position loop, or a simple part of
 one, makes its torque ripple slowly or not at all as the recorder sees it. The samples then have a mean that is not the
-torque's: on the engine up to 4 % of joint 2's friction.
+torque's: on the engine it is off by up to 4 % of joint 2's friction.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _PERIOD = 0.001  # s, of the position loop and of joint_states
 _SHIFT = 0.1  # of the logarithm of a speed, at most
 _CANDIDATES = 401
 _DENOMINATORS = (1, 2, 3, 4)
-_FAR = 0.25  # distance from a beat, times the denominator, beyond which it does not matter
+_FAR = 0.25  # distance from a beat, times the denominator, beyond which the ripple averages out
 
 
 def sweep_speeds(direction: Array, lowest: float, highest: float, count: int, drives: DriveParameters) -> Array:

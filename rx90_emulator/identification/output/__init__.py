@@ -1,3 +1,3 @@
-"""What an identification leaves behind: friction file, report, validation."""
+"""What an identification writes: friction file, report with plots, summary for the terminal."""
 
-__all__ = ["friction_file", "output_files", "report", "summary", "validation", "validation_run"]
+__all__ = ["files", "friction_file", "report", "summary"]

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.estimate import PARAMETERS, Estimate, Source
-from rx90_emulator.identification.identify import Identification, IdentifiedElement
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 
 _REMARKS = """\
 #
@@ -19,16 +20,16 @@ _REMARKS = """\
 """
 
 
-def friction_text(result: Identification, fallback_name: str | None, now: datetime | None = None) -> str:
+def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
     """Return the file's text.
 
     Args:
         result: what was identified.
-        fallback_name: file of the values that the bags do not identify.
         now: date of the identification; by default the present.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    sources: dict[Source, str] = {}
+    fallback_name = result.fallback_name
+    sources: dict[BagSource, str] = {}
     for one in result.elements:
         for bags in one.sources.values():
             for bag in bags:
@@ -55,7 +56,7 @@ def friction_text(result: Identification, fallback_name: str | None, now: dateti
 
 
 def _provenance(
-    one: IdentifiedElement, labels: dict[Source, str], date: str, fallback_name: str | None
+    one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     return {
         name: _parameter(
@@ -67,7 +68,7 @@ def _provenance(
 
 
 def _parameter(
-    value: float, estimate: Estimate, bags: Sequence[str], date: str, fallback_name: str | None
+    value: float, estimate: ParameterEstimate, bags: Sequence[str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     if not estimate.identifiable:
         return {

@@ -9,21 +9,21 @@ from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
 from rx90_common.report.drawing import COLOURS, as_svg, make_figure
-from rx90_emulator.identification.estimate import PARAMETERS
-from rx90_emulator.identification.identify import Identification
-from rx90_emulator.identification.output.validation import Validation
+from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
+from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.result.validation import Validation
 from rx90_emulator.identification.sliding.fit import CurvePoints
 
 Array = NDArray[np.float64]
 
 _MOST_POINTS = 3000
 _INTERVAL = 1.96  # standard deviations, 95 %
-_LOOPS = 20  # part of a micro-oscillation that is drawn: more loops cover each other
+_LOOPS = 20  # one part in so many of a micro-oscillation is drawn: more loops would cover each other
 _INK, _BAND = "#222222", "#888888"
 
 
-def curve_plots(result: Identification) -> list[str]:
+def curve_plots(result: FrictionIdentification) -> list[str]:
     """Return torque against velocity of each element, with the residuals below."""
     named = zip(result.arm.element_names, result.sliding.curves, strict=True)
     return [_curve(name, curve, COLOURS[0]) for name, curve in named if len(curve.velocity)]
@@ -53,7 +53,7 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
         color=colour,
         markersize=4,
         linewidth=0.6,
-        label="measured - identified, 95 % by the noise",
+        label="measured - identified, 95 % of the noise",
     )
     below.axhline(0.0, color=_INK, linewidth=0.6)
     speed = np.abs(curve.velocity)
@@ -75,13 +75,13 @@ def _curve(name: str, curve: CurvePoints, colour: str) -> str:
 
 
 def _margins(figure: Figure, **shares: float) -> None:
-    """Set the margins: to find them by the sizes of all texts takes as long as the drawing."""
+    """Set the margins: a layout engine takes as long as the drawing."""
     figure.set_layout_engine(None)
     figure.subplots_adjust(**shares)
 
 
 def hysteresis_plot(loop: HysteresisLoop) -> str:
-    """Return friction torque against position in the middle of one micro-motion, measured and simulated."""
+    """Return friction torque against position in the middle of one micro-motion, measured and simulated, as SVG."""
     figure, (axes,) = make_figure(1, 3.2)
     count = len(loop.position)
     part = slice((_LOOPS - 1) * count // (2 * _LOOPS), (_LOOPS + 1) * count // (2 * _LOOPS))
@@ -101,7 +101,7 @@ def hysteresis_plot(loop: HysteresisLoop) -> str:
     return as_svg(figure)
 
 
-def correlation_plots(result: Identification) -> list[str]:
+def correlation_plots(result: FrictionIdentification) -> list[str]:
     """Return the correlation of each element's parameters."""
     pages = []
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
@@ -137,10 +137,10 @@ def validation_plot(check: Validation) -> str:
     tips = len(check.tip_distance) > 0
     count = len(check.names)
     figure, axes = make_figure(count + 1 + tips, 1.5 * (count + tips) + 2.0, share_x=True)
-    stride = max(1, len(check.time) // _MOST_POINTS)
-    time, recorded, predicted = (values[::stride] for values in (check.time, check.recorded, check.predicted))
-    compared = check.compared[::stride] > 0.0
-    largest = np.abs(check.recorded).max(axis=0)
+    stride = max(1, len(check.torque.time) // _MOST_POINTS)
+    time, recorded, predicted, moves = (values[::stride] for values in check.torque)
+    compared = moves > 0.0
+    largest = np.abs(check.torque.recorded).max(axis=0)
     for joint, panel in enumerate(axes[:count]):
         panel.plot(time, recorded[:, joint], color=COLOURS[5], linewidth=1.8, label="recorded")
         panel.plot(time, predicted[:, joint], color=COLOURS[1], linewidth=0.7, label="predicted")

@@ -4,34 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rx90_emulator.identification.estimate import PARAMETERS
-from rx90_emulator.identification.identify import Identification
-from rx90_emulator.identification.output.validation import Validation
-from rx90_emulator.identification.output.wording import value_and_deviation
+from rx90_emulator.identification.model.estimates import PARAMETERS
+from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.result.validation import Validation
 
 
-def summary(result: Identification, checks: Sequence[Validation]) -> str:
-    """Return values with standard deviations, what the bags do not tell, and the verdicts."""
+def identification_summary(result: FrictionIdentification) -> str:
+    """Return values with standard deviations, parameters that are not identifiable and why, and the verdicts."""
     width = max(10, *(len(name) + 1 for name in result.arm.element_names))
     lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in PARAMETERS)]
-    untold: dict[str, dict[str, list[str]]] = {}
+    lacking: dict[str, dict[str, list[str]]] = {}
     for name, one in zip(result.arm.element_names, result.elements, strict=True):
         cells = []
         for parameter in PARAMETERS:
             estimate = one.estimates[parameter]
-            told = " +- ".join(value_and_deviation(estimate)) if estimate.identifiable else "not told"
-            cells.append(f"{told:>22}")
+            text = " +- ".join(estimate.texts()) if estimate.identifiable else "not identifiable"
+            cells.append(f"{text:>22}")
             if not estimate.identifiable:
-                untold.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
+                lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         lines.append(f"{name:<{width}}" + "".join(cells))
-    reasons = [f"not told: {_which(names)}: {reason}" for reason, names in untold.items()]
-    return "\n".join([*lines, *reasons, *(_verdict(check) for check in checks)])
+    reasons = [f"not identifiable: {_which(names)}: {reason}" for reason, names in lacking.items()]
+    return "\n".join([*lines, *reasons, *(_verdict(check) for check in result.validations)])
 
 
-def _which(untold: Mapping[str, Sequence[str]]) -> str:
+def _which(lacking: Mapping[str, Sequence[str]]) -> str:
     """Return parameters with the elements that lack them, elements that lack the same ones together."""
     together: dict[str, list[str]] = {}
-    for name, parameters in untold.items():
+    for name, parameters in lacking.items():
         together.setdefault(", ".join(parameters), []).append(name)
     return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
 

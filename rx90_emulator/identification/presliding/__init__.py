@@ -1,3 +1,3 @@
-"""Presliding friction from micro-oscillations."""
+"""The presliding regime, c0 and c1, from micro-oscillations."""
 
 __all__ = ["fit"]

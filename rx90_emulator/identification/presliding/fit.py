@@ -11,20 +11,21 @@ from scipy.linalg import block_diag
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import LuGreElement
-from rx90_emulator.identification.estimate import PRESLIDING, ElementEstimate, Estimate, Source
-from rx90_emulator.identification.presliding.bristle_path import thinned
-from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_telling
-from rx90_emulator.identification.presliding.solver import GroupSolution, solve_group
+from rx90_emulator.identification.model.estimates import PRESLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.presliding.band import block_means
+from rx90_emulator.identification.presliding.group_model import JointGroup, joint_groups
+from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_informative
+from rx90_emulator.identification.presliding.solver import GroupSolution, fit_group
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 
 Array = NDArray[np.float64]
 
-_UNTOLD = 0.3  # standard deviation of ln c0 or ln c1 from which the data do not tell it
-_NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion bend bristles far
+_LARGEST = 0.3  # standard deviation of ln c0 or ln c1, up to which a parameter is identifiable
+_NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _ALL_SLIDING = 0.95  # of it: bristles slide
 _MISFIT = 0.3  # of the friction torque
-_WRONG_INERTIA = 2.0  # deviations that errors of the inertia would have if they were as small as is assumed
+_WRONG_INERTIA = 2.0  # standard deviations of the inertia's errors if the prior held
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,8 @@ class HysteresisLoop:
     Attributes:
         joint: its name.
         position: measured, rad from the mean, shape (m,).
-        torque: friction torque: drive less weight and measured acceleration, Nm, shape (m,).
-        simulated_torque: of the bristles bent along this motion, Nm, shape (m,).
+        torque: friction torque, drive less weight and measured acceleration, Nm, shape (m,).
+        simulated_torque: of the bristles deflected along this motion, Nm, shape (m,).
     """
 
     joint: str
@@ -72,12 +73,12 @@ def identify_presliding(
     Args:
         records: motion with reversals far within the bristles' reach, 500 samples per second or more.
         arm: rigid-body model of the same joints.
-        sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not looked at.
-        torque_delay: how much later than its stamp a recorded torque acted, s.
-        sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); none if it is
+        sliding: the sliding regime of the arm's elements, in its order; their c0 and c1 are not used.
+        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
+        sliding_covariances: of each element's sliding regime, in the order of SLIDING, shape (7, 7); None if it is
             known exactly.
-        plant_period: tick of the simulation that made the records, s, whose half a tick of prediction the bristles
-            felt; None for a real robot.
+        plant_period: tick of the simulation that made the records, s, whose bristles see a velocity predicted by half
+            a tick; None for a real robot.
 
     Raises:
         IdentificationError: for other joints than the arm's, a record that is too slow, and no reversal at all.
@@ -88,7 +89,8 @@ def identify_presliding(
                 f"{record.source}: joints {', '.join(record.names)}; accepted: {', '.join(arm.names)}"
             )
     groups = joint_groups(arm)
-    motions = [motion for record in records for motion in find_micro_motions(record, arm, groups, torque_delay)]
+    joints = [group.joints for group in groups]
+    motions = [motion for record in records for motion in find_micro_motions(record, arm, joints, torque_delay)]
     if not motions:
         where = ", ".join(str(record.source) for record in records) or "no bag"
         raise IdentificationError(
@@ -96,77 +98,57 @@ def identify_presliding(
             "some 0.1 mrad at some 3 to 30 Hz, such as rx90_experiment makes"
         )
     unknown = "no micro-oscillation of its joints in the bags"
-    nothing = np.full((2, 2), np.nan)
-    estimates = [
-        ElementEstimate(name, dict.fromkeys(PRESLIDING, Estimate.unknown(unknown)), nothing, ())
-        for name in arm.element_names
-    ]
+    estimates = [ElementEstimate.unknown(name, PRESLIDING, unknown) for name in arm.element_names]
     loops: list[HysteresisLoop] = []
     used = 0
     for group in groups:
-        own = [motion for motion in motions if motion.joints == group]
+        own = [motion for motion in motions if motion.joints == group.joints]
         if not own:
             continue
-        members = _members(arm, group)
-        inputs = arm.element_matrix[members][:, list(group)]
-        fitted = [sliding[e] for e in members]
-        chosen = most_telling(own, np.abs(inputs).T @ np.array([e.tau_c_positive for e in fitted]))
-        spread = None if sliding_covariances is None else block_diag(*(sliding_covariances[e] for e in members))
-        if len(members) > 1:
-            chosen = _gentle(chosen, inputs, fitted, plant_period)
-        solution = solve_group(chosen, inputs, fitted, spread, plant_period)
+        elements = [sliding[e] for e in group.elements]
+        chosen = _chosen(own, group, elements, plant_period)
+        spread = None
+        if sliding_covariances is not None:
+            spread = block_diag(*(sliding_covariances[e] for e in group.elements))
+        solution = fit_group(chosen, group.inputs, elements, spread, plant_period)
         used += len(chosen)
-        for place, e in enumerate(members):
-            names = [arm.names[joint] for joint in group]
-            estimates[e] = _estimate(arm.element_names[e], solution, place, (inputs[place], names), chosen)
+        for place, e in enumerate(group.elements):
+            estimates[e] = _estimate(arm, group, place, solution, chosen)
         loops += _loops(arm, chosen, solution)
     return PreslidingFit(tuple(estimates), tuple(loops), used)
 
 
-def joint_groups(arm: RigidArm) -> list[tuple[int, ...]]:
-    """Return the joints in groups that share no friction element, from base to tip."""
-    groups = [{j} for j in range(len(arm.names))]
-    for row in arm.element_matrix:
-        joined: set[int] = set(np.flatnonzero(row).tolist())
-        touched = [group for group in groups if group & joined]
-        groups = [group for group in groups if not group & joined] + [set().union(*touched)]
-    return sorted(tuple(sorted(group)) for group in groups)
-
-
-def _members(arm: RigidArm, group: Sequence[int]) -> list[int]:
-    return np.flatnonzero(arm.element_matrix[:, list(group)].any(axis=1)).tolist()
-
-
-def _gentle(
-    motions: list[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement], plant_period: float | None
+def _chosen(
+    motions: Sequence[MicroMotion], group: JointGroup, sliding: Sequence[LuGreElement], plant_period: float | None
 ) -> list[MicroMotion]:
-    """Leave out the motions in which an element nearly slides, though its joints' torques are far from break-away."""
-    loads = solve_group(motions, inputs, sliding, None, plant_period).loads.max(axis=1)
-    return [motion for motion, load in zip(motions, loads, strict=True) if load < _NEAR_SLIDING] or motions
+    """Return the motions to fit: those in which no element nearly slides, if there are any.
+
+    An element of several joints may nearly slide although the torque of each joint is far from break-away.
+    """
+    break_away = np.abs(group.inputs).T @ np.array([e.tau_c_positive for e in sliding])
+    chosen = most_informative(motions, break_away)
+    if len(sliding) == 1:
+        return chosen
+    loads = fit_group(chosen, group.inputs, sliding, None, plant_period).loads.max(axis=1)
+    return [motion for motion, load in zip(chosen, loads, strict=True) if load < _NEAR_SLIDING] or chosen
 
 
 def _estimate(
-    name: str,
-    solution: GroupSolution,
-    place: int,
-    joints: tuple[Array, Sequence[str]],
-    motions: Sequence[MicroMotion],
+    arm: RigidArm, group: JointGroup, place: int, solution: GroupSolution, motions: Sequence[MicroMotion]
 ) -> ElementEstimate:
+    """Return the estimates of the element at a place in its group."""
     block = solution.covariance[2 * place : 2 * place + 2, 2 * place : 2 * place + 2]
     relative = np.sqrt(np.maximum(np.diag(block), 0.0))
-    doubt = _doubt(solution, place, *joints)
+    doubt = _doubt(solution, place, group.inputs[place], [arm.names[joint] for joint in group.joints])
     parameters = {}
-    for key, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
-        if doubt:
-            parameters[key] = Estimate.unknown(doubt)
-        elif not deviation < _UNTOLD:
-            parameters[key] = Estimate.unknown(f"relative standard deviation {deviation:.2g} at a value of {value:.3g}")
-        else:
-            parameters[key] = Estimate(float(value), float(value * deviation))
-    known = np.array([parameters[key].identifiable for key in PRESLIDING])
-    scale = np.where(known & (relative > 0.0), relative, np.nan)
-    sources = tuple(dict.fromkeys(Source.of(motion.record) for motion in motions))
-    return ElementEstimate(name, parameters, block / np.outer(scale, scale), sources)
+    for name, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
+        reason = doubt
+        if not reason and not deviation < _LARGEST:
+            reason = f"relative standard deviation {deviation:.2g} at a value of {value:.3g}"
+        estimate = ParameterEstimate(float(value), float(value * deviation))
+        parameters[name] = ParameterEstimate.unknown(reason) if reason else estimate
+    sources = tuple(dict.fromkeys(motion.record.bag for motion in motions))
+    return ElementEstimate.of(arm.element_names[group.elements[place]], parameters, block, sources)
 
 
 def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[str]) -> str:
@@ -181,10 +163,10 @@ def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[s
     load = float(solution.loads[:, place].min())
     if load > _ALL_SLIDING:
         return f"its bristles slide in every micro-oscillation: {load:.2g} of the Coulomb torque or more"
-    # A wrong inertia of one joint spoils what its neighbours' elements are told apart by.
-    strain = np.abs(solution.strain).max(axis=1)
-    worst = int(np.argmax(strain))
-    if strain[worst] > _WRONG_INERTIA:
+    # A wrong inertia of one joint also biases the elements that it shares with its neighbours.
+    scores = np.abs(solution.inertia_score).max(axis=1)
+    worst = int(np.argmax(scores))
+    if scores[worst] > _WRONG_INERTIA:
         error = 100.0 * float(np.abs(solution.inertia[worst]).max())
         return (
             f"the inertia at {names[worst]} would be {error:.0f} % off the description's: a payload, a rotor or the "
@@ -193,7 +175,7 @@ def _doubt(solution: GroupSolution, place: int, inputs: Array, names: Sequence[s
     for joint in np.flatnonzero(inputs).tolist():
         if solution.misfit[joint] > _MISFIT:
             return (
-                f"the torque of {names[joint]} is missed by {100.0 * solution.misfit[joint]:.0f} % of its friction: "
+                f"the model misses {100.0 * solution.misfit[joint]:.0f} % of the friction torque of {names[joint]}: "
                 "another delay of the torque, another inertia, or no bristles"
             )
     return ""
@@ -205,8 +187,8 @@ def _loops(arm: RigidArm, motions: Sequence[MicroMotion], solution: GroupSolutio
         largest = int(np.argmax([motion.position[:, place].std() for motion in motions]))
         motion = motions[largest]
         accelerated = motion.acceleration @ motion.mass.T
-        position = thinned(motion.position[:, place])
-        measured = thinned(motion.drive - accelerated)[:, place]
+        position = block_means(motion.position[:, place])
+        measured = block_means(motion.drive - accelerated)[:, place]
         simulated = solution.torque[largest][:, place]
         loops.append(HysteresisLoop(arm.names[joint], position - position.mean(), measured, simulated))
     return loops

@@ -1,4 +1,4 @@
-"""Find the micro-oscillations of a record and prepare them for bending bristles along them."""
+"""Find the micro-oscillations of a record, and prepare them for deflecting bristles along them."""
 
 from __future__ import annotations
 
@@ -11,29 +11,28 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.records.spikes import spikes
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord, spikes
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 LOWEST_RATE = 500.0
-"""Samples per second below which the damping of the bristles cannot be told from a delay."""
+"""Samples per second below which the damping of the bristles is not separable from a delay."""
 _SPAN = 0.5  # s, over which excursions and oscillations are measured
 _LARGEST_EXCURSION = 4e-3  # rad within a span; beyond it the bristles slide, and drift takes over
-_SMALLEST_OSCILLATION = 5e-6  # rad, RMS; smaller ones drown in the resolution of usual encoders
+_SMALLEST_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution of usual encoders
 _SHORTEST, _LONGEST = 0.8, 10.0  # s
-_SLIDES = 0.7  # of the break-away torque: beyond it bristles slide, which tells nothing of them
+_SLIDES = 0.7  # of the break-away torque: beyond it bristles slide, and their torque depends little on c0 and c1
 _FAINT = 0.25  # of the strongest motion of a group
 _MOST = 3  # motions of a group in a bag
 _FINEST = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
 _SLOW, _FAST = 2.0, 60.0  # Hz, the band of micro-oscillations
 _SMOOTH = 200.0  # Hz, above which positions hold little but the encoder's noise
-_GAP = 3e-3  # s without a message, over which straight lines are not the motion
+_GAP = 3e-3  # s without a message, beyond which the motion is not interpolated
 _GAP_SAMPLES = 2.5  # sample periods, where these are longer
-_RING = 0.01  # s beside a gap that the low-pass carries it to
-_BLOCK = 1.0  # s, within which a wild sample is told by its size
+_RING = 0.01  # s beside a gap that its transient reaches through the low-pass
+_BLOCK = 1.0  # s, over which spikes are compared with the signal's range
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,18 +100,18 @@ def find_micro_motions(
     return found
 
 
-def most_telling(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
-    """Return the motions that bend the bristles well without breaking away, at most three of each bag.
+def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:
+    """Return the motions with the largest friction torques short of break-away, at most three of each bag.
 
     Args:
         motions: of one group of k joints.
         break_away: friction torque at which each joint slides, Nm, shape (k,).
     """
     loads = [_load(motion, break_away) for motion in motions]
-    gentle = [load for load in loads if load <= _SLIDES]
-    # Echoes of other joints' motions are faint; where everything slides the least is best.
-    faintest = _FAINT * max(gentle) if gentle else 0.0
-    limit = _SLIDES if gentle else 1.5 * min(loads)
+    below = [load for load in loads if load <= _SLIDES]
+    # Faint motions are reactions to other joints'; where all motions break away, the smallest one is best.
+    faintest = _FAINT * max(below) if below else 0.0
+    limit = _SLIDES if below else 1.5 * min(loads)
     chosen: dict[tuple[str, str], list[MicroMotion]] = {}
     for load, motion in sorted(zip(loads, motions, strict=True), key=lambda pair: -pair[0]):
         bag = chosen.setdefault((motion.record.sha256, str(motion.record.source)), [])
@@ -136,26 +135,26 @@ def _on_grid(record: JointRecord, torque_delay: float) -> _Grid:
             f"{record.source}: {1.0 / step:.4g} samples per second; accepted: {LOWEST_RATE:g} or more for the "
             "presliding regime, such as motor_states"
         )
-    rows = _calm_rows(record, step)
+    rows = _without_spikes(record, step)
     taken = record.time[rows]
     time = taken[0] + step * np.arange(round((taken[-1] - taken[0]) / step) + 1)
     position = np.column_stack([np.interp(time, taken, column) for column in record.position[rows].T])
     torque = np.column_stack([np.interp(time - torque_delay, taken, column) for column in record.torque[rows].T])
     known = _known(taken, time, step)
-    # Steps of the set-points leave images of an oscillation beside multiples of their rate, which coarser steps would
-    # fold back onto it.
+    # Set-points are held, which leaves images of an oscillation beside multiples of their rate; without the low-pass,
+    # coarser steps would alias them onto it.
     return _coarser(_Grid(step, time, _low_passed(position, step), _low_passed(torque, step), known))
 
 
-def _calm_rows(record: JointRecord, step: float) -> NDArray[np.intp]:
-    """Return the samples without a spike: one that the range of the whole record hides is wild for small motions."""
+def _without_spikes(record: JointRecord, step: float) -> NDArray[np.intp]:
+    """Return the samples without a spike, second by second: the range of a small motion shows smaller ones."""
     size, values = max(1, round(_BLOCK / step)), np.hstack([record.position, record.torque])
-    wild = [spikes(values[first : first + size]) for first in range(0, len(record.time), size)]
-    return np.flatnonzero(~np.concatenate(wild))
+    found = [spikes(values[first : first + size]) for first in range(0, len(record.time), size)]
+    return np.flatnonzero(~np.concatenate(found))
 
 
 def _known(taken: Array, time: Array, step: float) -> Mask:
-    """Return which times are not in a gap between the samples taken, nor beside one."""
+    """Return which times lie neither in a gap between the samples taken nor beside one, shape of `time`."""
     known = np.ones(len(time), dtype=np.bool_)
     for k in np.flatnonzero(np.diff(taken) > max(_GAP, _GAP_SAMPLES * step)):
         known[slice(*np.searchsorted(time, (taken[k] - _RING, taken[k + 1] + _RING)))] = False

@@ -1,3 +1,3 @@
-"""What was recorded, by which robot: bags read into series that an estimate can use."""
+"""Bags of any robot, read as joint-side records: position, velocity and drive torque of each joint."""
 
-__all__ = ["foreign_urdf", "reading", "record", "robot", "spikes", "tolerances"]
+__all__ = ["layout", "reading", "record"]

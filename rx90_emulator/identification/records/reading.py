@@ -1,4 +1,4 @@
-"""Read any robot's recorded joint states as a joint-side record; needs no ROS.
+"""Read the recorded joint states of any robot as a joint-side record; needs no ROS.
 
 record = read_record("bag", BagLayout.rx90_motors(setup))
 """
@@ -6,8 +6,6 @@ record = read_record("bag", BagLayout.rx90_motors(setup))
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,116 +17,30 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.description.wrist import coupling_matrix
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
-from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.records.spikes import spikes
-from rx90_emulator.loop.setup import Setup
+from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.record import JointRecord, spikes
 
 Array = NDArray[np.float64]
 
-_BANDWIDTH = 40.0  # Hz of the velocity made from positions
-_FACTOR = 2.0  # between a velocity and the change of the position, beyond which they do not belong together
+_BANDWIDTH = 40.0  # Hz, of velocities differentiated from positions
+_FACTOR = 2.0  # largest ratio between a velocity and the change of its position
 _WINDOW = 0.1  # s, over which they are compared
-_STANDS = 1e-2  # rad/s, RMS, below which they are not
-_FEW_VALUES = 1000  # different velocities, below which they are taken as quantised
+_STANDS = 1e-2  # rad/s, RMS, below which they are not compared
+_QUANTISED = 1000  # distinct velocities, below which they count as quantised
 _STORAGE = (".mcap", ".db3", ".bag")
-
-
-@dataclass(frozen=True, eq=False)
-class BagLayout:
-    """What the JointState messages of a bag hold.
-
-    Attributes:
-        topic: topic name; the leading slash may be left out.
-        messages: names in the messages, one for each joint or motor, from base to tip.
-        names: the joints' names in the record, shape n.
-        turns: motor turns for joint turns, gears included, shape (n, n), where the messages hold motor-side
-            values: motor position = turns @ joint position, joint torque = turns^T @ motor torque. None where
-            they hold joint-side values.
-        torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
-        record_time: whether the times of recording are taken for the stamps.
-
-    Raises:
-        IdentificationError: if a size does not fit, a name stands twice or `turns` is not invertible.
-    """
-
-    topic: str
-    messages: tuple[str, ...]
-    names: tuple[str, ...]
-    turns: Array | None = None
-    torque_constant: Array | None = None
-    record_time: bool = False
-
-    def __post_init__(self) -> None:
-        n = len(self.names)
-        if len(self.messages) != n or n == 0:
-            raise IdentificationError(f"{len(self.messages)} names in the messages for {n} joints; accepted: one each")
-        twice = [name for name in self.messages if self.messages.count(name) > 1]
-        if twice:
-            raise IdentificationError(f"name {twice[0]!r} in the messages for two joints; accepted: each name once")
-        for field, shape in (("turns", (n, n)), ("torque_constant", (n,))):
-            values = getattr(self, field)
-            if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
-                raise IdentificationError(f"{field} has shape {np.shape(values)}; accepted: finite numbers, {shape}")
-        if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
-            raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
-
-    @classmethod
-    def joint_side(cls, topic: str, names: Sequence[str], torque_constant: Array | None = None) -> BagLayout:
-        """Return the layout of joint-side messages that name the joints."""
-        return cls(topic, tuple(names), tuple(names), None, torque_constant)
-
-    @classmethod
-    def motor_side(
-        cls,
-        topic: str,
-        messages: Sequence[str],
-        names: Sequence[str],
-        gear: Array,
-        coupling: Array | None = None,
-        torque_constant: Array | None = None,
-    ) -> BagLayout:
-        """Return the layout of motor-side messages.
-
-        Args:
-            topic: topic name.
-            messages: the motors' names in the messages.
-            names: the joints' names.
-            gear: motor revolutions per joint revolution, shape (n,).
-            coupling: as in RigidArm.from_urdf, shape (n, n).
-            torque_constant: motor torque per current, Nm/A, where effort is a current.
-        """
-        turns = np.eye(len(names)) if coupling is None else np.asarray(coupling, dtype=np.float64)
-        if np.shape(gear) != (len(names),) or turns.shape != (len(names), len(names)):
-            raise IdentificationError(
-                f"gear of shape {np.shape(gear)}, coupling of shape {turns.shape}; accepted: ({len(names)},) and square"
-            )
-        return cls(topic, tuple(messages), tuple(names), np.asarray(gear)[:, None] * turns, torque_constant)
-
-    @classmethod
-    def rx90_motors(cls, setup: Setup) -> BagLayout:
-        """Return the layout of this project's motor_states."""
-        drives, names = setup.drives, setup.robot.joint_names
-        return cls.motor_side(MOTOR_STATES, MOTOR_NAMES, names, drives.gear, coupling_matrix())
-
-    @classmethod
-    def rx90_joints(cls, setup: Setup) -> BagLayout:
-        """Return the layout of this project's joint_states."""
-        return cls.joint_side("joint_states", setup.robot.joint_names)
 
 
 def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) -> JointRecord:
     """Read one bag.
 
-    Messages with a NaN and spikes of a single sample are left out and counted, as are messages that are missing
-    in a steady stream. Velocities come from the messages; where they carry none, or only a few different values,
-    from the positions by a zero-phase filter.
+    Messages with a NaN and spikes of a single sample are left out and counted; messages that are missing in a steady
+    stream are counted, too. Velocities come from the messages; where these carry none or quantised ones, positions are
+    differentiated by a zero-phase filter.
 
     Args:
         path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
         layout: what the messages hold.
-        rate: if given, means over as many samples as leave about this rate, Hz.
+        rate: if given, block means of as many samples as leave about this rate, Hz.
 
     Raises:
         BagError: if the bag cannot be read, is empty, or has no such topic or names.
@@ -137,7 +49,7 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     """
     path = Path(path)
     series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
-    position, effort = _wanted(path, series, "position"), _wanted(path, series, "effort")
+    position, effort = _required(path, series, "position"), _required(path, series, "effort")
     kept = _good_rows(path, series, position, effort)
     time = series.stamp_ns[kept] / NANOSECONDS
     missing = _missing(series.time)
@@ -148,14 +60,14 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if velocity is None:
         velocity = _velocity(time, position)
     else:
-        poor = [k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_FEW_VALUES, len(time) / 4)]
+        poor = [k for k in range(len(layout.names)) if len(np.unique(velocity[:, k])) < min(_QUANTISED, len(time) / 4)]
         velocity[:, poor] = _velocity(time, position[:, poor])
         _check_velocity(path, layout, time, position, velocity)
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns)
         position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
     if rate is not None:
-        time, position, velocity, effort = _thinned(time, position, velocity, effort, rate)
+        time, position, velocity, effort = _block_means(time, position, velocity, effort, rate)
     outliers = len(series.stamp_ns) - len(kept)
     return JointRecord(layout.names, time, position, velocity, effort, path, digest(path), missing, outliers)
 
@@ -172,7 +84,7 @@ def digest(path: Path | str) -> str:
     return whole.hexdigest()
 
 
-def _wanted(path: Path, series: JointSeries, field: str) -> Array:
+def _required(path: Path, series: JointSeries, field: str) -> Array:
     values: Array | None = getattr(series, field)
     if values is None or np.isnan(values).all():
         raise IdentificationError(f"{path}: {series.topic} carries no {field}; accepted: position and effort")
@@ -207,18 +119,18 @@ def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) 
 
 
 def _missing(time: Array) -> int:
-    """Return how many messages a steady stream would have had besides."""
+    """Return how many messages are missing from a steady stream."""
     steps = np.diff(time)
     if not len(steps):
         return 0
     period = float(np.median(steps))
     in_gaps = float(np.sum(np.maximum(np.rint(steps / period) - 1.0, 0.0)))
-    # Jitter makes gaps without a loss, a median a little off makes losses without a gap.
+    # Jitter makes gaps without a loss; an error of the median period makes losses without a gap.
     return int(min(in_gaps, max(0.0, np.rint((time[-1] - time[0]) / period) - np.count_nonzero(steps))))
 
 
 def _velocity(time: Array, position: Array) -> Array:
-    """Return velocities by a filter without delay, shape (m, k)."""
+    """Return velocities by a zero-phase filter, shape (m, k)."""
     if len(time) < 2 or position.shape[1] == 0:
         return np.zeros_like(position)
     period = float(np.median(np.diff(time)))
@@ -231,7 +143,7 @@ def _velocity(time: Array, position: Array) -> Array:
 
 
 def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array, velocity: Array) -> None:
-    """Refuse velocities that are far from what positions travel over a window, in size or sign."""
+    """Refuse velocities whose integrals over a window differ from the change of position in size or sign."""
     size = max(1, round(_WINDOW * (len(time) - 1) / max(time[-1] - time[0], 1e-9)))
     edges = np.arange(0, len(time), size)
     travelled = cumulative_trapezoid(velocity, time, axis=0, initial=0)
@@ -248,8 +160,8 @@ def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array,
             )
 
 
-def _thinned(time: Array, position: Array, velocity: Array, effort: Array, rate: float) -> tuple[Array, ...]:
-    """Return means over as many samples as leave about `rate`, Hz."""
+def _block_means(time: Array, position: Array, velocity: Array, effort: Array, rate: float) -> tuple[Array, ...]:
+    """Return block means of as many samples as leave about `rate`, Hz."""
     size = round((len(time) - 1) / (time[-1] - time[0]) / rate) if len(time) > 1 else 1
     if size <= 1:
         return time, position, velocity, effort

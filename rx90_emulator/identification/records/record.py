@@ -7,15 +7,40 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from rx90_common.base.errors import IdentificationError
 
 Array = NDArray[np.float64]
 
+_NEIGHBOURS = 5  # samples in the running median
+_OUTLIER = 4.0  # times the 99th percentile of the distances from it
+_SPIKE = 0.02  # and this share of the signal's range
+_ALONE = 0.25  # share of a spike's distance that its neighbours stay below
+
+
+@dataclass(frozen=True)
+class BagSource:
+    """A bag that estimates rest on.
+
+    Attributes:
+        path: the bag.
+        sha256: digest of its storage.
+        duration: time from the first to the last sample, s.
+        missing: messages missing from a steady stream.
+        outliers: messages left out because of a NaN, a spike or a repeated stamp.
+    """
+
+    path: Path
+    sha256: str
+    duration: float
+    missing: int
+    outliers: int
+
 
 @dataclass(frozen=True, eq=False)
 class JointRecord:
-    """Joint-side record of one bag: what the arm did and what the drives gave.
+    """What the arm did and what the drives gave, at the joints, in one bag.
 
     Attributes:
         names: n joints.
@@ -25,7 +50,7 @@ class JointRecord:
         torque: drive torque at the joint, friction not subtracted, Nm, shape (m, n).
         source: the bag.
         sha256: digest of the bag.
-        missing: messages that a steady stream would have had besides.
+        missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
 
     Raises:
@@ -59,6 +84,12 @@ class JointRecord:
                 f"{self.source}: time goes from {self.time[k]:.9f} s to {self.time[k + 1]:.9f} s; accepted: increasing"
             )
 
+    @property
+    def bag(self) -> BagSource:
+        """Return the bag, with the figures of what was read of it."""
+        duration = float(self.time[-1] - self.time[0])
+        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers)
+
     def between(self, start: float, stop: float) -> JointRecord:
         """Return the samples with start <= time < stop, s.
 
@@ -73,3 +104,22 @@ class JointRecord:
             )
         fields = {name: getattr(self, name)[rows] for name in ("time", "position", "velocity", "torque")}
         return replace(self, **fields)
+
+
+def spikes(values: Array) -> NDArray[np.bool_]:
+    """Return which rows of samples hold a spike: far from the running median, while both neighbours are not.
+
+    The start of a motion lies far from the median, too, but not for a single sample.
+
+    Args:
+        values: shape (m, k).
+
+    Returns:
+        Whether any column has one, shape (m,).
+    """
+    distance = np.abs(values - median_filter(values, size=(_NEIGHBOURS, 1), mode="nearest"))
+    usual = np.percentile(distance, 99.0, axis=0)
+    low, high = np.percentile(values, (1.0, 99.0), axis=0)
+    far = distance > _OUTLIER * usual + _SPIKE * (high - low) + 1e-9
+    beside = np.pad(distance, ((1, 1), (0, 0)))
+    return np.asarray((far & (_ALONE * distance > beside[:-2]) & (_ALONE * distance > beside[2:])).any(axis=1))

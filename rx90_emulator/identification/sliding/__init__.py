@@ -1,3 +1,3 @@
-"""Sliding friction from sweeps at constant velocity."""
+"""The sliding regime, tau_c, tau_s, omega_s, delta and c2, from sweeps at constant velocity."""
 
 __all__ = ["fit"]

@@ -9,36 +9,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.estimate import ElementEstimate, Source
+from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.identifiability import element_estimate, natural_covariance, without_stribeck
 from rx90_emulator.identification.sliding.plateaus import Blocks, find_blocks
-from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
-from rx90_emulator.identification.sliding.solver import Solution, predicted, solve
+from rx90_emulator.identification.sliding.rows import sliding_rows
+from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 
 Array = NDArray[np.float64]
 
 LEAST_SPEEDS = 5
-"""Speeds in each direction: seven parameters of an element need more than three, and a doubt."""
-_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that only a Stribeck effect tells
+"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom."""
+_SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
 _LINE_POINTS = 100
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
 
 @dataclass(frozen=True, eq=False)
 class CurvePoints:
-    """Measured against fitted friction torque of one element, one point for each plateau.
+    """Measured against fitted friction torque of one element, one point for each of p plateaus.
 
     Attributes:
         velocity: rad/s, shape (p,).
-        torque: what is left for this element, Nm, shape (p,).
-        deviation: its standard deviation by the noise, Nm, shape (p,).
+        torque: measured torque less the rigid arm's and the other elements', Nm, shape (p,).
+        deviation: standard deviation of its noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
         source: number of the record, shape (p,).
-        line: the identified curve over the speeds that there are, in either direction: velocity, torque and the
-            torque's standard deviation by that of the parameters, shape (3, k).
+        line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
+            deviation of the torque that follows from that of the parameters, shape (3, k).
     """
 
     velocity: Array
@@ -56,9 +56,9 @@ class SlidingFit:
     Attributes:
         estimates: for each element of the arm, in its order; the parameters are those in SLIDING.
         curves: for each element; empty where the element could not be identified.
-        inertial: error of the arm's inertial parameters as far as it shows, to be added to them, shape (10 n,):
+        inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
-        inertial_covariance: of it, what the sweeps say nothing of included, shape (10 n, 10 n).
+        inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
         plateaus: how many stretches of constant velocity were used.
     """
 
@@ -72,8 +72,8 @@ class SlidingFit:
 def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
 
-    An error of the arm's weights, an unknown payload among them, is fitted along, so that it does not end up in
-    the friction. What the data cannot tell is reported as such in the estimates.
+    Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
+    that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
 
     Args:
         records: sweeps at constant velocity, both directions, several speeds.
@@ -81,8 +81,8 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         required: elements that must have sweeps at enough speeds; others may lack them.
 
     Raises:
-        IdentificationError: for other joints than the arm's, no sweep, and too few speeds or only one direction
-            of a required element or of all elements, and torques that drive where friction brakes.
+        IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
+            a required element, or of all elements; and for torques that do not oppose the motion.
     """
     for record in records:
         if record.names != arm.names:
@@ -100,25 +100,28 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
             raise IdentificationError(f"{where}: {name} {lacking[name]}")
     rows = sliding_rows(blocks, arm)
     free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
-    solution = solve(rows, free)
-    _check_signs(records, arm, solution, free)
-    flat = without_stribeck(solution, free)
+    solution = fit_curves(rows, free)
+    _check_signs(records, arm, solution)
+    flat = without_stribeck(solution)
     if flat.any():
+        free = free.copy()
         free[np.ix_(flat, _SHAPED)] = False
-        solution = solve(rows, free)
-    sources = tuple(Source.of(record) for record in records)
+        solution = fit_curves(rows, free)
+    sources = tuple(record.bag for record in records)
     estimates = tuple(
-        element_estimate(rows, solution, free, arm.element_names, e, sources, lacking.get(name))
+        ElementEstimate.unknown(name, SLIDING, lacking[name], sources)
+        if name in lacking
+        else element_estimate(solution, arm.element_names, e, sources)
         for e, name in enumerate(arm.element_names)
     )
-    curves = tuple(_curve(rows, solution, free, e) for e in range(len(arm.element_names)))
-    inertial = rows.directions @ solution.nuisance, _inertial_covariance(rows, solution, arm)
+    curves = tuple(_curve(solution, e) for e in range(len(arm.element_names)))
+    inertial = rows.directions @ solution.nuisance, _inertial_covariance(solution, arm)
     return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)))
 
 
-def _inertial_covariance(rows: SlidingRows, solution: Solution, arm: RigidArm) -> Array:
-    """Return the covariance of the errors of the inertial parameters; along what is not seen, that of the prior."""
-    scale = arm.inertial_scale()
+def _inertial_covariance(solution: SlidingSolution, arm: RigidArm) -> Array:
+    """Return the covariance of the errors of the inertial parameters; that of the prior where nothing is observed."""
+    scale, rows = arm.inertial_scale(), solution.rows
     seen = rows.directions / scale[:, None]
     unseen = np.eye(len(scale)) - seen @ seen.T
     return np.asarray(
@@ -127,7 +130,7 @@ def _inertial_covariance(rows: SlidingRows, solution: Solution, arm: RigidArm) -
 
 
 def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
-    """Return the blocks with elements that move too little marked as not sliding, and why by their names."""
+    """Mark elements with sweeps at too few speeds as not sliding, and return the blocks, and reasons by element."""
     velocity = blocks.velocity @ arm.element_matrix.T
     sliding = blocks.sliding.copy()
     lacking = {}
@@ -149,9 +152,9 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
     return replace(blocks, sliding=sliding), lacking
 
 
-def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: Solution, free: NDArray[np.bool_]) -> None:
-    """Refuse friction that drives: all torques of an element lie at their bound, 0."""
-    none = (solution.at_bound[:, stribeck.LINEAR] & free[:, stribeck.LINEAR]).all(axis=1)
+def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: SlidingSolution) -> None:
+    """Refuse torques that do not oppose the motion: all torques of an element lie at their bound, 0."""
+    none = (solution.at_bound[:, stribeck.LINEAR] & solution.free[:, stribeck.LINEAR]).all(axis=1)
     for e in np.flatnonzero(none).tolist():
         where = ", ".join(str(record.source) for record in records)
         raise IdentificationError(
@@ -161,7 +164,7 @@ def _check_signs(records: Sequence[JointRecord], arm: RigidArm, solution: Soluti
 
 
 def _speeds(speed: Array) -> int:
-    """Return how many speeds there are that differ."""
+    """Return how many distinct speeds there are."""
     count, least = 0, 0.0
     for value in np.sort(speed):
         if value > least:
@@ -169,12 +172,13 @@ def _speeds(speed: Array) -> int:
     return count
 
 
-def _curve(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int) -> CurvePoints:
-    """Take everything but one element off the equations, plateau by plateau."""
+def _curve(solution: SlidingSolution, element: int) -> CurvePoints:
+    """Subtract everything but one element from the equations, and average over each plateau."""
+    rows = solution.rows
     gain = rows.gain[:, element]
     mine = np.flatnonzero(gain)
     own = stribeck.torque(rows.velocity[mine, element], solution.parameters[element])
-    left = (rows.value - predicted(rows, solution.parameters, solution.nuisance))[mine] + gain[mine] * own
+    left = (rows.value - predicted(solution))[mine] + gain[mine] * own
     plateau, number = np.unique(rows.plateau[mine], return_inverse=True)
     power = np.bincount(number, gain[mine] ** 2, len(plateau))
     velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
@@ -186,21 +190,21 @@ def _curve(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], eleme
         deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
         source=source,
-        line=_line(rows, solution, free, element, velocity),
+        line=_line(solution, element, velocity),
     )
 
 
-def _line(rows: SlidingRows, solution: Solution, free: NDArray[np.bool_], element: int, measured: Array) -> Array:
-    """Return velocity, torque and deviation of the identified curve, shape (3, k)."""
+def _line(solution: SlidingSolution, element: int, measured: Array) -> Array:
+    """Return velocity, torque and standard deviation of the identified curve, shape (3, k)."""
     if len(measured) == 0:
         return np.zeros((3, 0))
     parts = [sign * measured[sign * measured > 0.0] for sign in (-1.0, 1.0)]
     grids = [np.geomspace(speed.min(), speed.max(), _LINE_POINTS) for speed in parts if len(speed)]
     velocity = np.sort(np.concatenate([sign * grid for sign, grid in zip((-1.0, 1.0), grids, strict=True)]))
     parameters = solution.parameters[element]
-    covariance = natural_covariance(rows, solution, free, element)
+    covariance = natural_covariance(solution, element)
     slope = np.linalg.solve(
-        stribeck.natural_jacobian(parameters).T, stribeck.jacobian(velocity, parameters).T
+        stribeck.natural_jacobian(parameters).T, stribeck.torque_jacobian(velocity, parameters).T
     ).T  # by the parameters in SLIDING
     deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, covariance, slope))
     return np.stack([velocity, stribeck.torque(velocity, parameters), deviation])

@@ -1,8 +1,8 @@
 """The sliding equations, reduced to the friction torques of the plateaus.
 
-An element has one velocity in a plateau, hence one torque. With these torques f as unknowns the equations are
-linear, f and the errors p of the arm's weights in them; eliminating p leaves a quadratic form in f that says all
-the data say about friction. It is small, so the non-linear fit of the curves costs nothing.
+An element has one velocity in a plateau, hence one torque. The equations are linear in these torques f and in the
+nuisance parameters p, the errors of the arm's inertial parameters. Eliminating p leaves a quadratic form in f, the
+normal equations, which is sufficient for the friction. It is small, so the non-linear fit of the curves costs nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rx90_emulator.identification.sliding.weights import Weights
 
 Array = NDArray[np.float64]
 
-_RANK = 1e-13  # of the largest eigenvalue, below which the equations say nothing
+_RANK = 1e-13  # of the largest eigenvalue: smaller ones count as 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class PlateauTorques:
     Attributes:
         element: shape (c,).
         velocity: rad/s, shape (c,).
-        column: torque that acts in a row through each element, or -1, shape (r, n_el).
+        column: number of the torque by which each element enters a row, or -1, shape (r, n_el).
     """
 
     element: NDArray[np.int64]
@@ -72,13 +72,13 @@ class NormalForm:
 
     @classmethod
     def of(cls, rows: SlidingRows, design: csr_array, weights: Weights) -> NormalForm:
-        """Eliminate the nuisance parameters, known to be 0 with a deviation of 1."""
+        """Eliminate the nuisance parameters, whose prior is 0 with a standard deviation of 1."""
         operator = weights.operator()
         value = operator @ rows.value[:, None]
         friction = operator @ design
         nuisance = operator @ rows.nuisance
-        # By an orthogonal basis: the normal equations of parameters that are known as badly as these, and tell as
-        # much, lose all their digits.
+        # By an orthogonal basis (QR): normal equations in nuisance parameters as badly scaled as these would lose all
+        # digits.
         basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
         basis = basis[: len(value)]
         along = np.hstack([basis.T @ value, basis.T @ friction])

@@ -1,4 +1,4 @@
-"""Find the stretches of a record in which every joint keeps its velocity, and average the torque over them."""
+"""Find plateaus, stretches of a record in which every joint keeps its velocity, and take block means of them."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 _BIN = 0.02  # s, over which velocities are compared
 _RELATIVE = 0.02  # change of velocity that ends a plateau
 _NOISE = 6.0  # or this many standard deviations of a bin's velocity
-_AT_REST = 0.01  # or this part of the fastest joint's velocity: joints at rest are shaken by those that move
+_AT_REST = 0.01  # or this part of the fastest joint's velocity: moving joints shake those at rest
 _END = 3  # bins at the end of a plateau in which the next change of velocity may have begun
 _SETTLE_TIME = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
-_SETTLE_SHARE = 0.5  # of a plateau that the bristles may take to settle; beyond, the element does not slide
+_SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
 _LONGEST_BLOCK = 0.25  # s
-_LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is as good as linear in it
+_LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
 _SHORTEST_BLOCK = 8  # samples
 _OUTLIER = 5.0  # standard deviations from a block's median
 
@@ -33,12 +33,12 @@ SETTLE_DISTANCE = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means over short blocks of plateaus; b blocks of n joints with n_el friction elements.
+    """Block means of plateaus: b blocks of n joints with n_el friction elements.
 
     Attributes:
         position: rad, shape (b, n).
-        velocity: rad/s, of the straight line through the plateau's velocity, shape (b, n).
-        acceleration: rad/s^2, the slope of that line, shape (b, n).
+        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (b, n).
+        acceleration: slope of that line, rad/s^2, shape (b, n).
         torque: drive torque, Nm, shape (b, n).
         count: samples in each mean, shape (b,).
         sliding: whether an element slides steadily, shape (b, n_el).
@@ -62,7 +62,7 @@ class Blocks:
 
 
 def find_blocks(records: Sequence[JointRecord], elements: Array) -> Blocks:
-    """Cut records into plateaus and these into blocks.
+    """Cut records into plateaus, and these into blocks.
 
     Args:
         records: of the same joints.
@@ -88,7 +88,7 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> Blocks:
 
 
 def plateau_ranges(record: JointRecord) -> list[tuple[int, int]]:
-    """Return first and last-but-one sample of each stretch in which every joint keeps its velocity."""
+    """Return the range of samples, the end excluded, of each stretch in which every joint keeps its velocity."""
     if len(record.time) < 2:
         return []
     period = float(np.median(np.diff(record.time)))
@@ -105,7 +105,7 @@ def plateau_ranges(record: JointRecord) -> list[tuple[int, int]]:
     number = np.empty(bins, dtype=np.int64)
     _number_plateaus(velocity, tolerance, gap, _RELATIVE, _AT_REST, number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
-    # The first bin and the last ones may hold a part of the change of velocity.
+    # The first bin and the last ones may hold a part of a change of velocity.
     cut = [(int(start + 1), int(stop - _END)) for start, stop in pairwise(edges)]
     return [(start * size, stop * size) for start, stop in cut if stop - start > 1]
 
@@ -147,7 +147,7 @@ def _plateau_blocks(record: JointRecord, elements: Array, rows: slice, plateau: 
     time = record.time[rows]
     duration = float(time[-1] - time[0])
     position = record.position[rows]
-    # The travel tells the velocity better than the mean of what the drive measured at each instant.
+    # Travel over time is more precise than the mean of the drive's velocities.
     speed = np.abs(elements @ ((position[-1] - position[0]) / duration))
     with np.errstate(divide="ignore"):
         settling = SETTLE_DISTANCE / speed
@@ -203,7 +203,7 @@ def _robust_mean(samples: Array) -> tuple[Array, Array]:
 
 
 def _clipped_covariance(steps: Array) -> Array:
-    """Return the second moment of the rows, shape (n, n), without rows that outliers spoil."""
+    """Return the second moment of the rows, shape (n, n), without rows that hold an outlier."""
     spread = 1.4826 * np.median(np.abs(steps), axis=0)
     good = (np.abs(steps) <= _OUTLIER * spread + 1e-12).all(axis=1)
     rows = steps[good] if good.any() else steps

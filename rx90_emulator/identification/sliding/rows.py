@@ -1,10 +1,10 @@
-"""The equations of the sliding fit: what each block of a plateau says about friction and about the arm's weights.
+"""The observation equations of the sliding fit: friction and inertial errors in each block of a plateau.
 
 A block gives, joint by joint, drive torque - rigid torque = E^T f + Y p with the friction torques f of the
 elements and errors p of the inertial parameters (an unknown payload, a wrong mass). The torque of an element that
 sticks is unknown, so only combinations of joints are kept in which no such element acts: the columns of N with
-E_stuck N = 0. With joints 5 and 6 turning against each other, element 7 sticks, and what is left is the difference
-of the two torques.
+E_stuck N = 0. With joints 5 and 6 turning against each other, element 7 sticks, and the one combination left for it
+is the difference of the two torques.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.plateaus import Blocks
 
 Array = NDArray[np.float64]
 
-_SEEN = 1e-2  # effect, in deviations of the whole data, below which an error of the arm's weights does not matter
+_OBSERVABLE = 1e-2  # effect of an inertial error on all data together, in standard deviations of the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +31,10 @@ class SlidingRows:
         value: shape (r,).
         gain: of the elements' torques, 1/Nm, shape (r, n_el).
         velocity: of the elements, mean of the plateau, rad/s, shape (r, n_el).
-        nuisance: by k directions of the inertial parameters that show in the data; each is known to be 0 with
-            a deviation of 1, shape (r, k).
+        nuisance: coefficients of errors along k observable directions of the inertial parameters, shape (r, k); the
+            prior of each error is 0 with a standard deviation of 1.
         directions: these directions, in SI units, shape (10 n, k).
-        scale: by which the equation in Nm was multiplied, but for the joint's noise, shape (r,): blocks of many
-            samples count more.
+        scale: square root of the number of samples in the row's block mean, shape (r,).
         group: joint whose noise the row has, shape (r,).
         plateau: shape (r,).
         source: number of the record, shape (r,).
@@ -55,13 +54,13 @@ class SlidingRows:
         return len(self.value)
 
     def clusters(self) -> NDArray[np.int64]:
-        """Return a number for each pair of plateau and group, shape (r,)."""
+        """Return the number of each row's pair of plateau and group, shape (r,)."""
         pairs = np.column_stack([self.plateau, self.group])
         return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].ravel(), dtype=np.int64)
 
 
 def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
-    """Write the equations of all blocks."""
+    """Return the observation equations of all blocks, whitened by the covariance of the torques' noise."""
     motion = blocks.position, blocks.velocity, blocks.acceleration
     friction = blocks.torque - arm.torque(*motion)
     regressor = arm.regressor(*motion) * arm.inertial_scale()
@@ -72,7 +71,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
     noise = blocks.noise + np.diag(floor)
     parts = []
     for pattern in np.unique(blocks.sliding, axis=0):
-        combination = _without(elements[~pattern])
+        combination = _unloaded(elements[~pattern])
         if combination.shape[1] == 0:
             continue
         rows = np.flatnonzero((blocks.sliding == pattern).all(axis=1))
@@ -96,7 +95,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
             )
         )
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(SlidingRows)}
-    directions = _seen(joined["nuisance"])
+    directions = _observable(joined["nuisance"])
     joined["nuisance"] = joined["nuisance"] @ directions
     joined["directions"] = arm.inertial_scale()[:, None] * directions
     return SlidingRows(**joined)
@@ -109,8 +108,12 @@ def _plateau_means(values: Array, plateau: NDArray[np.int64]) -> Array:
     return np.asarray((total / np.maximum(count, 1)[:, None])[plateau])
 
 
-def _without(stuck: Array) -> Array:
-    """Return combinations of joints, shape (n, k), on which no torque of the stuck elements acts, most of them 0."""
+def _unloaded(stuck: Array) -> Array:
+    """Return a sparse basis of the joint torques on which no stuck element acts, shape (n, k).
+
+    Args:
+        stuck: rows of E of the elements that stick, shape (s, n).
+    """
     n = stuck.shape[1]
     if len(stuck) == 0:
         return np.eye(n)
@@ -123,7 +126,7 @@ def _without(stuck: Array) -> Array:
     return combination
 
 
-def _seen(nuisance: Array) -> Array:
-    """Return the directions of the nuisance parameters that show in the data, shape (10 n, k)."""
+def _observable(nuisance: Array) -> Array:
+    """Return the directions of the inertial parameters that the equations observe, shape (10 n, k)."""
     _, values, directions = np.linalg.svd(nuisance.T @ nuisance)
-    return np.asarray(directions[np.sqrt(values) > _SEEN].T)
+    return np.asarray(directions[np.sqrt(values) > _OBSERVABLE].T)

@@ -1,4 +1,4 @@
-"""The non-linear least-squares fit of all elements' curves: multi-start, bounds, weights, covariance."""
+"""The non-linear least-squares fit of all elements' curves: several starts, bounds, reweighting, covariance."""
 
 from __future__ import annotations
 
@@ -11,34 +11,38 @@ from scipy.optimize import least_squares, lsq_linear
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
 from rx90_emulator.identification.sliding.rows import SlidingRows
-from rx90_emulator.identification.sliding.weights import Weights, shared_by_speed
+from rx90_emulator.identification.sliding.weights import Weights, speed_design_effect
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 4  # of fit and weights
+_ROUNDS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)
 _STARTS = ((0.3, 1.0), (0.1, 1.0), (0.03, 1.0), (0.1, 2.0), (0.3, 2.0))
-"""omega_s, in parts of the range of speeds on a logarithmic scale from the slowest, and delta."""
+"""Starts: omega_s as the squared share of the range of ln omega_s from its lower bound, and delta."""
 _AT_BOUND = 1e-3  # Nm, or of a logarithm
-_TIE = 10.0  # weight of an equation that holds exactly, in those of the data
+_TIE = 10.0  # weight of an exact equation over that of the data
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """What the solver found.
+class SlidingSolution:
+    """The curves of all elements that fit the equations best.
 
     Attributes:
-        parameters: of the elements, shape (n_el, 7), as rx90_emulator.identification.sliding.stribeck writes them.
-        nuisance: shape (k,).
+        rows: the equations.
+        free: parameters that were fitted, shape (n_el, 7).
+        parameters: of the elements, shape (n_el, 7), in the order of `stribeck`.
+        nuisance: errors of the arm's weights along the directions of `rows`, shape (k,).
         nuisance_covariance: shape (k, k).
         covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
-        at_bound: parameters that lie on a bound, shape (n_el, 7).
-        noise: standard deviation of each row relative to what its scale says, shape (r,).
-        common: share of the variance of a plateau's mean that the whole plateau has in common, shape (r,).
-        shared: factor on the variance for what plateaus at one speed have in common, shape (r,).
+        at_bound: free parameters that lie on a bound, shape (n_el, 7).
+        noise: standard deviation of each row over the one that it was scaled by, shape (r,).
+        common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
+        design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
     """
 
+    rows: SlidingRows
+    free: Mask
     parameters: Array
     nuisance: Array
     nuisance_covariance: Array
@@ -46,11 +50,11 @@ class Solution:
     at_bound: Mask
     noise: Array
     common: Array
-    shared: Array
+    design_effect: Array
 
 
-def solve(rows: SlidingRows, free: Mask) -> Solution:
-    """Fit all elements together.
+def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
+    """Fit all elements together, in turn with the weights of the equations.
 
     Args:
         rows: the equations.
@@ -58,7 +62,7 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
     """
     torques = PlateauTorques.of(rows)
     design = torques.design(rows)
-    fit = _Fit(torques, free, len(rows.directions) // 10)
+    fit = _CurveFit(torques, free, len(rows.directions) // 10)
     weights = Weights.equal(rows)
     form = NormalForm.of(rows, design, weights)
     parameters = fit.from_many_starts(form)
@@ -74,19 +78,29 @@ def solve(rows: SlidingRows, free: Mask) -> Solution:
     at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
     friction = fit.torques(parameters)
     nuisance = form.nuisance(friction)
-    shared = shared_by_speed(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
+    design_effect = speed_design_effect(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
     common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
     chosen = np.flatnonzero(free)
     nuisance_covariance = form.nuisance_covariance(fit.slope(parameters), covariance[np.ix_(chosen, chosen)])
-    return Solution(
-        parameters, nuisance, nuisance_covariance, covariance, at_bound, 1.0 / weights.factor, common, shared
+    return SlidingSolution(
+        rows=rows,
+        free=free,
+        parameters=parameters,
+        nuisance=nuisance,
+        nuisance_covariance=nuisance_covariance,
+        covariance=covariance,
+        at_bound=at_bound,
+        noise=1.0 / weights.factor,
+        common=common,
+        design_effect=design_effect,
     )
 
 
-def predicted(rows: SlidingRows, parameters: Array, nuisance: Array) -> Array:
-    """Return the values that the parameters predict, shape (r,)."""
-    total = rows.nuisance @ nuisance
-    for e, values in enumerate(parameters):
+def predicted(solution: SlidingSolution) -> Array:
+    """Return the left sides of the equations that a solution predicts, shape (r,)."""
+    rows = solution.rows
+    total = rows.nuisance @ solution.nuisance
+    for e, values in enumerate(solution.parameters):
         total = total + rows.gain[:, e] * stribeck.torque(rows.velocity[:, e], values)
     return np.asarray(total)
 
@@ -101,8 +115,8 @@ def _leverage(slope: Array, nuisance: Array) -> Array:
     return np.asarray(np.sum(left[: len(slope), values > 1e-10 * values[0]] ** 2, axis=1))
 
 
-class _Fit:
-    """The curves of all elements against the friction torques of the plateaus."""
+class _CurveFit:
+    """The non-linear least-squares fit of all elements' curves to the friction torques of the plateaus."""
 
     def __init__(self, torques: PlateauTorques, free: Mask, joints: int) -> None:
         self._velocity = torques.velocity
@@ -123,7 +137,7 @@ class _Fit:
         parts = []
         for columns, values, free in zip(self._columns, parameters, self._free, strict=True):
             part = np.zeros((len(self._velocity), int(free.sum())))
-            part[columns] = stribeck.jacobian(self._velocity[columns], values)[:, free]
+            part[columns] = stribeck.torque_jacobian(self._velocity[columns], values)[:, free]
             parts.append(part)
         return np.hstack(parts)
 
@@ -137,7 +151,7 @@ class _Fit:
         return self._run(form, parameters)[0]
 
     def covariance(self, form: NormalForm, parameters: Array) -> Array:
-        """Return the covariance, shape (7 n_el, 7 n_el); huge where the equations say nothing, 0 where fixed."""
+        """Return the covariance, shape (7 n_el, 7 n_el); huge for what is not identifiable, 0 for what is fixed."""
         jacobian = np.vstack([self._jacobian(form, parameters), self._ties(form)])
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0.0] = 1.0
@@ -170,7 +184,7 @@ class _Fit:
         return filled(result.x), float(result.cost)
 
     def _start(self, form: NormalForm, place: float, delta: float) -> Array:
-        """Return the linear parameters that go best with one guess of omega_s and delta for all elements."""
+        """Return the start with one guess of omega_s and delta for all elements, and the best linear parameters."""
         start = np.zeros(self._free.shape)
         start[:, 5] = self.lower[:, 5] + place**0.5 * (self.upper[:, 5] - self.lower[:, 5])
         start[:, 6] = np.log(delta)
@@ -197,10 +211,10 @@ class _Fit:
         return lower, upper
 
     def _ties(self, form: NormalForm) -> Array:
-        """Return equations that tie tau_c+ to tau_c- of the elements beyond the joints.
+        """Return equations tau_c+ = tau_c- for the elements beyond the joints, shape (n_el - n or less, p).
 
-        The difference of the two is a constant torque. What constants k of the elements do to the joints is E^T k,
-        whatever sticks or slides, so n_el - n of them cannot be told by any motion.
+        The difference of the two is a constant torque. Constants k of the elements act on the joints as E^T k, whatever
+        sticks or slides, so n_el - n of them are not identifiable by any motion.
         """
         column = np.cumsum(self._free.ravel()).reshape(self._free.shape) - 1
         coupled = [e for e in range(self._joints, len(self._free)) if self._free[e, 0]]

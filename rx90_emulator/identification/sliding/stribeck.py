@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_emulator.identification.estimate import SLIDING
+from rx90_emulator.identification.model.estimates import SLIDING
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def torque(velocity: Array, parameters: Array) -> Array:
     return np.asarray(basis(velocity, parameters[SHAPE]) @ parameters[LINEAR])
 
 
-def jacobian(velocity: Array, parameters: Array) -> Array:
+def torque_jacobian(velocity: Array, parameters: Array) -> Array:
     """Return the derivatives of the torque by all parameters, shape (m, 7)."""
     decay, ratio = _decay(velocity, parameters[SHAPE])
     rise = np.where(velocity > 0.0, parameters[2], np.where(velocity < 0.0, -parameters[3], 0.0))
@@ -47,7 +47,7 @@ def jacobian(velocity: Array, parameters: Array) -> Array:
 
 
 def _decay(velocity: Array, shape: Array) -> tuple[Array, Array]:
-    """Return exp(-x) and x = (|v| / omega_s)^delta."""
+    """Return exp(-x) and x = (|v| / omega_s)^delta, each shape (m,)."""
     ratio = np.minimum((np.abs(velocity) / np.exp(shape[0])) ** np.exp(shape[1]), 700.0)
     return np.exp(-ratio), ratio
 

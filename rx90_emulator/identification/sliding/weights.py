@@ -1,4 +1,4 @@
-"""How much each equation of the sliding fit counts: noise, what a plateau has in common, outliers."""
+"""Weights of the equations of the sliding fit: noise, random effects of plateaus, outliers (Huber)."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from rx90_emulator.identification.sliding.rows import SlidingRows
 
 Array = NDArray[np.float64]
 
-_HUBER = 3.0  # deviations from which a residual counts linearly
-_SAME_SPEED = 0.1  # of the logarithms of speeds that count as one
-_LEAST_LEFT = 0.05  # of a plateau's variance, however much the fit follows it
+_HUBER = 3.0  # standard deviations from which a residual counts linearly
+_SAME_SPEED = 0.1  # width of the classes of ln |speed| that count as one speed
+_LEAST_REST = 0.05  # lower bound of 1 - leverage of a plateau's mean
 
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """What turns the equations into ones of unit noise.
+    """A transformation of the equations to unit noise (random effects, quasi-demeaning).
 
-    Besides noise from block to block, a plateau as a whole may be off (ripple, temperature, an arm that is not
+    Besides noise from block to block, all blocks of a plateau share an error (ripple, temperature, an arm that is not
     quite rigid). With variances s^2 of a block and t^2 of a plateau of m blocks, the equations less the share
-    1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise (random effects). In the equations as
-    they are scaled, t^2 grows with the samples in a block.
+    1 - s / sqrt(s^2 + m t^2) of their plateau's mean, over s, have unit noise. As the equations are scaled, t^2 grows
+    with the samples in a block.
 
     Attributes:
-        cluster: number of plateau and group of each row, shape (r,).
-        share: of its mean that each cluster loses, shape (c,).
-        factor: of each row, shape (r,).
+        cluster: number of plateau and group of each row, shape (r,); c clusters.
+        share: of its mean that is subtracted from each cluster, shape (c,).
+        factor: of each row, 1 / s and Huber's weight, shape (r,).
     """
 
     cluster: NDArray[np.int64]
@@ -38,27 +38,26 @@ class Weights:
 
     @classmethod
     def equal(cls, rows: SlidingRows) -> Weights:
-        """Return the weights of rows that have unit noise already."""
+        """Return the weights of rows that have unit noise."""
         cluster = rows.clusters()
         return cls(cluster, np.zeros(cluster.max() + 1), np.ones(len(rows)))
 
     @classmethod
     def of(cls, rows: SlidingRows, residual: Array, leverage: Array) -> Weights:
-        """Return the weights that the residuals of a fit call for.
+        """Return the weights by the variance components of a fit's residuals.
 
         Args:
             rows: the equations.
             residual: shape (r,).
-            leverage: share of each cluster's mean that the fit follows, shape (c,).
+            leverage: of each cluster's mean, shape (c,).
         """
         cluster = rows.clusters()
         count = np.bincount(cluster)
         mean = np.bincount(cluster, residual) / count
-        # What a plateau has in common is a torque, and the equations of long blocks are scaled up.
+        # The shared error of a plateau is a torque, and the equations of long blocks are scaled up.
         power = np.bincount(cluster, rows.scale**2)
         inner = residual - mean[cluster]
-        # A block's distance from the mean of its plateau is a little less than from the truth; a plateau of one block
-        # shows none, and says nothing of what blocks differ by.
+        # Bessel's correction; a plateau of one block has no distance from its mean, and is left out.
         several = count[cluster] > 1
         apart = inner / np.sqrt(1.0 - 1.0 / np.where(several, count[cluster], np.inf))
         group = rows.group[np.unique(cluster, return_index=True)[1]]
@@ -66,10 +65,10 @@ class Weights:
         for g in np.unique(group):
             inside, mine = rows.group == g, group == g
             known = apart[inside & several]
-            # Without such plateaus the samples alone say what noise a block has, by which the equations are scaled.
+            # Without such plateaus the noise is that of the samples, by which the equations are scaled.
             noise = max(_spread(known), 1e-9) if len(known) else 1.0
-            # The mean square of what the fit has left of the means is (1 - leverage) (s^2 / m + t^2).
-            left = np.maximum(_LEAST_LEFT, 1.0 - leverage[mine])
+            # The mean square of the residuals' means is (1 - leverage) (s^2 / m + t^2).
+            left = np.maximum(_LEAST_REST, 1.0 - leverage[mine])
             excess = np.sum(count[mine] * mean[mine] ** 2) - noise**2 * np.sum(left)
             common = max(0.0, float(excess / np.sum(power[mine] * left)))
             share[mine] = 1.0 - noise / np.sqrt(noise**2 + power[mine] * common)
@@ -78,14 +77,14 @@ class Weights:
         return cls(cluster, share, factor)
 
     def means(self, values: Array | csr_array) -> Array:
-        """Return the clusters' means of columns, scaled to unit noise, shape (c, k)."""
+        """Return the clusters' means of columns, shape (r, k), scaled to unit noise, shape (c, k)."""
         rows = len(self.cluster)
         count = np.bincount(self.cluster)
         members = csr_array((self.factor, (self.cluster, np.arange(rows))), shape=(len(count), rows))
         return np.asarray(((1.0 - self.share) / np.sqrt(count))[:, None] * (members @ values))
 
     def operator(self) -> csr_array:
-        """Return the matrix that turns the equations into ones of unit noise, shape (r, r)."""
+        """Return the matrix of the transformation, shape (r, r)."""
         rows = len(self.cluster)
         count = np.bincount(self.cluster)
         members = csr_array((np.ones(rows), (self.cluster, np.arange(rows))), shape=(len(count), rows))
@@ -93,12 +92,12 @@ class Weights:
         return csr_array(diags_array(self.factor) @ less)
 
 
-def shared_by_speed(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
-    """Return by how much the errors of plateaus at one speed, whatever pose and direction, add to the variance.
+def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
+    """Return Kish's design effect of plateaus at one speed, whatever their pose and direction.
 
-    Ripple depends on the speed and turns its sign with it, so plateaus at one speed do not err apart. The variance of
-    a sum of m of them is that of independent ones times sum((sum s)^2) / sum(s^2), with the residuals s along the
-    motion; the outer sums go over the speeds (Kish's design effect).
+    Ripple depends on the speed and changes its sign with it, so the errors of plateaus at one speed are correlated. The
+    variance of an estimate is that with independent plateaus, times the sum of S^2 over the speeds over the sum of s^2
+    over the plateaus, with the residual s of a plateau along its motion, and the sum S of s at one speed.
 
     Args:
         rows: the equations.
@@ -126,8 +125,8 @@ def shared_by_speed(rows: SlidingRows, weights: Weights, residual: Array) -> Arr
 
 
 def _spread(values: Array) -> float:
-    """Return the standard deviation about 0, blind to a few outliers."""
+    """Return the standard deviation about 0 without outliers, which are found by the median absolute deviation."""
     robust = 1.4826 * float(np.median(np.abs(values)))
     good = np.abs(values) <= _HUBER * robust
-    # Of a normal distribution cut at 3 deviations 0.9867 of the deviation is left.
+    # A normal distribution truncated at 3 standard deviations keeps 0.9867 of its standard deviation.
     return float(np.sqrt(np.mean(values[good] ** 2))) / 0.9867 if robust > 0.0 else 0.0

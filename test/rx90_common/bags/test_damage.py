@@ -104,7 +104,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         truncate(0.99),
         "bag.mcap is cut off (its recorder was killed?): 30 messages up to t = 0.029000 s are whole",
     ),
-    "storage cut early": (truncate(0.5), "cut off before its first whole chunk: nothing can be saved"),
+    "storage cut early": (truncate(0.5), "cut off before its first whole chunk: nothing can be recovered"),
 }
 
 

@@ -57,10 +57,10 @@ def test_messages_without_stamp_get_the_newest() -> None:
 
 
 def test_wall_clock_where_no_topic_gives_the_time() -> None:
-    """Without a topic that gives the time, log time is that of reception, also when told so late or never."""
-    for told in (True, False):
+    """Without a topic that gives the time, log time is that of reception, also when that is known late or never."""
+    for known in (True, False):
         order = LogOrder()
-        if told:
+        if known:
             order.expect_no_clock()
         released = run(order, [(0, TimeSource.NEWEST, bytes([i])) for i in range(5)])
         assert [e.log_ns for e in released] == [10**18 + i for i in range(5)]
@@ -103,7 +103,7 @@ def test_messages_are_dated_by_their_stamps(stamp: int, order: Literal["little",
         assert [e.log_ns for e in dated.release_all()] == [expected]
 
 
-def test_a_reset_is_told_and_keeps_the_runs_apart() -> None:
+def test_a_reset_is_reported_and_keeps_the_runs_apart() -> None:
     """Stamps that go back, in one topic after the other, leave both runs whole and one behind the other."""
     order = LogOrder()
     runs = [*range(0, 300, 10)], [*range(0, 200, 10)]

@@ -187,7 +187,7 @@ def test_a_loss_is_counted_and_fails(tmp_path: Path, start: Start) -> None:
     assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == received
 
 
-def test_what_is_missing_is_said_once(tmp_path: Path, start: Start) -> None:
+def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start) -> None:
     """A recorder names the topics it waits for, in its namespace, and records the others until SIGTERM."""
     publisher = start_publisher(start)
     recorder = start_recorder(start, tmp_path / "bag", "/joint_states", "elbow", "--ros-args", "-r", "__ns:=/cell")
@@ -272,9 +272,9 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
 
 CRAMPED = """
 import resource, sys
-from rx90_emulator.cli.bag import main
+from rx90_emulator.cli.frame import run
 resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, resource.RLIM_INFINITY))
-sys.exit(main(sys.argv[1:]))
+sys.exit(run('rx90_bag', sys.argv[1:]))
 """
 
 
@@ -308,8 +308,8 @@ def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:
     os.close(controller)
 
 
-def test_a_recorder_that_did_not_run_for_long_says_so_and_fails(tmp_path: Path, start: Start) -> None:
-    """After a stop beyond the lease, in which nobody sent, nothing is known to be lost: that is told, and it fails."""
+def test_a_recorder_that_did_not_run_for_long_reports_it_and_fails(tmp_path: Path, start: Start) -> None:
+    """After a stop beyond the lease, in which nobody sent, the loss is not known: that is reported, and it fails."""
     publisher = start_publisher(start, depth=1)
     recorder = start_recorder(start, tmp_path / "bag", "motor_states")
     recorder.wait_for("ready: all 1 topics")

@@ -170,7 +170,7 @@ def test_the_range_stands_in_the_message_as_in_the_table() -> None:
             assert parameter.accepted.endswith("number >= 0")
             parameter.check("x", 0.0)
         parameter.check("x", 5e-324)
-        if parameter.optional:
+        if parameter.default == math.inf:
             parameter.check("x", math.inf)
         else:
             with pytest.raises(ConfigError, match="x is inf; accepted: a finite number"):
@@ -180,7 +180,11 @@ def test_the_range_stands_in_the_message_as_in_the_table() -> None:
 def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles) -> None:
     """Table, attributes, their description and the head of the shipped file name the same parameters and units."""
     attributes = [name for parameter in FRICTION_PARAMETERS for name in parameter.attributes]
-    assert [field.name for field in dataclasses.fields(LuGreElement)] == attributes
+    fields = {field.name: field.default for field in dataclasses.fields(LuGreElement)}
+    assert list(fields) == attributes
+    for parameter in FRICTION_PARAMETERS:
+        default = dataclasses.MISSING if parameter.default is None else parameter.default
+        assert [fields[name] for name in parameter.attributes] == [default] * len(parameter.attributes)
     for parameter in FRICTION_PARAMETERS:
         assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(LuGreElement.__doc__)
         assert f"{parameter.meaning}, {parameter.unit}" in str(LuGreElement.__doc__)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import signal
 import time
+from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
+from types import ModuleType
 
 import pytest
 
@@ -46,20 +49,37 @@ class _Interrupted:
         signal.raise_signal(signal.SIGINT)
 
 
-def _interrupted_destructor() -> None:
+class _Extension(ExtensionFileLoader):
+    def exec_module(self, _module: ModuleType) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:  # as numpy's own extension does
+            raise ImportError from None
+
+
+def _destruct() -> None:
     thing = _Interrupted()
     del thing
-    deadline = time.monotonic() + 30.0
-    while time.monotonic() < deadline:
-        time.sleep(0.01)
 
 
-def test_an_interrupt_in_a_destructor_is_not_lost() -> None:
-    """Python swallows exceptions of destructors; the interrupt is raised in the code that follows."""
+def _load_extension() -> None:
+    _Extension("name", "path").exec_module(ModuleType("name"))
+
+
+@pytest.mark.parametrize("interrupted", [_destruct, _load_extension])
+def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[[], None]) -> None:
+    """Exceptions of destructors are swallowed, those of extensions changed; the interrupt is raised in what follows."""
     before = signal.getsignal(signal.SIGINT)
     raise_where_heard()
+
+    def wait() -> None:
+        interrupted()
+        deadline = time.monotonic() + 30.0
+        while time.monotonic() < deadline:
+            time.sleep(0.01)
+
     try:
         with pytest.raises(KeyboardInterrupt):
-            _interrupted_destructor()
+            wait()
     finally:
         signal.signal(signal.SIGINT, before)

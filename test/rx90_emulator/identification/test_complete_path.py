@@ -15,13 +15,15 @@ import pytest
 from processes import Processes, wait_until
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO
+from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
+from rx90_emulator.identification.identify import identify_friction
+from rx90_emulator.identification.job import write_identification
 from rx90_emulator.loop.setup import Setup
 
 
@@ -38,6 +40,20 @@ def test_bags_become_a_friction_file_that_loads(identified: tuple[Path, str], sh
     assert "sha256" in text
     assert "provenance: assumed" in text  # the other joints did not move
     assert "<svg" in output.with_suffix(".html").read_text(encoding="utf-8")
+
+
+def test_python_identifies_and_writes_what_the_command_does(
+    series: Path, identified: tuple[Path, str], tmp_path: Path
+) -> None:
+    """`identify_friction` gives the elements that the command wrote, and the same file but for its date."""
+    result = identify_friction(str(series))
+    output, _ = write_identification(result, tmp_path / "friction.yaml")
+    assert result.confirmed
+    assert [use for use, _ in result.bags] == ["sliding", "presliding", "validation"]
+    texts = [re.sub(r"20\d\d-[-+:T\d]+", "", file.read_text(encoding="utf-8")) for file in (output, identified[0])]
+    assert texts[0] == texts[1]
+    with pytest.raises(IdentificationError, match="exists; accepted: another name"):
+        write_identification(result, output)
 
 
 def test_the_sweeps_of_one_joint_leave_the_weights_of_the_others_alone(identified: tuple[Path, str]) -> None:
@@ -113,16 +129,16 @@ from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.loop.setup import Setup
 setup, fourth = Setup.load(), np.eye(6)[3]
 robot = setup.robot
-slide, bend = Motion(np.zeros(6)), Motion(np.zeros(6))
+slide, cycle = Motion(np.zeros(6)), Motion(np.zeros(6))
 for speed in np.geomspace(0.041, 1.63, 5):
     slide.sweep(fourth, speed, 0.5, 6.0)
     slide.sweep(fourth, -speed, 0.5, 6.0)
-bend.sweep(fourth, 0.05, 0.3, 6.0)
-bend.oscillate(fourth, [2e-3], [1.0], 2.0)
-bend.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
-bend.move(np.zeros(6), np.ones(6), 5.0)
+cycle.sweep(fourth, 0.05, 0.3, 6.0)
+cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+cycle.move(np.zeros(6), np.ones(6), 5.0)
 plan = [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-        Experiment("bend", Kind.PRESLIDING, bend.points(robot.joint_names), 2)]
+        Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)]
 folder = Path(sys.argv[1])
 folder.mkdir()
 run_on_nodes(setup, plan, folder, "rx90_controller", 60.0, print)
@@ -136,8 +152,8 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
     processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
     folder = tmp_path / "series"
-    run = processes.start(sys.executable, "-c", ON_NODES, folder)
-    assert run.wait(timeout=120.0) == 0
+    experiments = processes.start(sys.executable, "-c", ON_NODES, folder)
+    assert experiments.wait(timeout=120.0) == 0
     output = tmp_path / "friction.yaml"
     assert run("rx90_identify", [str(folder), "--output", str(output)]) == DONE
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]

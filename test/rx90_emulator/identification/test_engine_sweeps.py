@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rx90_common.bags.writing import write_joint_states
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.plan import PlanOptions, make_plan
-from rx90_emulator.identification.records.reading import BagLayout, read_record
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
@@ -86,7 +87,7 @@ def swept(shipped: Setup) -> JointRecord:
     return JointRecord(shipped.robot.joint_names, time, position, velocity, torque, Path(sweep.name), "0")
 
 
-def test_the_shipped_plan_tells_gravity_from_coulomb_friction(
+def test_the_shipped_plan_separates_gravity_from_coulomb_friction(
     shipped: Setup, arm: RigidArm, swept: JointRecord
 ) -> None:
     """The plan's sweeps of joint 3 give its sliding parameters within 2 % and within 4 deviations, both directions."""
@@ -97,12 +98,12 @@ def test_the_shipped_plan_tells_gravity_from_coulomb_friction(
 
 
 def test_a_record_in_pieces_is_no_surer_than_it_is_right(shipped: Setup, arm: RigidArm, swept: JointRecord) -> None:
-    """With gaps that leave most plateaus one block of samples, what is told is within 3 deviations of the truth."""
+    """With gaps that leave most plateaus one block of samples, identifiable values are within 3 deviations."""
     kept = swept.time % 0.7 > 0.21
     fields = {name: getattr(swept, name)[kept] for name in ("time", "position", "velocity", "torque")}
     parameters = identify_sliding([replace(swept, **fields)], arm).estimates[2].parameters
-    told = {name: found for name, found in parameters.items() if found.identifiable}
-    assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(told)
-    for name, found in told.items():
+    known = {name: found for name, found in parameters.items() if found.identifiable}
+    assert {"tau_c_positive", "tau_c_negative", "c2"} <= set(known)
+    for name, found in known.items():
         truth = getattr(shipped.friction.elements[2], name)
         assert abs(found.value - truth) < 3.0 * found.deviation, (name, found)

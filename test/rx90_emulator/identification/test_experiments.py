@@ -1,4 +1,4 @@
-"""The planned motions: within the arm's limits, telling elements apart, run into bags of the right topics."""
+"""The planned motions: within the arm's limits, separating the elements, run into bags of the right topics."""
 
 from __future__ import annotations
 

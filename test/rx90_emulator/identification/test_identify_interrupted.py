@@ -16,8 +16,9 @@ from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_f
 
 from rx90_common.base.errors import INTERRUPTED, OutputError
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
-from rx90_emulator.identification.output.output_files import write_all
+from rx90_emulator.identification.output.files import write_all
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 
@@ -37,7 +38,7 @@ def arguments(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["read_record", "identify", "report_page", "write_all"])
+@pytest.mark.parametrize("place", ["read_record", "identify_records", "report_page", "write_all"])
 def test_an_interrupt_leaves_everything(
     arguments: list[str],
     tmp_path: Path,
@@ -58,7 +59,7 @@ def test_an_interrupt_leaves_everything(
         whole = Path.write_text
         monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
-        monkeypatch.setattr(identify_job, place, interrupted)
+        monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
     assert run("rx90_identify", [*arguments, "--output", str(output), "--force"]) == INTERRUPTED
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
     assert [file.name for file in tmp_path.iterdir()] == ["friction.yaml"]

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.records.reading import BagLayout, read_record
+from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.identification.records.reading import read_record
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import write_bag

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from rx90_emulator.identification.estimate import SLIDING, Estimate
-from rx90_emulator.identification.output.wording import value_and_deviation
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.estimates import SLIDING, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.fit import identify_sliding
 
@@ -29,7 +28,7 @@ from rx90_emulator.identification.sliding.fit import identify_sliding
 )
 def test_a_value_has_the_digits_of_its_deviation(value: float, deviation: float, text: tuple[str, str]) -> None:
     """A value is written to the second digit of its standard deviation."""
-    assert value_and_deviation(Estimate(value, deviation)) == text
+    assert ParameterEstimate(value, deviation).texts() == text
 
 
 def test_the_drawn_curve_is_the_identified_one(sweeps: object, arm: RigidArm) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.manipulator import mass_and_bias
 

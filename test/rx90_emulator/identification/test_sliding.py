@@ -1,4 +1,4 @@
-"""The sliding fit finds known friction, says how well, and says what it cannot tell."""
+"""The sliding fit finds known friction with the right deviations, and reports what is not identifiable."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_emulator.identification.estimate import SLIDING, ElementEstimate
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
@@ -40,7 +40,7 @@ def test_element_seven_separates_from_joints_five_and_six(sweeps: Any, arm: Rigi
         assert max(errors(fit.estimates[e], friction.elements[e]).values()) < 0.02
 
 
-def test_wrist_joints_moved_one_at_a_time_leave_element_seven_untold(sweeps: Any, arm: RigidArm) -> None:
+def test_wrist_joints_moved_one_at_a_time_do_not_identify_element_seven(sweeps: Any, arm: RigidArm) -> None:
     """With joint 5 alone no parameter of joint 5 is given out as if element 7 were not there."""
     record, _ = sweeps([4], 1)
     fit = identify_sliding([record], arm)
@@ -48,13 +48,13 @@ def test_wrist_joints_moved_one_at_a_time_leave_element_seven_untold(sweeps: Any
         coulomb = fit.estimates[e].parameters["tau_c_positive"]
         assert not coulomb.identifiable
         assert math.isnan(coulomb.value)
-        assert "cannot be told from" in coulomb.reason
+        assert "not separable from" in coulomb.reason
 
 
 def test_a_coulomb_difference_of_element_seven_moves_to_joints_five_and_six(
     sweeps: Any, arm: RigidArm, shipped: Setup
 ) -> None:
-    """A constant torque of element 7 cannot be told by any motion: joints 5 and 6 take it, and nothing else changes."""
+    """A constant torque of element 7 shows in no motion: joints 5 and 6 take it, and nothing else changes."""
     seventh = dataclasses.replace(shipped.friction.elements[6], tau_c_positive=1.6, tau_c_negative=1.4)
     friction = FrictionSet(shipped.friction.names, (*shipped.friction.elements[:6], seventh))
     record, _ = sweeps([4, 5], 1, Noise(0.0), friction=friction)
@@ -125,8 +125,8 @@ def test_outliers_do_not_move_the_estimate(sweeps: Any, arm: RigidArm) -> None:
     rng = np.random.default_rng(7)
     torque = record.torque.copy()
     torque[rng.random(len(torque)) < 0.02, 2] += 200.0
-    spoilt = dataclasses.replace(record, torque=torque)
-    assert max(errors(identify_sliding([spoilt], arm).estimates[2], friction.elements[2]).values()) < 0.02
+    corrupted = dataclasses.replace(record, torque=torque)
+    assert max(errors(identify_sliding([corrupted], arm).estimates[2], friction.elements[2]).values()) < 0.02
 
 
 def test_missing_samples_do_not_move_the_estimate(sweeps: Any, arm: RigidArm) -> None:
@@ -139,7 +139,7 @@ def test_missing_samples_do_not_move_the_estimate(sweeps: Any, arm: RigidArm) ->
 
 
 def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, shipped: Setup) -> None:
-    """Friction without a static rise leaves tau_s, omega_s and delta untold, and Coulomb and viscous friction told."""
+    """Friction without a static rise leaves tau_s, omega_s and delta not identifiable, and the others identifiable."""
     plain = dataclasses.replace(shipped.friction.elements[2], tau_s_positive=18.0, tau_s_negative=18.0)
     elements = (*shipped.friction.elements[:2], plain, *shipped.friction.elements[3:])
     record, _ = sweeps([2], 9, friction=FrictionSet(shipped.friction.names, elements))

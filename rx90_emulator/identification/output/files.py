@@ -1,4 +1,4 @@
-"""Files that are written all or none, and only where that can succeed."""
+"""Write all of several files or none, and check beforehand that it can succeed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The arm without friction: its rigid-body torques, and the joints that its friction elements act on."""
+"""The rigid arm: what the drives give without friction, which is subtracted from the torques of a record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.description.rigid_torque import configurations, rigid_torque
 from rx90_common.description.wrist import element_matrix
 from rx90_common.friction.friction_set import element_names
-from rx90_emulator.identification.records.foreign_urdf import joint_model
+from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]

@@ -1,8 +1,7 @@
-"""The robot that bags come from, as the options of the command line describe it: this project's, or any other."""
+"""The robot that bags come from: this project's, or any other."""
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,22 +15,25 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.records.reading import BagLayout
-from rx90_emulator.identification.rigid_arm import RigidArm
+from rx90_emulator.identification.model.options import RobotOptions
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.loop.setup import Setup
 
 
 @dataclass(frozen=True, eq=False)
-class Robot:
-    """What is known of the robot.
+class RecordedRobot:
+    """What is known of the robot that bags come from.
 
     Attributes:
         arm: rigid-body model and friction elements.
         setup: for the closed loop; None for another robot than this project's.
         own_layout: of the messages of another robot.
-        fallback: elements whose values stand in for what the data do not tell.
+        fallback: elements whose values stand in for parameters that are not identifiable, and whose omega_d is taken
+            over; None to refuse bags that leave such parameters.
         fallback_name: their file.
-        record_time: whether the times of recording are taken for the stamps.
+        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
+        record_time: whether the times of recording replace the stamps in the headers.
     """
 
     arm: RigidArm
@@ -39,7 +41,18 @@ class Robot:
     own_layout: BagLayout | None
     fallback: tuple[LuGreElement, ...] | None
     fallback_name: str | None
+    torque_delay: float = 0.0
     record_time: bool = False
+
+    @classmethod
+    def load(cls, options: RobotOptions) -> RecordedRobot:
+        """Return the robot that the options describe.
+
+        Raises:
+            IdentificationError: if they do not fit each other.
+            ConfigError: for a file that cannot be used.
+        """
+        return _own(options) if options.urdf is None else _other(options, Path(options.urdf))
 
     @property
     def plant_period(self) -> float | None:
@@ -47,7 +60,12 @@ class Robot:
         return None if self.setup is None else self.setup.rates.period
 
     def layout(self, bag: Path, *, fast: bool) -> BagLayout:
-        """Return what to read of a bag: the motors' states where the rate matters and they are there."""
+        """Return what to read of a bag: the motors' states where the rate matters and they are there.
+
+        Raises:
+            BagError: if the bag cannot be read.
+            IdentificationError: if it holds neither motor nor joint states.
+        """
         return replace(self._layout(bag, fast=fast), record_time=self.record_time)
 
     def _layout(self, bag: Path, *, fast: bool) -> BagLayout:
@@ -66,17 +84,7 @@ class Robot:
         )
 
 
-def robot_of(options: argparse.Namespace) -> Robot:
-    """Return the robot that the options describe.
-
-    Raises:
-        IdentificationError: if they do not fit each other.
-        ConfigError: for a file that cannot be used.
-    """
-    return _own(options) if options.urdf is None else _other(options)
-
-
-def _own(options: argparse.Namespace) -> Robot:
+def _own(options: RobotOptions) -> RecordedRobot:
     for name in ("topic", "joints", "names", "gear", "coupling", "torque_constant", "rotor_inertia", "spring"):
         if getattr(options, name) is not None:
             raise IdentificationError(
@@ -85,15 +93,14 @@ def _own(options: argparse.Namespace) -> Robot:
     setup = Setup.load(RobotFiles.of_options(options))
     arm = RigidArm.from_setup(setup)
     name = options.fallback or "robot/friction.yaml"
-    return Robot(arm, setup, None, *_fallback(name, arm), record_time=options.record_time)
+    return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)
 
 
-def _other(options: argparse.Namespace) -> Robot:
+def _other(options: RobotOptions, urdf: Path) -> RecordedRobot:
     for name in ("tool", "drives"):
         if getattr(options, name) is not None:
             raise IdentificationError(f"--{name} with --urdf; accepted: for this project's robot alone")
-    joints = options.joints
-    n = len(RigidArm.from_urdf(options.urdf, joints).names)
+    n = len(RigidArm.from_urdf(urdf, options.joints).names)
     for name, size in (
         ("names", n), ("gear", n), ("torque_constant", n), ("rotor_inertia", n), ("spring", n), ("coupling", n * n),
     ):  # fmt: skip
@@ -103,14 +110,15 @@ def _other(options: argparse.Namespace) -> Robot:
                 f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
             )
     coupling = None if options.coupling is None else np.array(options.coupling).reshape(n, n)
-    arm = RigidArm.from_urdf(options.urdf, joints, coupling, options.rotor_inertia, options.spring)
+    arm = RigidArm.from_urdf(urdf, options.joints, coupling, options.rotor_inertia, options.spring)
     constant = None if options.torque_constant is None else np.array(options.torque_constant)
     messages, topic = tuple(options.names or arm.names), options.topic or "joint_states"
     if options.gear is None:
         layout = BagLayout(topic, messages, arm.names, None, constant)
     else:
         layout = BagLayout.motor_side(topic, messages, arm.names, np.array(options.gear), coupling, constant)
-    return Robot(arm, None, layout, *_fallback(options.fallback or "none", arm), record_time=options.record_time)
+    fallback = _fallback(options.fallback or "none", arm)
+    return RecordedRobot(arm, None, layout, *fallback, options.torque_delay, options.record_time)
 
 
 def _fallback(name: str, arm: RigidArm) -> tuple[tuple[LuGreElement, ...] | None, str | None]:

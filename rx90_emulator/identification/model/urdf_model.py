@@ -1,4 +1,4 @@
-"""Any robot's URDF as Pinocchio's model of the joints of interest, or one line that says what is wrong with it."""
+"""The URDF of any robot as Pinocchio's model of the joints of interest, or a refusal in one line."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _whole(urdf: Path) -> tuple[Any, ET.Element]:
 
 @contextmanager
 def _caught_stderr(lines: list[str]) -> Iterator[None]:
-    """Collect what is written to file descriptor 2: the parser below Pinocchio says there alone what is wrong."""
+    """Collect what is written to file descriptor 2, the only place where the parser below Pinocchio gives reasons."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
         before = os.dup(_STDERR)

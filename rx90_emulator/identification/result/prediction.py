@@ -1,8 +1,9 @@
-"""Hold an identified friction set against a bag that was not used: drive torque and tip path."""
+"""Predict what a bag should hold by an identified friction: the drives' torques and the path of the tip."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,9 @@ from rx90_common.friction import FrictionSet, LuGreElement
 from rx90_common.friction.bristle import bristle_step, one_element
 from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
-from rx90_emulator.identification.identify import Identification
+from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.records.tolerances import Tolerances
+from rx90_emulator.identification.sliding.fit import SlidingFit
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
@@ -26,78 +27,26 @@ from rx90_emulator.loop.setup import Setup
 Array = NDArray[np.float64]
 
 _BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
-_MOVES = 1e-3  # rad/s
+_MOVES = 1e-3  # rad/s, at which the arm counts as moving
 _SLIDES = 5e-3  # rad/s, at which a joint counts as moving, throughout the filter's reach
-_EDGE = 0.1  # s at the ends that the filter spoils
-_WEIGHED = 0.05  # deviation over torque up to which the error of the weights is told
+_EDGE = 0.1  # s at both ends, where the filter's transients are
+_WEIGHED = 0.05  # standard deviation over RMS torque up to which a joint's error of the weights is applied
 
 
-@dataclass(frozen=True, eq=False)
-class Validation:
-    """The cross-check.
+class TorquePrediction(NamedTuple):
+    """Recorded and predicted drive torques of n joints, low-passed, from the first motion on.
 
     Attributes:
-        names: joints, n of them.
         time: s, shape (m,).
-        recorded: drive torque, Nm, shape (m, n).
+        recorded: Nm, shape (m, n).
         predicted: Nm, shape (m, n).
-        compared: 1.0 where a joint moves, else 0.0, shape (m, n): what a joint at rest carries depends on
-            vibrations that no bag shows.
-        tip_time: s, shape (k,); empty where the bag holds no set-points.
-        tip_distance: of the simulated from the recorded tip, m, shape (k,).
-        tolerances: what counts as agreement.
-        source: the bag.
+        compared: 1.0 where a joint moves, else 0.0, shape (m, n).
     """
 
-    names: tuple[str, ...]
     time: Array
     recorded: Array
     predicted: Array
     compared: Array
-    tip_time: Array
-    tip_distance: Array
-    tolerances: Tolerances
-    source: str
-
-    def _mean(self, values: Array) -> Array:
-        return np.asarray((self.compared * values).sum(axis=0) / np.maximum(1.0, self.compared.sum(axis=0)))
-
-    @property
-    def rms(self) -> Array:
-        """Return the RMS torque difference, Nm, shape (n,)."""
-        return np.asarray(np.sqrt(self._mean((self.predicted - self.recorded) ** 2)))
-
-    @property
-    def worst(self) -> Array:
-        """Return the largest torque difference, Nm, shape (n,)."""
-        return np.asarray((self.compared * np.abs(self.predicted - self.recorded)).max(axis=0))
-
-    @property
-    def rms_share(self) -> Array:
-        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
-        return np.asarray(self.rms / np.sqrt(self._mean(self.recorded**2)))
-
-    @property
-    def worst_share(self) -> Array:
-        """Return the largest difference over the largest recorded torque, shape (n,)."""
-        return np.asarray(self.worst / np.abs(self.recorded).max(axis=0))
-
-    @property
-    def tip_worst(self) -> float:
-        """Return the largest distance of the tips, m; NaN without set-points."""
-        return float(self.tip_distance.max()) if len(self.tip_distance) else float("nan")
-
-    @property
-    def tip_rms(self) -> float:
-        """Return the RMS distance of the tips, m; NaN without set-points."""
-        return float(np.sqrt(np.mean(self.tip_distance**2))) if len(self.tip_distance) else float("nan")
-
-    @property
-    def passed(self) -> bool:
-        """Return whether everything that could be compared agrees."""
-        limits = self.tolerances
-        torque = bool((self.rms_share <= limits.torque).all() and (self.worst_share <= limits.worst_torque).all())
-        return torque and not self.tip_worst > limits.tip
 
 
 @kernel
@@ -109,18 +58,33 @@ def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: A
             z, torque[k, e] = bristle_step(element, z, velocity[k, e], steps[k])
 
 
-def friction_along(arm_elements: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
-    """Return the friction torque at the joints along a motion, Nm, shape (m, n)."""
-    inputs = position @ arm_elements.T
+def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
+    """Return the friction torque at the joints along a motion, Nm, shape (m, n).
+
+    Args:
+        element_matrix: joint velocities to input velocities of the elements, shape (e, n).
+        lugre: the e elements.
+        time: s, shape (m,).
+        position: of the joints, rad, shape (m, n).
+    """
+    inputs = position @ element_matrix.T
     steps = np.diff(time, prepend=time[0])
     mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
     torque = np.zeros_like(inputs)
     _bristles(element_arrays(lugre), np.ascontiguousarray(mean), steps, torque)
-    return np.asarray(torque @ arm_elements)
+    return np.asarray(torque @ element_matrix)
 
 
-def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, Array, Array, Array]:
-    """Return time, recorded and predicted torque, low-passed, and 1 where a joint moves, from the first motion on.
+def predict_torque(
+    arm: RigidArm, lugre: tuple[LuGreElement, ...], sliding: SlidingFit, record: JointRecord
+) -> TorquePrediction:
+    """Predict the drives' torques along a recorded motion.
+
+    Args:
+        arm: rigid-body model.
+        lugre: its friction elements.
+        sliding: fit whose error of the arm's weights is applied where it is known.
+        record: the motion and the recorded torques.
 
     Raises:
         IdentificationError: if the arm does not move in the record.
@@ -135,33 +99,32 @@ def predict_torque(result: Identification, record: JointRecord) -> tuple[Array, 
         return np.asarray(sosfiltfilt(sections, values, axis=0))
 
     acceleration = np.gradient(smooth(record.velocity), record.time, axis=0)
-    arm = result.arm
-    friction = smooth(friction_along(arm.element_matrix, result.lugre, record.time, record.position))
+    friction = smooth(friction_along(arm.element_matrix, lugre, record.time, record.position))
     inside = (record.time > record.time[moving[0]] + _EDGE) & (record.time < record.time[-1] - _EDGE)
     kept = np.flatnonzero(inside)[:: max(1, round(0.1 / _BANDWIDTH / step))]
     position = record.position[kept]
     rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
     recorded = smooth(record.torque)[kept]
-    rigid = rigid + _error_of_weights(result, position, recorded)
+    rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
     span = 2 * round(0.5 * _EDGE / step) + 1
     moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
-    return record.time[kept], recorded, rigid + friction[kept], moves.astype(np.float64)
+    return TorquePrediction(record.time[kept], recorded, rigid + friction[kept], moves.astype(np.float64))
 
 
-def _error_of_weights(result: Identification, position: Array, recorded: Array) -> Array:
-    """Return the error of the arm's weights that the sweeps showed, Nm, shape (m, n), where they tell it.
+def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recorded: Array) -> Array:
+    """Return the torque of the arm's inertial errors, Nm, shape (m, n); 0 for joints where it is too uncertain.
 
-    Sweeps of some joints, or at one pose, leave the weights of the others, or of other poses, open: the fit's error of
-    them is then hundreds of Nm, with a deviation as large, and the description's weights are the better ones. Of
-    inertias sweeps at constant velocity say next to nothing.
+    Sweeps of some joints, or at one pose, leave the weights of other joints and at other poses undetermined. The
+    fit's error of them is then hundreds of Nm with a standard deviation as large, and the weights of the description
+    are better. Sweeps at constant velocity determine hardly anything of the inertias.
     """
     nothing = np.zeros_like(position)
-    regressor = result.arm.regressor(position, nothing, nothing)
-    values, directions = np.linalg.eigh(result.sliding.inertial_covariance)
+    regressor = arm.regressor(position, nothing, nothing)
+    values, directions = np.linalg.eigh(sliding.inertial_covariance)
     parts = regressor @ (directions * np.sqrt(np.maximum(values, 0.0)))
     deviation = np.sqrt(np.mean(np.sum(parts**2, axis=2), axis=0))
-    told = deviation <= _WEIGHED * np.sqrt(np.mean(recorded**2, axis=0))
-    return np.asarray(np.where(told, regressor @ result.sliding.inertial, 0.0))
+    known = deviation <= _WEIGHED * np.sqrt(np.mean(recorded**2, axis=0))
+    return np.asarray(np.where(known, regressor @ sliding.inertial, 0.0))
 
 
 def tip_difference(

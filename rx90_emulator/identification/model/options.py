@@ -1,0 +1,62 @@
+"""Options of an identification: the robot that bags come from, and tolerances. Imports nothing slow, for --help."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """The robot that bags come from: this project's by default, any other one with `urdf`.
+
+    Attributes:
+        tool: tool file of this project's robot, or "none"; by default the shipped laser head.
+        drives: drives file of this project's robot; by default the shipped one.
+        urdf: description of another robot; the following attributes go with it, n is the number of its joints.
+        topic: JointState topic; by default joint_states.
+        joints: joints of interest from base to tip, the others are held at 0; by default all movable ones.
+        names: names of these joints, or of their motors with `gear`, in the messages; by default `joints`.
+        gear: motor turns per joint turn, shape (n,), if the messages hold the motors' states.
+        coupling: turns of each motor per joint turn without the gears, row by row, shape (n * n,); by default the
+            identity.
+        torque_constant: torque per unit of effort, shape (n,), if effort is a current, Nm/A.
+        rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,).
+        spring: amplitude k of a torque -k sin(q) on each joint, Nm, shape (n,).
+        fallback: friction file for omega_d and for parameters that are not identifiable, or "none"; by default the
+            shipped file for this project's robot and none for another one.
+        torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s: half a
+            period for a torque that was sampled at its stamp.
+        record_time: whether the times of recording replace the stamps in the headers.
+    """
+
+    tool: str | None = None
+    drives: str | None = None
+    urdf: Path | str | None = None
+    topic: str | None = None
+    joints: Sequence[str] | None = None
+    names: Sequence[str] | None = None
+    gear: Sequence[float] | None = None
+    coupling: Sequence[float] | None = None
+    torque_constant: Sequence[float] | None = None
+    rotor_inertia: Sequence[float] | None = None
+    spring: Sequence[float] | None = None
+    fallback: str | None = None
+    torque_delay: float = 0.0
+    record_time: bool = False
+
+
+@dataclass(frozen=True)
+class ValidationTolerances:
+    """What counts as agreement in a validation.
+
+    Attributes:
+        torque: RMS difference of a joint's torque over the RMS torque that was recorded.
+        worst_torque: largest difference over the largest recorded torque.
+        tip: largest distance of the tip positions, m.
+    """
+
+    torque: float = 0.05
+    worst_torque: float = 0.15
+    tip: float = 1e-4

@@ -1,0 +1,48 @@
+"""Where torques are compared: block means of the simulation's steps, in the band of micro-oscillations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import prev_fast_len, rfft, rfftfreq
+from scipy.signal.windows import tukey
+
+Array = NDArray[np.float64]
+
+BLOCK = 8
+"""Steps of the simulation in one block mean."""
+_LOWEST, _HIGHEST = 2.0, 50.0  # Hz: slower is creep and weight, faster is noise
+_TAPER = 0.2  # share of a motion under the window's cosine flanks, against leakage
+
+
+def block_means(values: Array) -> Array:
+    """Return means of BLOCK rows; white noise stays white, and micro-oscillations are slower.
+
+    Args:
+        values: shape (m, ...).
+
+    Returns:
+        Shape (m // BLOCK, ...).
+    """
+    length = len(values) // BLOCK * BLOCK
+    return np.asarray(values[:length].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1))
+
+
+def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
+    """Return Fourier coefficients in the band of micro-oscillations (Tukey window), and their frequencies.
+
+    Args:
+        torque: block means, shape (b, k).
+        step: of the simulation, s.
+
+    Returns:
+        Real parts above imaginary parts, shape (r, k), scaled so that white noise keeps the standard deviation that
+        it has in a single step; frequencies, Hz, shape (r,).
+    """
+    length = prev_fast_len(len(torque), real=True)
+    window = tukey(length, _TAPER)
+    frequency = rfftfreq(length, BLOCK * step)
+    band = (frequency >= _LOWEST) & (frequency <= _HIGHEST)
+    parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
+    parts = parts * np.sqrt(2.0 * BLOCK / (window @ window))
+    return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)

@@ -1,0 +1,99 @@
+"""What the JointState messages of a bag hold: whose positions, on which side of the gears, in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import IdentificationError
+from rx90_common.description.wrist import coupling_matrix
+from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BagLayout:
+    """What the JointState messages of a bag hold.
+
+    Attributes:
+        topic: topic name; the leading slash may be left out.
+        messages: names in the messages, one for each joint or motor, from base to tip.
+        names: the joints' names in the record, shape n.
+        turns: motor turns for joint turns, gears included, shape (n, n), where the messages hold motor-side
+            values: motor position = turns @ joint position, joint torque = turns^T @ motor torque. None where
+            they hold joint-side values.
+        torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
+        record_time: whether the times of recording are taken for the stamps.
+
+    Raises:
+        IdentificationError: if a size does not fit, a name stands twice or `turns` is not invertible.
+    """
+
+    topic: str
+    messages: tuple[str, ...]
+    names: tuple[str, ...]
+    turns: Array | None = None
+    torque_constant: Array | None = None
+    record_time: bool = False
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if len(self.messages) != n or n == 0:
+            raise IdentificationError(f"{len(self.messages)} names in the messages for {n} joints; accepted: one each")
+        twice = [name for name in self.messages if self.messages.count(name) > 1]
+        if twice:
+            raise IdentificationError(f"name {twice[0]!r} in the messages for two joints; accepted: each name once")
+        for field, shape in (("turns", (n, n)), ("torque_constant", (n,))):
+            values = getattr(self, field)
+            if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
+                raise IdentificationError(f"{field} has shape {np.shape(values)}; accepted: finite numbers, {shape}")
+        if self.turns is not None and abs(np.linalg.det(self.turns)) < 1e-9:
+            raise IdentificationError(f"gears times coupling: {self.turns.tolist()}; accepted: an invertible matrix")
+
+    @classmethod
+    def joint_side(cls, topic: str, names: Sequence[str], torque_constant: Array | None = None) -> BagLayout:
+        """Return the layout of joint-side messages that name the joints."""
+        return cls(topic, tuple(names), tuple(names), None, torque_constant)
+
+    @classmethod
+    def motor_side(
+        cls,
+        topic: str,
+        messages: Sequence[str],
+        names: Sequence[str],
+        gear: Array,
+        coupling: Array | None = None,
+        torque_constant: Array | None = None,
+    ) -> BagLayout:
+        """Return the layout of motor-side messages.
+
+        Args:
+            topic: topic name.
+            messages: the motors' names in the messages.
+            names: the joints' names.
+            gear: motor revolutions per joint revolution, shape (n,).
+            coupling: as in RigidArm.from_urdf, shape (n, n).
+            torque_constant: motor torque per current, Nm/A, where effort is a current.
+        """
+        turns = np.eye(len(names)) if coupling is None else np.asarray(coupling, dtype=np.float64)
+        if np.shape(gear) != (len(names),) or turns.shape != (len(names), len(names)):
+            raise IdentificationError(
+                f"gear of shape {np.shape(gear)}, coupling of shape {turns.shape}; accepted: ({len(names)},) and square"
+            )
+        return cls(topic, tuple(messages), tuple(names), np.asarray(gear)[:, None] * turns, torque_constant)
+
+    @classmethod
+    def rx90_motors(cls, setup: Setup) -> BagLayout:
+        """Return the layout of this project's motor_states."""
+        drives, names = setup.drives, setup.robot.joint_names
+        return cls.motor_side(MOTOR_STATES, MOTOR_NAMES, names, drives.gear, coupling_matrix())
+
+    @classmethod
+    def rx90_joints(cls, setup: Setup) -> BagLayout:
+        """Return the layout of this project's joint_states."""
+        return cls.joint_side("joint_states", setup.robot.joint_names)

@@ -1,0 +1,145 @@
+"""From records to the friction of all elements: the sliding regime first, then presliding with sliding given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rx90_common.base.errors import IdentificationError
+from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_emulator.identification.model.estimates import PARAMETERS, PRESLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
+from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.result.validation import Validation
+from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+
+_ANY_BRISTLE = {"c0": 1e4, "c1": 0.0}
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedElement:
+    """One friction element with what is known about each of its parameters.
+
+    Attributes:
+        element: values to simulate with.
+        estimates: by the names in PARAMETERS.
+        sources: the bags each parameter rests on.
+    """
+
+    element: LuGreElement
+    estimates: dict[str, ParameterEstimate]
+    sources: dict[str, tuple[BagSource, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionIdentification:
+    """The identified friction of an arm.
+
+    Attributes:
+        arm: whose elements these are.
+        elements: in the order of the arm's.
+        sliding: the fit of the sliding regime.
+        presliding: the fit of the presliding regime.
+        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        bags: what was read, by use: sliding, presliding, validation.
+        validations: comparisons with bags that were not used.
+    """
+
+    arm: RigidArm
+    elements: tuple[IdentifiedElement, ...]
+    sliding: SlidingFit
+    presliding: PreslidingFit
+    fallback_name: str | None = None
+    bags: tuple[tuple[str, BagSource], ...] = ()
+    validations: tuple[Validation, ...] = ()
+
+    @property
+    def lugre(self) -> tuple[LuGreElement, ...]:
+        """Return the elements to simulate with."""
+        return tuple(one.element for one in self.elements)
+
+    @property
+    def friction(self) -> FrictionSet:
+        """Return the friction to simulate this project's robot with.
+
+        Raises:
+            ConfigError: for another robot's number of elements.
+        """
+        return FrictionSet(self.arm.element_names, self.lugre)
+
+    @property
+    def confirmed(self) -> bool:
+        """Return whether every validation agrees; True without any."""
+        return all(check.passed for check in self.validations)
+
+
+def identify_records(
+    sliding: Sequence[JointRecord],
+    presliding: Sequence[JointRecord],
+    robot: RecordedRobot,
+    progress: Callable[[str], None] = lambda _: None,
+) -> FrictionIdentification:
+    """Identify the friction of all elements of an arm from records.
+
+    Args:
+        sliding: sweeps at constant velocity.
+        presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
+        robot: rigid-body model, fallback values and the torques' delay.
+        progress: called with the name of each step before it.
+
+    Returns:
+        The result, without bags and validations.
+
+    Raises:
+        IdentificationError: if the data do not fit or do not suffice.
+    """
+    arm = robot.arm
+    fallback = robot.fallback or (None,) * len(arm.element_names)
+    progress("sliding regime")
+    slides = identify_sliding(sliding, arm)
+    progress("presliding regime")
+    if presliding:
+        # The sliding regime of an element does not depend on its c0 and c1.
+        known = [_merged(one, {}, other, _ANY_BRISTLE) for one, other in zip(slides.estimates, fallback, strict=True)]
+        covariances = [estimate.covariance() for estimate in slides.estimates]
+        cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
+    else:
+        reason = "no bag with micro-oscillations was given"
+        cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+    elements = []
+    for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
+        sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
+        estimates = {**first.parameters, **second.parameters}
+        elements.append(IdentifiedElement(_merged(first, second.parameters, other, {}), estimates, sources))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
+
+
+def _merged(
+    sliding: ElementEstimate,
+    presliding: Mapping[str, ParameterEstimate],
+    fallback: LuGreElement | None,
+    given: Mapping[str, float],
+) -> LuGreElement:
+    """Return the element; parameters that are not identifiable come from `given`, else from the fallback."""
+    estimates = {**sliding.parameters, **presliding}
+    values = dict(given)
+    for name in PARAMETERS:
+        estimate = estimates.get(name)
+        if estimate is not None and estimate.identifiable:
+            values[name] = estimate.value
+        elif name not in values:
+            if fallback is None:
+                reason = "" if estimate is None else f" ({estimate.reason})"
+                raise IdentificationError(
+                    f"{sliding.element}: {name} is not identifiable from these bags{reason}; accepted: bags from which "
+                    "it is, or --fallback with a friction file for such values"
+                )
+            values[name] = float(getattr(fallback, name))
+    for sign in ("positive", "negative"):
+        # A fallback's static torque may lie below an identified Coulomb torque.
+        values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
+    if fallback is not None:
+        values["omega_d"] = fallback.omega_d
+    return LuGreElement(**values)
