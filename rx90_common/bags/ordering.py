@@ -20,7 +20,7 @@ class TimeSource(Enum):
     """Where the messages of a topic have their log time from."""
 
     CLOCK = auto()
-    """Their stamp, which is the sample time and tells the others what time it is."""
+    """Their stamp, which is the sample time, and the time of messages that have none."""
     STAMP = auto()
     """Their stamp; where that is 0 ("now"), the newest one of a clock topic."""
     NEWEST = auto()

@@ -15,15 +15,15 @@ from rclpy.subscription import Subscription
 from rx90_common.kernels.compiled import c_function
 
 _OK = 0
-# Some bytes for each subscription, never given back: nobody tells when the middleware has called for the last time.
+# Some bytes for each subscription, never freed: the middleware does not say when it has called for the last time.
 _kept: list[ctypes.c_int64] = []
 
 
 @c_function(types.int64(types.voidptr, types.int64))
 def _count(counter_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
-    """Be the callback: rcl's has no result, and who calls does not look at this one.
+    """Be the callback; rcl's has no result, and ignores this one.
 
-    Told of messages that came before it was set, it counts them as one; taking in vain sets that right.
+    Messages that came before it was set count as one together; the first take that finds nothing corrects the count.
     """
     counter = carray(counter_at, (1,), np.int64)
     counter[0] += 1
@@ -34,7 +34,7 @@ def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
     """Add 1 to `counter` with each message that arrives from now on, on the middleware's thread.
 
     Returns:
-        Whether it is counted: not every middleware tells of new messages.
+        Whether messages are counted: not every middleware has such a callback.
     """
     try:
         set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback

@@ -23,8 +23,8 @@ from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.publisher_lock import lock_publisher
 
 _clock = time.perf_counter_ns
-_MOMENT_NS = 200_000
-_REST = 50  # waits after one that took longer
+_BUSY_WAIT_NS = 200_000
+_BLOCKING_WAITS = 50  # after a busy wait in vain, before the next one
 
 
 class Matches(NamedTuple):
@@ -68,7 +68,7 @@ class Channel:
         self._subscription = node.create_subscription(
             JointState, subscribe_topic, _ignore, qos, raw=True, callback_group=_NeverExecuted()
         )
-        self._resting = 0
+        self._blocking_waits = 0
         self._guard = rclpy_implementation.GuardCondition(node.context.handle)
         self._wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, node.context.handle)
         # Looked up once: each attribute costs as much as a comparison of the whole message.
@@ -85,11 +85,6 @@ class Channel:
         return self._publisher
 
     @property
-    def publish_topic(self) -> str:
-        """Resolved name of the topic that is published."""
-        return str(self._publisher.topic_name)
-
-    @property
     def subscribe_topic(self) -> str:
         """Resolved name of the topic that is received."""
         return str(self._subscription.topic_name)
@@ -104,11 +99,11 @@ class Channel:
         With a timeout of 0 the wait set, which costs some 70 µs even then, is left out.
         """
         taken = None
-        # A look in vain costs as much as a message; what the count should have missed the wait set still finds.
+        # To take in vain costs as much as a message. A message that the count has missed is found by the wait set.
         if timeout_s == 0.0 or not self._counted or self._counter.value != self._count:
             taken = self._take_next()
         if taken is None and timeout_s > 0.0:
-            taken = self._look_for_a_moment()
+            taken = self._busy_wait()
             if taken is None:
                 self._wait(timeout_s)
                 taken = self._take_next()
@@ -118,27 +113,27 @@ class Channel:
         """Take a message and keep the count of those taken next to the count of arrivals."""
         arrived = self._counter.value
         taken = self._take(JointState, True)
-        # Nothing is left: so many have been taken, or were pushed out by newer ones.
+        # With nothing left, as many as arrived have been taken, or were replaced by newer ones.
         self._count = arrived if taken is None else self._count + 1
         return taken
 
-    def _look_for_a_moment(self) -> Any:
-        """Look again and again for the time an answer usually takes, if the last time was not in vain.
+    def _busy_wait(self) -> Any:
+        """Poll for as long as an answer usually takes, unless that was in vain a short while ago.
 
         A processor that went to sleep in the wait set takes longer to wake than the other side takes to answer.
         """
-        if self._resting > 0:
-            self._resting -= 1
+        if self._blocking_waits > 0:
+            self._blocking_waits -= 1
             return None
         counter, clock, give_way = self._counter, _clock, os.sched_yield
-        deadline = clock() + _MOMENT_NS
+        deadline = clock() + _BUSY_WAIT_NS
         while clock() < deadline:
             if counter.value != self._count or not self._counted:
                 taken = self._take_next()
                 if taken is not None:
                     return taken
             give_way()
-        self._resting = _REST
+        self._blocking_waits = _BLOCKING_WAITS
         return None
 
     def _wait(self, timeout_s: float) -> None:

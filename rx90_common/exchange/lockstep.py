@@ -6,7 +6,7 @@ set of matched endpoints changes, and once a second as long as somebody is there
 again sends the same bytes again. Both are idempotent.
 
 Of two simulations or two controllers on the same topics the second is refused when it starts (see publisher_lock.py).
-Where that does not reach, they are found out by what they send, and time stands still until one of them is left.
+Where that does not reach, they are recognised by what they send, and time stands still until one of them is left.
 """
 
 from __future__ import annotations

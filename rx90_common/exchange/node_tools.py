@@ -231,7 +231,7 @@ def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
 
 
 def _asked(profile: QoSProfile) -> QoSProfile:
-    """Return what is asked for: the graph tells times without end where none are, which the check takes for a wish."""
+    """Return what is asked for: where no times are, the graph reports infinite ones, which the check would compare."""
     times = {name: getattr(profile, name) for name in ("deadline", "liveliness_lease_duration")}
     return QoSProfile(
         depth=1,

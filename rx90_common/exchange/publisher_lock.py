@@ -1,9 +1,8 @@
 """One publisher for each tick topic: a second simulation or controller is refused before it can mix in.
 
-The graph cannot tell: a node that was killed stays in it, looking alive, until its lease expires, and its successor
-would have to wait for that. A name in the abstract socket namespace goes with the process that holds it, however it
-ends, and tells which process that is. It reaches as far as loopback does; publishers elsewhere are found out by what
-they send.
+The graph cannot say: a node that was killed stays in it until its lease expires, and its successor would have to wait
+for that. A name in the abstract socket namespace goes with the process that holds it, however it ends, and names that
+process. It reaches as far as loopback does; publishers elsewhere are recognised by what they send.
 """
 
 from __future__ import annotations

@@ -27,7 +27,14 @@ class FreeRunningController:
     """Runs the law on every tick of the clock with the newest states; owned by the thread that ticks.
 
     Commands carry the stamps of the controller's own ticks. While the simulation is paused the loops rest and keep
-    what they hold: the motion goes on with the next states.
+    what they hold: the motion goes on with the next states. They begin anew when simulated time has gone back.
+
+    Args:
+        channel: publishes commands, receives states.
+        messages: decodes and encodes them.
+        loops: what runs.
+        pacer: the clock.
+        announce: prints a line for the user.
     """
 
     def __init__(
@@ -38,22 +45,12 @@ class FreeRunningController:
         pacer: Pacer,
         announce: Callable[[str], None],
     ) -> None:
-        """Make the clock's side.
-
-        Args:
-            channel: publishes commands, receives states.
-            messages: decodes and encodes them.
-            loops: what runs; held at the start and when simulated time has gone back.
-            pacer: the clock.
-            announce: prints a line for the user.
-        """
         rates = messages.rates
         self._channel, self._messages, self._loops = channel, messages, loops
         self._pacer = pacer
         self._announce = announce
         self._lags = ThrottledLog(announce)
-        self._slow_ns = rates.period_ns * rates.ratio
-        self._period_ns = rates.period_ns
+        self._period_ns, self._slow_ns = rates.period_ns, rates.period_ns * rates.ratio
         self._lead_ns = round(_LEAD * NANOSECONDS)
         self._lag_ns = round(_LAG * NANOSECONDS)
         self._states: MotorStates | None = None  # the newest

@@ -11,7 +11,7 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from numpy.typing import NDArray
 from rclpy.duration import Duration as RclpyDuration
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -38,22 +38,18 @@ class NewestPositions:
     """
 
     def __init__(self, client: ClientNode, topic: str, names: Sequence[str]) -> None:
-        self._node, self._names = client.node, names
+        self._names = names
         self.position: Array | None = None
         self.time = -1.0
         # One message in the queue: only the newest is looked at.
-        newest = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._subscription = client.node.create_subscription(JointState, topic, self._take, newest)
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        client.node.create_subscription(JointState, topic, self._take, newest)
 
     def _take(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False))
         if set(self._names) <= position.keys():
             self.position = np.array([position[name] for name in self._names])
             self.time = message_time_ns(message.header.stamp) / NANOSECONDS
-
-    def close(self) -> None:
-        """Listen no longer."""
-        self._node.destroy_subscription(self._subscription)
 
 
 class TrajectoryClient:
@@ -98,16 +94,13 @@ class TrajectoryClient:
         """Return where the arm stands that the controller moves, rad, shape (n,).
 
         Raises:
-            ExchangeError: if it is not told within the client's timeout.
+            ExchangeError: if no joint states come within the client's timeout.
         """
         # The arm is in the controller's namespace, which need not be ours.
-        newest, topic = self._listen(self.topic.rsplit("/", 2)[0] + "/joint_states", names)
-        try:
-            self._client.wait(lambda: newest.position is not None, f"a position of the six joints on {topic}")
-        finally:
-            newest.close()
-        assert newest.position is not None
-        return newest.position
+        topic = self.topic.rsplit("/", 2)[0] + "/joint_states"
+        position = self._newest(topic, names, "position of the six joints").position
+        assert position is not None
+        return position
 
     def set_points(self, names: Sequence[str]) -> NewestPositions:
         """Return the controller's set-points, the first of which have come.
@@ -115,13 +108,13 @@ class TrajectoryClient:
         Raises:
             ExchangeError: if there are none within the client's timeout.
         """
-        newest, topic = self._listen(f"{self._controller}/reference", names)
-        self._client.wait(lambda: newest.position is not None, f"a set-point on {topic}")
-        return newest
+        return self._newest(f"{self._controller}/reference", names, "set-point")
 
-    def _listen(self, topic: str, names: Sequence[str]) -> tuple[NewestPositions, str]:
-        resolved = self._client.node.resolve_topic_name(topic)
-        return NewestPositions(self._client, resolved, names), resolved
+    def _newest(self, topic: str, names: Sequence[str], what: str) -> NewestPositions:
+        topic = self._client.node.resolve_topic_name(topic)
+        newest = NewestPositions(self._client, topic, names)
+        self._client.wait(lambda: newest.position is not None, f"a {what} on {topic}")
+        return newest
 
     def send(self, names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> None:
         """Publish a trajectory and wait until it has arrived.

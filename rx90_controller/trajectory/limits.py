@@ -24,7 +24,7 @@ class JointLimits:
     lower: Array
     upper: Array
     velocity: Array
-    start_tolerance: float = 1e-3
+    start_tolerance: float
 
     def __post_init__(self) -> None:
         if np.any(self.lower >= self.upper) or np.any(self.velocity <= 0):

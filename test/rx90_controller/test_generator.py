@@ -224,9 +224,9 @@ def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
 def test_limits_that_are_none_are_refused() -> None:
     """Joint limits with lower >= upper or without velocity are refused."""
     with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0"):
-        JointLimits(NAMES, np.full(6, 1.0), np.full(6, 1.0), np.full(6, 3.0))
+        JointLimits(NAMES, np.full(6, 1.0), np.full(6, 1.0), np.full(6, 3.0), 1e-3)
     with pytest.raises(ConfigError, match="accepted"):
-        JointLimits(NAMES, np.full(6, -1.0), np.full(6, 1.0), np.zeros(6))
+        JointLimits(NAMES, np.full(6, -1.0), np.full(6, 1.0), np.zeros(6), 1e-3)
 
 
 def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:

@@ -225,7 +225,7 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
 def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipped: Setup, plan: LinePlan) -> None:
     """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
     robot = shipped.robot
-    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity)
+    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity, 1e-3)
     generator = TrajectoryGenerator(limits, 1e-3, plan.start_pose)
     points = TrajectoryPoints.create(
         robot.joint_names,

@@ -41,7 +41,7 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     Raises:
         IdentificationError: if it leaves a joint's range, speed or torque, naming joint, amount and limit.
     """
-    setpoints = _setpoints(experiment, robot)
+    setpoints = _setpoints(experiment, robot, controller.start_tolerance)
     speed = np.abs(setpoints[:, 1]).max(axis=0) / robot.max_velocity
     torque = _expected_torque(setpoints[::_TORQUE_STRIDE], robot, drives, controller)
     share = np.abs(torque).max(axis=0) / robot.max_effort
@@ -55,10 +55,10 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     return Load(speed, share)
 
 
-def _setpoints(experiment: Experiment, robot: RobotModel) -> Array:
+def _setpoints(experiment: Experiment, robot: RobotModel, start_tolerance: float) -> Array:
     """Return what the controller's own generator makes of the trajectory, shape (m, 3, 6)."""
     points: TrajectoryPoints = experiment.points
-    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity)
+    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity, start_tolerance)
     generator = TrajectoryGenerator(limits, _PERIOD, points.position[0])
     try:
         generator.accept(points, 0, 0)
