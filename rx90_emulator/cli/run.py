@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
 from rx90_emulator.cli.options import add_robot_arguments
+
+if TYPE_CHECKING:
+    from rx90_emulator.loop.result import RunResult
+    from rx90_emulator.loop.setup import Setup
+
+Run = TypeVar("Run", bound="RunResult")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +49,59 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done, before anything has been written.
     """
-    from rx90_emulator.loop.job import run  # here, because --help must not wait for it
+    if options.decimation < 1:
+        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
+    if options.arrays is not None and options.arrays.exists():
+        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.loop.application import with_parameters
+    from rx90_emulator.loop.result import save_arrays, write_bag
+    from rx90_emulator.loop.setup import Setup
 
-    run(options)
+    setup = Setup.load(RobotFiles.of_options(options), Rates(options.base_rate, options.position_rate))
+    if options.no_feed_forward:
+        setup = with_parameters(setup, {"controller.feed_forward.*": False})
+    for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
+        print(f"rx90_run: warning: {line}", file=sys.stderr)
+    result = _simulate(setup, options)
+    if result.saturated.any():
+        print(f"motors at their limit, ticks: {result.saturated.tolist()}")
+    if options.output is not None:
+        write_bag(result, options.output, options.storage, options.decimation)
+        print(f"bag: {options.output}")
+    if options.arrays is not None:
+        save_arrays(result, options.arrays)
+        print(f"arrays: {options.arrays}")
+
+
+def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
+    """Run what was asked for, and print how well the arm kept to it."""
+    from rx90_controller.lines.task import load_task
+    from rx90_emulator.loop.closed_loop import simulate
+    from rx90_emulator.loop.line import SETTLING, run_line
+    from rx90_emulator.loop.trajectory_file import load_trajectory
+
+    how = {"start_time": options.start_time, "substeps": options.substeps, "record_fast": not options.slow_only}
+    if options.trajectory is None:
+        task = load_task(options.task)
+        line = _timed(lambda: run_line(setup, task, **how))
+        accuracy = line.path_accuracy
+        print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
+        return line
+    points = load_trajectory(options.trajectory, setup.robot.joint_names)
+    duration = options.start_time + float(points.times[-1]) + SETTLING
+    run = _timed(lambda: simulate(setup, points, duration=duration, **how))
+    for name, worst in zip(setup.robot.joint_names, abs(run.slow.tracking_error[:, 0]).max(axis=0), strict=True):
+        print(f"{name}: worst tracking error {worst * 1e3:.4f} mrad")
+    return run
+
+
+def _timed(simulated: Callable[[], Run]) -> Run:
+    began = time.perf_counter()
+    run = simulated()
+    elapsed = time.perf_counter() - began
+    print(f"simulated {run.times[-1] + run.setup.rates.position_period:.3f} s in {elapsed:.2f} s")
+    return run
