@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
@@ -48,7 +50,7 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
         },
     }
     return FrictionFile(
-        {name: one.element for name, one in zip(names, result.elements, strict=True)},
+        {name: _rounded_element(one.element) for name, one in zip(names, result.elements, strict=True)},
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
@@ -60,7 +62,7 @@ def _provenance(
 ) -> dict[str, Any]:
     return {
         name: _parameter(
-            getattr(one.element, name), one.estimates[name], [labels[bag] for bag in one.sources[name]], date,
+            getattr(_rounded_element(one.element), name), one.estimates[name], [labels[bag] for bag in one.sources[name]], date,
             fallback_name,
         )
         for name in PARAMETERS
@@ -86,7 +88,12 @@ def _parameter(
 
 
 def _rounded(value: float) -> float:
+    """Return six digits: what is beyond them is far below any standard deviation."""
     return float(f"{value:.6g}")
+
+
+def _rounded_element(element: LuGreElement) -> LuGreElement:
+    return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
 
 
 def _date_of(path: Path) -> str:
