@@ -46,7 +46,7 @@ def environment(tmp_path: Path) -> Recorded:
 
 def test_a_second_run_installs_nothing(environment: Recorded) -> None:
     """Once installed, the same and lesser purposes take no command at all."""
-    assert environment.updated("ros", "dev") == ["venv ROOT/.venv", "pip ROOT[dev,ros]"]
+    assert environment.updated("ros", "dev") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[dev,ros]"]
     assert environment.updated("ros", "dev") == []
     assert environment.updated("ros") == []
 
@@ -83,9 +83,9 @@ def test_another_interpreter_or_place_makes_it_anew(environment: Recorded, monke
     """Another Python version makes the environment anew, and so does a lost interpreter."""
     environment.updated("ros")
     environment.python.unlink()
-    assert environment.updated("ros") == ["venv ROOT/.venv", "pip ROOT[ros]"]
+    assert environment.updated("ros") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[ros]"]
     monkeypatch.setattr(sys, "version_info", (3, 99, 0))
-    assert environment.updated("ros") == ["venv ROOT/.venv", "pip ROOT[ros]"]
+    assert environment.updated("ros") == ["venv ROOT/.venv", "pip pip>=25,<27", "pip ROOT[ros]"]
 
 
 @pytest.mark.parametrize(

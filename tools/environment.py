@@ -104,6 +104,8 @@ class Environment:
             held = set()
             _say(f"creating {self.folder.name} with Python {platform.python_version()}")
             self._run([sys.executable, "-m", "venv", "--clear", str(self.folder)])
+            # The one that comes with Python 3.10 tries versions of the packages against each other without an end.
+            self._pip("pip>=25,<27")
         elif inputs == self.inputs() and extras <= held:
             return
         self._note("", held)  # a set-up that is cut short is completed by the next
@@ -111,9 +113,12 @@ class Environment:
         _say(f"installing the pinned packages ({', '.join(wanted)}); the first time takes minutes")
         start = time.monotonic()
         target = f"{self.root}[{','.join(wanted)}]"
-        self._run([str(self.python), "-m", "pip", "install", "--progress-bar", "off", "-e", target])
+        self._pip("-e", target)
         self._note(self.inputs(), set(wanted))
         _say(f"installed in {time.monotonic() - start:.0f} s")
+
+    def _pip(self, *what: str) -> None:
+        self._run([str(self.python), "-m", "pip", "install", "--progress-bar", "off", *what])
 
     def _note(self, inputs: str, extras: set[str]) -> None:
         text = f"{self.identity()}\n{inputs}\n{' '.join(sorted(extras))}"

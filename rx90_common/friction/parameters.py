@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 from rx90_common.base.errors import ConfigError
 
@@ -31,7 +32,7 @@ class FrictionParameter:
     signed: bool = False
     default: float | None = None
 
-    @property
+    @cached_property
     def attributes(self) -> tuple[str, ...]:
         """Return the attributes of LuGreElement that hold it: one, or one for each of SIGNS."""
         return tuple(f"{self.name}_{sign}" for sign in SIGNS) if self.signed else (self.name,)
