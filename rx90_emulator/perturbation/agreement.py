@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.perturbation.model import PerturbationResult
-
-Array = NDArray[np.float64]
 
 
 class Agreement(NamedTuple):

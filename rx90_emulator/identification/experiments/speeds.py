@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.wrist import coupling_matrix
-
-Array = NDArray[np.float64]
 
 _PERIOD = 0.001  # s, of the position loop and of joint_states
 _SHIFT = 0.1  # of the logarithm of a speed, at most
