@@ -335,6 +335,19 @@ def test_there_is_one_plant_step_and_one_law() -> None:
     }
 
 
+def test_each_shipped_file_is_named_in_one_place() -> None:
+    """No two strings of the project are the name of the same file in config/."""
+    files = {str(path.relative_to(ROOT / "config")) for path in (ROOT / "config").rglob("*") if path.is_file()}
+    named = [
+        (node.value, name)
+        for name in MODULES
+        for node in ast.walk(parse(name))
+        if isinstance(node, ast.Constant) and node.value in files
+    ]
+    assert {file for file, _ in named} >= {"robot/friction.yaml", "controller/cs7b.yaml", "task/reference_line.yaml"}
+    assert len({file for file, _ in named}) == len(named), sorted(named)
+
+
 def test_one_module_reads_and_writes_yaml() -> None:
     """Only the module of configuration files imports yaml, so that every file is read by the same rules."""
     assert [name for name in MODULES if "yaml" in top_level(name)] == [f"{GROUND}.base.config"]

@@ -22,7 +22,7 @@ class TrajectoryGenerator:
     its start tick; a refused one leaves everything untouched.
 
     Attributes:
-        revision: changes whenever set-points that were looked up ahead of their time may be others now.
+        revision: changes whenever set-points that were sampled in advance may be out of date.
     """
 
     def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
@@ -40,10 +40,10 @@ class TrajectoryGenerator:
         self.revision += 1
 
     def delay(self, count: int, now: int) -> None:
-        """Let `count` ticks, up to tick `now`, pass without set-points: what runs goes on later by as much.
+        """Shift the running trajectory by `count` ticks, which passed without set-points up to tick `now`.
 
-        What waits for its start begins where the running one will then be, and waits longer too; only where the arm
-        rests it starts in time, or now.
+        A trajectory that is to follow it is shifted as well, because it begins where the running one will then be. If
+        the arm rests, it keeps its start tick, or starts now if that has passed.
         """
         self._promote(now - count)
         resting = (now - count - self._start) * self.period >= self._current.duration

@@ -1,10 +1,10 @@
-"""Tell what a bag holds: topics, counts, rates, times, and gaps between stamps."""
+"""Summarise a bag: topics, counts, rates, times, and gaps between stamps."""
 
 from __future__ import annotations
 
 import argparse
 
-HELP = "tell what a bag holds"
+HELP = "summarise a bag"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""How far a perturbation run and the full simulation of the same motion disagree about the tip."""
+"""The difference of the tip between a perturbation run and the full simulation of the same motion."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""What a run is judged by: a short list of numbers with units.
+"""The metrics of a run: a short list of numbers with units.
 
-Series are looked at from the start of the line until it has settled at its end, as for the path error: in
-the rest before it, the controller still takes up the weight of the arm. They are sampled at the position
-rate.
+They are computed from the series at the position rate, from the start of the line until the arm has settled at its end,
+as the path error is. The rest before the line is left out: the controller still takes up the weight of the arm there.
 """
 
 from __future__ import annotations

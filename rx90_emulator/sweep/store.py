@@ -191,11 +191,8 @@ class ResultStore:
     def _take_up(self) -> None:
         table = read_results(self.file)
         there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
-        for key, what in (
-            ("identity", "plan"),
-            ("sources", "version of the sources"),
-            ("versions", "set of versions"),
-        ):
+        kinds = {"identity": "plan", "sources": "version of the sources", "versions": "set of versions"}
+        for key, what in kinds.items():
             if there[key] != own[key]:
                 raise SweepError(
                     f"{self.file} has another {what} ({_difference(there[key], own[key])}); accepted: the "
