@@ -117,8 +117,9 @@ def _import(module: str) -> Any:
     """Return a module that stands on pyarrow or Dask, which are optional."""
     try:
         return import_module(module)
-    except ModuleNotFoundError as error:
-        raise FailureError(f"{error.name} is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+    except ImportError as error:
+        missing = (error.name or module).partition(".")[0]
+        raise FailureError(f"{missing} is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
 
 
 def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:

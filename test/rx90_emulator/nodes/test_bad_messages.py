@@ -27,7 +27,7 @@ GARBAGE = (
 @pytest.mark.ros
 @pytest.mark.parametrize("mode", MODES)
 def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, client: Client, mode: str) -> None:
-    """Wrong names, sizes and bytes are reported in one line; the controller lives and a trajectory goes on to its end."""
+    """Wrong names, sizes and bytes give one line; the controller lives and a trajectory goes on to its end."""
     processes.start("rx90_sim", "--ros-args", "-p", mode)
     controller = processes.start("rx90_controller")
     reference = client.listen("rx90_controller/reference", depth=1)
