@@ -9,15 +9,9 @@ import pytest
 from processes import Processes
 
 
-def the_line(complaints: str) -> str:
-    """Return the one line on standard error; where nothing is in the cache yet, one about the compilation precedes."""
-    (line,) = (line for line in complaints.strip().splitlines() if "compiling" not in line)
-    return line
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ("name", "arguments", "named"),
+    ("name", "arguments", "accepted"),
     [
         ("rx90_sim", ["joint_state_rate:=333"], ["333", "4000"]),
         ("rx90_sim", ["time_mode:=sometimes"], ["sometimes", "lock_step"]),
@@ -33,14 +27,17 @@ def the_line(complaints: str) -> str:
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
     ],
 )
-def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments: list[str], named: list[str]) -> None:
+def test_a_bad_parameter_is_one_line(
+    processes: Processes, name: str, arguments: list[str], accepted: list[str]
+) -> None:
     """The line names the program, the offending value and what is accepted; the exit code is 2."""
     parameters = [word for argument in arguments for word in ("-p", argument)]
     done = processes.run(name, "--ros-args", *parameters)
     assert done.returncode == 2
-    line = the_line(done.stderr)
+    # On a machine that has not compiled the kernels yet, a line before it says so.
+    (line,) = (line for line in done.stderr.strip().splitlines() if "compiling the numerical kernels" not in line)
     assert line.startswith(f"{name}: ")
-    assert all(word in line for word in named), line
+    assert all(word in line for word in accepted), line
 
 
 @pytest.mark.ros
@@ -71,7 +68,7 @@ def test_an_environment_that_cannot_be_is_one_line(
     monkeypatch.setenv(variable, value)
     done = processes.run(name, *arguments)
     assert done.returncode == code
-    line = the_line(done.stderr)
+    (line,) = done.stderr.strip().splitlines()
     assert all(word in line for word in (name, variable, value, accepted)), line
     assert not Path("never_made").exists()
 
