@@ -16,6 +16,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from rx90_emulator.cli.frame import EXECUTABLES
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
 ROOF = str(ElementTree.parse(ROOT / "package.xml").findtext("name"))
@@ -37,8 +39,14 @@ _NAMED = rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+"
 _DOTTED = re.compile(rf"({_NAMED})(?::\w+)?")  # as `-m` and entry points take it
 _BEGUN = re.compile(rf"((?:{'|'.join(PACKAGES)})(?:\.\w+)*)\.")  # of an f-string that ends with a module's name
 _BUILD_FILES = ["setup.py", "setup.cfg", "pyproject.toml", "Makefile", ".ci/run"]
-_PAGES = [str(path.relative_to(ROOT)) for folder in (".", "docs", "firmware") for path in (ROOT / folder).rglob("*.md")
-          if folder != "." or path.parent == ROOT]  # fmt: skip
+_PAGES = [
+    str(page.relative_to(ROOT))
+    for page in (
+        *ROOT.glob("*.md"),
+        *ROOT.glob("*.rst"),
+        *(p for d in ("docs", "firmware", "test") for p in (ROOT / d).rglob("*.md")),
+    )
+]
 _FILES = (".launch.py", ".stamp")  # files' names that look like modules
 _OUTSIDE = sorted(
     path for folder in ("benchmarks", "launch", "tools", "test") for path in (ROOT / folder).rglob("*.py")
@@ -208,6 +216,7 @@ def test_modules_and_files_named_in_pages_exist(file: str) -> None:
     text = (ROOT / file).read_text(encoding="utf-8")
     named = set(re.findall(rf"(?<![\w/.])({_NAMED})", text))
     assert {name for name in named if not known(name)} == set()
+    assert set(re.findall(r"(?<![\w./-])rx90_[a-z_]+", text)) <= {*PACKAGES, *EXECUTABLES}
     places = (
         rf"(?<![\w/.*<-])((?:{'|'.join(PACKAGES)}|config|docs|firmware|launch|benchmarks|tools|test)/[a-z][\w./-]*)"
     )
