@@ -1,4 +1,4 @@
-"""How long the identification of seven elements takes from bags, on this machine: at most 60 s on two cores."""
+"""How long the identification of seven elements takes from bags, on this machine: at most 40 s on two cores."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rx90_common.process.children import executable
 
-LIMIT = 60.0
+LIMIT = 40.0
 
 
 def main() -> int:

@@ -5,9 +5,11 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from rx90_common.base.share import SHIPPED_RIG
+
 
 def generate_launch_description():
-    arguments = {"port": "emulated", "rig": "rig/gm8224.yaml"}
+    arguments = {"port": "emulated", "rig": SHIPPED_RIG}
     return LaunchDescription(
         [DeclareLaunchArgument(name, default_value=value) for name, value in arguments.items()]
         + [

@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, DivergenceError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
@@ -15,7 +16,6 @@ from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 
-Array = NDArray[np.float64]
 _NO_COMMAND = np.zeros(6)
 
 

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, delay, first, fma, lane, load, prefix_sum, suffix_sum
 
-Array = NDArray[np.float64]
 Vector: TypeAlias = tuple[Lanes, Lanes, Lanes]
 
 

@@ -16,6 +16,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from rx90_emulator.cli.frame import EXECUTABLES
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
 ROOF = str(ElementTree.parse(ROOT / "package.xml").findtext("name"))
@@ -27,20 +29,28 @@ MODULES = {
     for path in sorted((ROOT / package).rglob("*.py"))
 }
 FOLDERS = sorted(name for name, path in MODULES.items() if path.name == "__init__.py")
-ROS = {
-    "rclpy",
-    "ament_index_python",
-    *(entry.text or "" for entry in ElementTree.parse(ROOT / "package.xml").iter("exec_depend")),
-}
-ROS = {
-    name for name in ROS if name in {"rclpy", "ament_index_python"} or name.endswith(("_msgs", "_srvs", "_interfaces"))
-}
+_ROS = re.compile(r"(rcl|rosidl|rosbag2|ament|launch|tf2|unique_identifier)\w*|\w+_(msgs|srvs|interfaces|ros|py)")
 LONGEST = 400
 LARGEST_CLASS = 150
 MOST_POSITIONAL = 7
 PLAIN = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "itertools", "math", "operator"}
 PLAIN |= {"pathlib", "types", "typing"}
-_DOTTED = re.compile(rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+")
+_NAMED = rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+"
+_DOTTED = re.compile(rf"({_NAMED})(?::\w+)?")  # as `-m` and entry points take it
+_BEGUN = re.compile(rf"((?:{'|'.join(PACKAGES)})(?:\.\w+)*)\.")  # of an f-string that ends with a module's name
+_BUILD_FILES = ["setup.py", "setup.cfg", "pyproject.toml", "Makefile", ".ci/run"]
+_PAGES = [
+    str(page.relative_to(ROOT))
+    for page in (
+        *ROOT.glob("*.md"),
+        *ROOT.glob("*.rst"),
+        *(p for d in ("docs", "firmware", "test") for p in (ROOT / d).rglob("*.md")),
+    )
+]
+_FILES = (".launch.py", ".stamp")  # files' names that look like modules
+_OUTSIDE = sorted(
+    path for folder in ("benchmarks", "launch", "tools", "test") for path in (ROOT / folder).rglob("*.py")
+)
 
 
 def parse(name: str) -> ast.Module:
@@ -67,8 +77,12 @@ def imports(name: str, strings: bool = True) -> frozenset[str]:
             base = node.module or ""
             found.add(base)
             found.update(f"{base}.{alias.name}" for alias in node.names)
-        elif strings and isinstance(node, ast.Constant) and _DOTTED.fullmatch(str(node.value)):
-            found.add(node.value)
+        elif strings and isinstance(node, ast.Constant) and (match := _DOTTED.fullmatch(str(node.value))):
+            found.add(match[1])
+        elif strings and isinstance(node, ast.JoinedStr) and isinstance(first := node.values[0], ast.Constant):
+            found.update(match[1] for match in [_BEGUN.match(str(first.value))] if match)
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            found.update(str(a.value) for a in node.args[:1] if isinstance(a, ast.Constant))
     return frozenset(found)
 
 
@@ -94,6 +108,11 @@ def top_level(name: str) -> set[str]:
     return {imported.split(".")[0] for imported in imports(name)}
 
 
+def ros(name: str) -> set[str]:
+    """Return the packages of ROS that a module imports."""
+    return {imported for imported in top_level(name) if _ROS.fullmatch(imported)}
+
+
 def package(name: str) -> str:
     """Return the package of a module."""
     return name.split(".", maxsplit=1)[0]
@@ -107,17 +126,18 @@ def folder(name: str) -> str:
 def speaks_ros(name: str) -> bool:
     """Return whether a module lies where ROS may be imported: a room's node/, the ground's exchange/, the recorder."""
     parts = name.split(".")
-    return (parts[0] in ROOMS and parts[1:2] == ["node"]) or name.startswith(
-        (f"{GROUND}.exchange", f"{GROUND}.bags.recorder")
+    return (parts[0] in ROOMS and parts[1:2] == ["node"]) or f"{name}.".startswith(
+        (f"{GROUND}.exchange.", f"{GROUND}.bags.recorder.")
     )
 
 
 def test_the_house_is_found() -> None:
     """Ground, rooms and roof are read off the folders, and arrows are seen, so that the tests below test something."""
     assert (GROUND, ROOMS, ROOF) == ("rx90_common", ["friction_bench", "rx90_controller", "rx90_sim"], "rx90_emulator")
+    assert {path.parent.name for path in ROOT.glob("*/__init__.py")} == {*PACKAGES, "benchmarks"}
     assert "rx90_common.friction.bristle" in reached("rx90_emulator.loop.closed_loop")
     assert "rx90_emulator.cli.line" in arrows("rx90_emulator.cli.frame")
-    assert {"rclpy", "sensor_msgs"} <= ROS
+    assert ros("rx90_common.exchange.node_tools") == {"rclpy", "diagnostic_msgs", "rcl_interfaces"}
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
@@ -126,17 +146,18 @@ def test_arrows_point_down(name: str) -> None:
     own = package(name)
     below = {GROUND, own} if own != ROOF else set(PACKAGES)
     assert {target for target in arrows(name) if package(target) not in below} == set()
+    assert top_level(name) & {"benchmarks", "launch", "support", "test", "tools"} == set()
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_ros_is_imported_in_few_places(name: str) -> None:
     """Only a room's node/, the ground's exchange/ and the recorder import ROS, and no model reaches it."""
     # The share folder looks for the ament index where there is one, and works without.
-    ros = ROS - {"ament_index_python"} if name == f"{GROUND}.base.share" else ROS
+    index = {"ament_index_python"}
     if not speaks_ros(name):
-        assert top_level(name) & ros == set()
+        assert ros(name) - (index if name == f"{GROUND}.base.share" else set()) == set()
     if package(name) in ROOMS and not speaks_ros(name):
-        assert {target for target in reached(name) if top_level(target) & (ROS - {"ament_index_python"})} == set()
+        assert {target for target in reached(name) if ros(target) - index} == set()
 
 
 @pytest.mark.parametrize("name", FOLDERS)
@@ -163,7 +184,7 @@ def exported(name: str) -> set[str]:
 
 @pytest.mark.parametrize("name", FOLDERS)
 def test_what_a_folder_offers_is_there_and_is_used(name: str) -> None:
-    """Each name in `__all__` is a module of the folder, or a name that the folder's `__init__` imports."""
+    """Each name in `__all__` is a module of the folder or a name its `__init__` imports, and another folder uses it."""
     bound = {
         alias.asname or alias.name
         for node in ast.walk(parse(name))
@@ -171,6 +192,11 @@ def test_what_a_folder_offers_is_there_and_is_used(name: str) -> None:
         for alias in node.names
     }
     assert {item for item in exported(name) if f"{name}.{item}" not in MODULES and item not in bound} == set()
+    used = {dotted for module in MODULES if folder(module) != name for dotted in imports(module)}
+    if name != ROOF:  # whose names are for users
+        assert {
+            item for item in exported(name) if not any(f"{d}.".startswith(f"{name}.{item}.") for d in used)
+        } == set()
 
 
 def test_folders_do_not_import_each_other_in_a_circle() -> None:
@@ -184,25 +210,52 @@ def test_folders_do_not_import_each_other_in_a_circle() -> None:
     assert len(list(TopologicalSorter(graph).static_order())) == len(FOLDERS)
 
 
-@pytest.mark.parametrize("file", ["setup.py", "pyproject.toml", "Makefile", "README.md"])
-def test_modules_named_in_build_files_exist(file: str) -> None:
-    """Every module that an entry point, a setting or a document names is there."""
-    named = set(
-        re.findall(
-            rf"(?<![\w/.])((?:{'|'.join(PACKAGES)})(?:\.\w+)+)(?:\.py\b)?", (ROOT / file).read_text(encoding="utf-8")
-        )
+@pytest.mark.parametrize("file", [*_BUILD_FILES, *_PAGES])
+def test_modules_and_files_named_in_pages_exist(file: str) -> None:
+    """Every module that an entry point, a setting or a document names is there, and so is every file."""
+    text = (ROOT / file).read_text(encoding="utf-8")
+    named = set(re.findall(rf"(?<![\w/.])({_NAMED})", text))
+    assert {name for name in named if not known(name)} == set()
+    assert set(re.findall(r"(?<![\w./-])rx90_[a-z_]+", text)) <= {*PACKAGES, *EXECUTABLES}
+    places = (
+        rf"(?<![\w/.*<-])((?:{'|'.join(PACKAGES)}|config|docs|firmware|launch|benchmarks|tools|test)/[a-z][\w./-]*)"
     )
-    assert {name for name in named if name not in MODULES and owner(name) in FOLDERS} == set()
+    paths = {
+        path
+        for path in re.findall(places, text)
+        if "NAME" not in path and path.endswith(("/", ".c", ".h", ".md", ".py", ".yaml", ".svg"))
+    }
+    assert {path for path in paths if not (ROOT / path).exists() and not path.startswith("firmware/build")} == set()
+
+
+def known(dotted: str) -> bool:
+    """Return whether a dotted name is a module, or a name in one."""
+    return (
+        owner(dotted) not in FOLDERS or dotted in MODULES or dotted.rpartition(".")[2] in exported(owner(dotted) or "")
+    )
+
+
+@pytest.mark.parametrize("path", _OUTSIDE, ids=lambda p: str(p.relative_to(ROOT)))
+def test_modules_named_outside_the_packages_exist(path: Path) -> None:
+    """What benchmarks, launch files, tools and tests import or name in a string is there."""
+    named = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            named.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            named.add(node.module or "")
+        elif isinstance(node, ast.Constant) and (match := _DOTTED.fullmatch(str(node.value))):
+            named.add(match[1])
+    assert {name for name in named if package(name) in PACKAGES and not (known(name) or name.endswith(_FILES))} == set()
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_modules_named_by_a_string_exist(name: str) -> None:
     """Every string that looks like a module's name, as entry points and `-m` take it, is one."""
     tree = parse(name)
-    strings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     parts = {id(value) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for value in node.values}
-    inside = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) in parts}
-    assert {text for text in strings - inside if _DOTTED.fullmatch(text) and text not in MODULES} == set()
+    strings = {str(node.value) for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in parts}
+    assert {m[1] for m in map(_DOTTED.fullmatch, strings) if m and m[1] not in MODULES} == set()
 
 
 @pytest.mark.parametrize("name", ["rx90_sim", "rx90_controller"])
@@ -237,9 +290,9 @@ def test_a_module_can_be_read_at_one_sitting(name: str) -> None:
             assert len(given) <= MOST_POSITIONAL, function.name
 
 
-def compiled(function: ast.FunctionDef) -> bool:
+def compiled(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
     """Return whether a function is compiled: kernels take what they work on as plain arrays and numbers."""
-    return any(ast.unparse(d).startswith(("kernel", "inlined", "c_function")) for d in function.decorator_list)
+    return any(ast.unparse(d).partition("(")[0] in {"kernel", "inlined", "c_function"} for d in function.decorator_list)
 
 
 def test_classes_of_different_folders_have_different_names() -> None:
@@ -254,9 +307,9 @@ def test_classes_of_different_folders_have_different_names() -> None:
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
 
-def functions(tree: ast.AST) -> Iterator[ast.FunctionDef]:
+def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
     """Yield all functions of a module."""
-    yield from (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    yield from (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))
@@ -289,6 +342,19 @@ def test_there_is_one_plant_step_and_one_law() -> None:
         "position_loop": ["rx90_controller.law.loops"],
         "velocity_loop": ["rx90_controller.law.loops"],
     }
+
+
+def test_each_shipped_file_is_named_in_one_place() -> None:
+    """No two strings of the project are the name of the same file in config/."""
+    files = {str(path.relative_to(ROOT / "config")) for path in (ROOT / "config").rglob("*") if path.is_file()}
+    named = [
+        (node.value, name)
+        for name in MODULES
+        for node in ast.walk(parse(name))
+        if isinstance(node, ast.Constant) and node.value in files
+    ]
+    assert {file for file, _ in named} >= {"robot/friction.yaml", "controller/cs7b.yaml", "task/reference_line.yaml"}
+    assert len({file for file, _ in named}) == len(named), sorted(named)
 
 
 def test_one_module_reads_and_writes_yaml() -> None:

@@ -15,14 +15,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-
-Array = NDArray[np.float64]
 
 MOVED_COUNTS = 2.0
 MOVED_SHARE = 1e-3

@@ -12,13 +12,11 @@ from itertools import combinations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
-
-Array = NDArray[np.float64]
+from rx90_common.base.arrays import Array
 
 EXPERIMENT, BLOCK, MULTIBODY, CLOSED = "experiment", "equation 3, integrated", "multibody", "closed form"
 SOURCE_BANDS = {

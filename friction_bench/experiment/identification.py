@@ -13,15 +13,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from friction_bench.experiment.asymptote import RampFit, fit_asymptote
 from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
-Array = NDArray[np.float64]
 LEVEL = 0.95
 INCONSISTENT = 0.01
 """Below this p-value the intervals come from the repeats' scatter, not from the fits' covariances."""

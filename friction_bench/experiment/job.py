@@ -24,6 +24,7 @@ from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import ConfigError, FailureError, write_error
 from rx90_common.base.share import config_path, resolve_config
+from rx90_common.description.robot_files import SHIPPED
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
 
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
     """
     rig = load_rig(resolve_config(options.rig))
     out: Path = options.output
-    base = FrictionFile.read(config_path("robot/friction.yaml"))
+    base = FrictionFile.read(config_path(SHIPPED["friction"]))
     _check(options, base)
     if options.no_load_file or options.loaded_file:
         _folder(out)

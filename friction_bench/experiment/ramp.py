@@ -64,9 +64,8 @@ def run_ramp(
     except BaseException:  # Ctrl-C above all: never leave with the power stage on
         with contextlib.suppress(RigError):  # a line that is gone carries no heartbeat either
             client.line.urgent_stop()
-        client.line.known_stops = (
-            client.line.stops
-        )  # this stop is the ramp's own: the next command is not overtaken by it
+        # This stop is the ramp's own: the next command is not overtaken by it.
+        client.line.known_stops = client.line.stops
         raise
     return _record(samples, rig, rig.slope_of_step(step), loaded, label)
 

@@ -8,11 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error, write_error
-
-Array = NDArray[np.float64]
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")

@@ -11,7 +11,7 @@ from friction_bench.experiment.identification import IntervalEstimate, RampFrict
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import IdentificationError, write_error
+from rx90_common.base.errors import IdentificationError, write_text
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.page import render_page
@@ -75,14 +75,7 @@ def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> Non
         smoothing=SMOOTHING,
         two_slopes=all(part.exact is not None for _, part in result.parts),
     )
-    _write(path, page)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise write_error(path, error) from error
+    write_text(path, page)
 
 
 def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
@@ -133,7 +126,7 @@ def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base:
         raise IdentificationError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
     measured = _lugre(coulomb, max(coulomb, _static_friction(result, rig)), viscous)
     source = "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed"
-    _write(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
+    write_text(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
 
 
 def write_estimates(path: Path, result: RampTestResult) -> None:
@@ -159,4 +152,4 @@ def write_estimates(path: Path, result: RampTestResult) -> None:
                 "viscous": _interval(result.joint.joint_side_viscous),
             },
         }
-    _write(path, yaml_text(document))
+    write_text(path, yaml_text(document))

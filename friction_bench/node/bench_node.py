@@ -23,7 +23,7 @@ from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
 
@@ -74,7 +74,7 @@ class BenchNode:
     def __init__(self) -> None:
         self.node = Node("friction_bench")
         port = declare(self.node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
-        rig_file = declare(self.node, "rig", "rig/gm8224.yaml", "rig file: own path or a shipped file's name")
+        rig_file = declare(self.node, "rig", SHIPPED_RIG, "rig file: own path or a shipped file's name")
         self.rig = load_rig(resolve_config(rig_file))
         baud = declare(self.node, "baud", self.rig.baud, "line rate", low=1200, high=1_000_000)
         seed = declare(self.node, "seed", 0, "seed of the emulated rig's noise", low=0, high=2**31 - 1)

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.alignment import Alignment, Side, align
-from rx90_common.bags.joint_series import FloatArray, JointSeries
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_series
 from rx90_common.bags.storage import BagReader
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS
 
@@ -272,9 +273,7 @@ def compare_series(
     )
 
 
-def _difference(
-    joint: str, field: str, a: FloatArray, b: FloatArray, alignment: Alignment, tolerance: float
-) -> ValueDifference:
+def _difference(joint: str, field: str, a: Array, b: Array, alignment: Alignment, tolerance: float) -> ValueDifference:
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
     same_but_not_finite = (np.isnan(a) & np.isnan(b)) | (a == b)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.joint_series import FloatArray, Int64Array, JointSeries
+from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.bags.topics import FIELDS
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, LITTLE_ENDIAN, STAMP_BYTES, cdr_stamps_ns, message_time_ns
@@ -32,7 +33,7 @@ class _Rows:
 
     index: NDArray[np.intp]
     stamp_ns: Int64Array
-    values: FloatArray  # (n, number of arrays that are there, k)
+    values: Array  # (n, number of arrays that are there, k)
 
 
 class _MessagePattern:
@@ -210,7 +211,7 @@ class SeriesBuilder:
                     return self._deserialize(raw[:-slack])
             raise
 
-    def _check(self, names: tuple[str, ...], arrays: Sequence[FloatArray], stamp_ns: int) -> None:
+    def _check(self, names: tuple[str, ...], arrays: Sequence[Array], stamp_ns: int) -> None:
         where = f"{self._topic} at t = {stamp_ns / NANOSECONDS:.9f} s"
         if not names or len(set(names)) != len(names):
             raise BagError(f"{where}: joint names are {list(names)}; accepted: one or more, each once")

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.topics import FIELDS, quantities
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.rates import NANOSECONDS
 
 Int64Array = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,9 @@ class JointSeries:
     topic: str
     names: tuple[str, ...]
     stamp_ns: Int64Array
-    position: FloatArray | None = None
-    velocity: FloatArray | None = None
-    effort: FloatArray | None = None
+    position: Array | None = None
+    velocity: Array | None = None
+    effort: Array | None = None
 
     def __post_init__(self) -> None:
         if len(set(self.names)) != len(self.names):
@@ -52,7 +52,7 @@ class JointSeries:
                 raise BagError(f"{self.topic}: {field} is {found}; accepted: float64 {shape}")
 
     @property
-    def fields(self) -> dict[str, FloatArray]:
+    def fields(self) -> dict[str, Array]:
         """Return the arrays that are there, by field name."""
         return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
 
@@ -62,7 +62,7 @@ class JointSeries:
         return quantities(self.topic)
 
     @property
-    def time(self) -> FloatArray:
+    def time(self) -> Array:
         """Return header.stamp in s, float64 of shape (n,)."""
         return np.asarray(self.stamp_ns / NANOSECONDS, dtype=np.float64)
 

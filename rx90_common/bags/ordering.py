@@ -1,7 +1,7 @@
 """Give recorded messages their log time and their order, both of simulated time alone.
 
-Topics arrive interleaved as the machine's load has it. Held back for a moment and sorted by stamp, equal runs
-make equal bags.
+In which order messages of different topics arrive depends on the load of the machine. They are held back for a moment
+and sorted by their stamps, so that equal runs make equal bags.
 """
 
 from __future__ import annotations

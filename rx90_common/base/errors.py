@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from pathlib import Path
 from typing import ClassVar
 
 DONE = 0
@@ -70,6 +71,18 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
     """
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
     return kind(f"{path}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file.
+
+    Raises:
+        Rx90Error: if that fails, as `write_error` says.
+    """
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise write_error(path, error) from error
 
 
 class BagError(Rx90Error):

@@ -8,6 +8,8 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 
 PACKAGE = "rx90_emulator"
+REFERENCE_TASK = "task/reference_line.yaml"
+SHIPPED_RIG = "rig/gm8224.yaml"
 
 
 def share_directory() -> Path:

@@ -6,13 +6,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.wrist import coupled_inertia
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.branch import Branch
 from rx90_common.description.kinematics import Pose, axis_rotation, forward, jacobian
 from rx90_common.description.robot import RigidChain, RobotModel
-
-Array = NDArray[np.float64]
 
 _Y, _Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Geometry read from a URDF counts as exact within this many metres or sines.

@@ -8,11 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RigidChain
-
-Array = NDArray[np.float64]
 
 
 class Pose(NamedTuple):

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from rx90_common.base.arrays import Array
 
 
 def rigid_torque(

@@ -9,12 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.tool import MOUNT_LINK, TCP_LINK, attach, load_tool
 from rx90_common.description.urdf import JOINT_COUNT, UrdfFile
-
-Array = NDArray[np.float64]
 
 
 class RigidChain(NamedTuple):

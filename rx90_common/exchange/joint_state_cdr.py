@@ -14,15 +14,13 @@ import struct
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, STAMP_BYTES
 from rx90_common.exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
 from rx90_common.exchange.joint_state_parser import parse_joint_state
-
-FloatArray = NDArray[np.float64]
 
 _MAX_STAMP_NS = (1 << 31) * NANOSECONDS - 1
 _FLOAT64 = np.dtype("<f8")
@@ -30,7 +28,7 @@ _BODY = MARGIN + ENCAPSULATION  # where a message's body begins in memory
 
 
 # stamp in ns and three arrays of shape (n,) in the codec's order, None when empty
-JointStateValues = tuple[int, FloatArray | None, FloatArray | None, FloatArray | None]
+JointStateValues = tuple[int, Array | None, Array | None, Array | None]
 
 
 class _Layout:
@@ -66,7 +64,7 @@ class _Layout:
                 self.mask[at - MARGIN : at - MARGIN + numbers] = 0
         self.incoming = np.zeros(MARGIN + self.size, dtype=np.uint8)
         self.outgoing = np.concatenate([np.zeros(MARGIN, dtype=np.uint8), self.expected])
-        self.views: tuple[FloatArray | None, ...] = tuple(
+        self.views: tuple[Array | None, ...] = tuple(
             None if at < 0 else self.incoming[at : at + numbers].view(np.float64) for at in blocks
         )
         self.position, self.velocity, self.effort = self.views
@@ -118,9 +116,9 @@ class JointStateCodec:
     def encode(
         self,
         stamp_ns: int,
-        position: FloatArray | None = None,
-        velocity: FloatArray | None = None,
-        effort: FloatArray | None = None,
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
     ) -> bytes:
         """Return the message as CDR, little endian.
 
@@ -137,9 +135,9 @@ class JointStateCodec:
 
     def encoder(
         self,
-        position: FloatArray | None = None,
-        velocity: FloatArray | None = None,
-        effort: FloatArray | None = None,
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
     ) -> Callable[[int], bytes]:
         """Return a function from header.stamp in ns to the message with what these arrays hold when it is called.
 
@@ -166,7 +164,7 @@ class JointStateCodec:
 
         return encode
 
-    def _check_array(self, array: FloatArray | None) -> None:
+    def _check_array(self, array: Array | None) -> None:
         if array is None:
             return
         count = len(self.names)

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.throttle import ThrottledLog
-
-Array = NDArray[np.float64]
 
 
 class MotorStates(NamedTuple):

@@ -20,6 +20,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.ros_start import start_ros
 from rx90_common.exchange.topics import CLOCK_QOS
@@ -67,6 +68,19 @@ def declare(
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
+
+
+def declare_rates(node: Node) -> Rates:
+    """Declare the rates, which both nodes must have alike, and return them.
+
+    Raises:
+        ConfigError: for a rate that is out of range, or that does not divide.
+    """
+    usual = Rates()
+    about = "rate of plant, velocity and current loops, and of the exchange, Hz"
+    base = declare(node, "base_rate", usual.base_hz, about, low=100, high=20000)
+    about = "rate of the position loop and of set-points, Hz"
+    return Rates(base, declare(node, "position_rate", usual.position_hz, about, low=10, high=20000))
 
 
 def declare_robot_files(node: Node, *names: str) -> RobotFiles:

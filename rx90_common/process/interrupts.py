@@ -42,9 +42,9 @@ def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def terminations_as_interrupts() -> Iterator[None]:
-    """Let SIGTERM, and SIGHUP of a terminal that closes, end the block as Ctrl-C does, with all that is cleaned up.
+    """Within the block, SIGTERM and SIGHUP (the terminal closes) raise KeyboardInterrupt, as Ctrl-C does.
 
-    Outside the main thread, where Python takes no signals, nothing changes; what the block itself sets stays.
+    Handlers that the block itself sets stay. Outside the main thread nothing changes: Python takes no signals there.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -61,22 +61,22 @@ def terminations_as_interrupts() -> Iterator[None]:
 
 
 def stop_request() -> threading.Event:
-    """Return what Ctrl-C, SIGTERM and SIGHUP set from now on; as often as they come, the end stays in order."""
+    """Return an event that Ctrl-C, SIGTERM and SIGHUP set from now on; a second signal changes nothing."""
     stopped = threading.Event()
     _take_over(lambda _number, _frame: stopped.set())
     return stopped
 
 
 def leave_when_asked() -> None:
-    """From now on let Ctrl-C, SIGTERM and SIGHUP end the process at once with 0: nothing needs to be ended in order."""
+    """From now on Ctrl-C, SIGTERM and SIGHUP end the process at once with 0, without any clean-up."""
     _take_over(lambda _number, _frame: os._exit(0))
 
 
 def keep_exit_code() -> None:
-    """Overlook signals that come when all else has ended, in place of an impatient end by SIGINT.
+    """Ignore signals at the very end of the process, so that an impatient second Ctrl-C does not change the exit code.
 
-    Python gives handlers of its own back to the system before it has ended; ignored signals it leaves alone. To be
-    called early: what is registered later is called before, threads are waited for, and Ctrl-C still ends that.
+    Before it ends, Python removes its handlers, but leaves ignored signals ignored. Call this early: exit functions run
+    in reverse order, so Ctrl-C still ends those that are registered later, and the wait for threads.
     """
     atexit.register(_take_over, signal.SIG_IGN)
 
@@ -90,7 +90,7 @@ def _take_over(handler: Callable[[int, FrameType | None], object] | signal.Handl
 
 @contextmanager
 def interrupts_later() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back within the block, and raise it where the yielded function is called, or at the block's end.
+    """Hold interrupts back within the block; they are raised when the yielded function is called, or after the block.
 
     Raised in the middle of a constructor, KeyboardInterrupt leaves half an object behind: a child process that nobody
     knows, or an rclpy executor whose destructor complains. Outside the main thread, where Python takes no signals,

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
@@ -14,8 +15,6 @@ from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-
-Array = NDArray[np.float64]
 
 _LOOKAHEAD = 64  # set-points that are sampled at once
 

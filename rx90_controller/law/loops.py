@@ -7,18 +7,13 @@ motor side, because each controller serves one motor.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
-
-Array = NDArray[np.float64]
-Record = NDArray[Any]
 
 LAW_STATE_DTYPE = np.dtype(
     [

@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
-
-Array = NDArray[np.float64]
 
 CONTROLLER_DTYPE = np.dtype(
     [

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.description.inverse import (
     SphericalWristArm,
@@ -20,8 +20,6 @@ from rx90_common.description.inverse import (
 from rx90_common.description.kinematics import Pose, bias_acceleration, jacobian
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines.task import LineTask
-
-Array = NDArray[np.float64]
 
 # The line is examined at points at most this far apart, and at this many at least.
 _STEP = 1e-3

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
@@ -22,8 +22,6 @@ from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
-
-Array = NDArray[np.float64]
 
 TIP_TOLERANCE = 1e-7
 _WIDEST_SPACING = 0.064

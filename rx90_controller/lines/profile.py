@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
-
-Array = NDArray[np.float64]
 
 
 class PathMotion(NamedTuple):

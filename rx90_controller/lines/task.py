@@ -10,7 +10,7 @@ import numpy as np
 
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import LineError
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import REFERENCE_TASK, resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_controller.lines.profile import TrapezoidalProfile
 
@@ -90,7 +90,7 @@ class LineTask:
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
 
 
-def load_task(name: Path | str = "task/reference_line.yaml") -> LineTask:
+def load_task(name: Path | str = REFERENCE_TASK) -> LineTask:
     """Read a task file: a path, or the name of a shipped file below config/; the reference line if left out.
 
     Raises:

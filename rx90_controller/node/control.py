@@ -22,7 +22,7 @@ from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
@@ -90,7 +90,7 @@ class Control:
     def __init__(self) -> None:
         self.node = Node("rx90_controller")
         self._log = self.node.get_logger()
-        rates = self._read_rates()
+        rates = declare_rates(self.node)
         self._cs7b = cs7b = self._build(rates)
         channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         outputs = ControllerOutputs(self.node, channel, cs7b)
@@ -108,11 +108,6 @@ class Control:
         self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS.profile)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = Diagnostics(self.node, self._status)
-
-    def _read_rates(self) -> Rates:
-        base = declare(self.node, "base_rate", 4000, "rate of the velocity and current loops, Hz", low=100, high=20000)
-        position = declare(self.node, "position_rate", 1000, "rate of the position loop, Hz", low=10, high=20000)
-        return Rates(base, position)
 
     def _build(self, rates: Rates) -> CS7B:
         files = declare_robot_files(self.node, "urdf", "drives", "controller")

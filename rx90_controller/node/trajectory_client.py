@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from numpy.typing import NDArray
 from rclpy.duration import Duration as RclpyDuration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
@@ -23,8 +23,6 @@ from rx90_common.exchange.ros_start import reason
 from rx90_controller.lines.plan import LinePlan, approach_time
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import stamped_points
-
-Array = NDArray[np.float64]
 
 
 class NewestPositions:

@@ -3,6 +3,5 @@
 from rx90_controller.trajectory.generator import TrajectoryGenerator
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import Spline
 
-__all__ = ["JointLimits", "Spline", "TrajectoryGenerator", "TrajectoryPoints", "message", "spline"]
+__all__ = ["JointLimits", "TrajectoryGenerator", "TrajectoryPoints", "message", "spline"]

@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.spline import Spline, interpolate
-
-Array = NDArray[np.float64]
 
 _CHECK_BLOCK = 4096
 
@@ -24,7 +22,7 @@ class TrajectoryGenerator:
     its start tick; a refused one leaves everything untouched.
 
     Attributes:
-        revision: changes whenever set-points that were looked up ahead of their time may be others now.
+        revision: changes whenever set-points that were sampled in advance may be out of date.
     """
 
     def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
@@ -42,10 +40,10 @@ class TrajectoryGenerator:
         self.revision += 1
 
     def delay(self, count: int, now: int) -> None:
-        """Let `count` ticks, up to tick `now`, pass without set-points: what runs goes on later by as much.
+        """Shift the running trajectory by `count` ticks, which passed without set-points up to tick `now`.
 
-        What waits for its start begins where the running one will then be, and waits longer too; only where the arm
-        rests it starts in time, or now.
+        A trajectory that is to follow it is shifted as well, because it begins where the running one will then be. If
+        the arm rests, it keeps its start tick, or starts now if that has passed.
         """
         self._promote(now - count)
         resting = (now - count - self._start) * self.period >= self._current.duration

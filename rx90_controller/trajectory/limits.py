@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, TrajectoryError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

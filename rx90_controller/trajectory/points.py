@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-
-Array = NDArray[np.float64]
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""

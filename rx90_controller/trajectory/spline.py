@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import kernel
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

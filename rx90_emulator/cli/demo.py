@@ -9,14 +9,14 @@ from itertools import count
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import REFERENCE_TASK, resolve_config
 from rx90_common.exchange.environment import prepare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
-    parser.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    parser.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS
+from rx90_common.base.share import SHIPPED_RIG
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -13,7 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="the rig is switched off")
     parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
     parser.add_argument("--baud", type=int, help="line rate (default: the rig file's)")
-    parser.add_argument("--rig", default="rig/gm8224.yaml", help="rig file (default: %(default)s)")
+    parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (default: %(default)s)")
     parser.add_argument("--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s at the motor")
     parser.add_argument("--repeats", type=int, help="ramps of each slope")
     parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")

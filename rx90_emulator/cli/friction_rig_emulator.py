@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.share import resolve_config
+from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.process.interrupts import stop_request
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--rig", default="rig/gm8224.yaml", help="rig file (%(default)s)")
+    parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (%(default)s)")
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
     parser.add_argument("--seed", type=int, default=0, help="of all noise (%(default)s)")

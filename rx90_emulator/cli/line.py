@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import LineError, write_error
+from rx90_common.base.errors import LineError, write_text
 from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> None:
-    """Plan the line, show it, and send it unless told otherwise.
+    """Plan the line, show it, and send it, except with --dry-run.
 
     Raises:
         Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
@@ -88,10 +88,7 @@ def main(options: argparse.Namespace) -> None:
     plan = plan_line(load_robot(files.urdf, files.tool), _task(options), 1.0 / options.set_point_rate)
     _say(describe_line(plan))
     if options.output is not None:
-        try:
-            options.output.write_text(yaml_text(message_content(plan.joint_names, plan.points)), encoding="utf-8")
-        except OSError as error:
-            raise write_error(options.output, error) from error
+        write_text(options.output, yaml_text(message_content(plan.joint_names, plan.points)))
         _say(f"written to {options.output}")
     if not options.dry_run:
         _send(plan, files, options)

@@ -1,4 +1,4 @@
-"""A ROS 2 node: its parameters stand in README.md, and `ros2 param describe` tells them while it runs."""
+"""A ROS 2 node: its parameters stand in README.md, and `ros2 param describe` shows them while it runs."""
 
 from __future__ import annotations
 

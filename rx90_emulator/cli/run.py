@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
+from rx90_common.base.share import REFERENCE_TASK
 from rx90_emulator.cli.options import add_robot_arguments
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.set_defaults(interrupted="nothing was written")
     motion = parser.add_mutually_exclusive_group()
-    motion.add_argument("--task", default="task/reference_line.yaml", help="task file (%(default)s)")
+    motion.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
     motion.add_argument(
         "--trajectory", type=Path, help="JointTrajectory in YAML, begun at rest in its first point, instead of a task"
     )

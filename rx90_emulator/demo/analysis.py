@@ -6,17 +6,13 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.arrays import Array
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import PathAccuracy, path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.base.errors import write_error
+from rx90_common.base.errors import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
@@ -65,10 +65,7 @@ def write_report(
             "effort": effort_plot(run),
         },
     )
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise write_error(path, error) from error
+    write_text(path, page)
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from numpy.typing import ArrayLike
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
+from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
@@ -16,9 +14,6 @@ from rx90_emulator.loop.result import FastSeries, RunResult, SlowSeries, empty_s
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
-
-Array = NDArray[np.float64]
-Record = NDArray[Any]
 
 
 @kernel

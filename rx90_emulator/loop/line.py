@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines import plan as planning
@@ -17,8 +17,6 @@ from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 SETTLING = 0.2
 """How long after its end a line still counts for the path error, s: there the arm comes to rest."""

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import write_error
 from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 _ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
 

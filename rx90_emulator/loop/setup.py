@@ -27,7 +27,7 @@ class Setup:
 
     @classmethod
     def load(cls, files: RobotFiles | None = None, rates: Rates | None = None) -> Setup:
-        """Read the files, the shipped ones unless told otherwise.
+        """Read the files, by default the shipped ones.
 
         Raises:
             ConfigError: naming file, key, value and accepted range.

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Record
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_common.friction.lugre import element_arrays, elements_dtype
 from rx90_controller.law.parameters import CONTROLLER_DTYPE
-
-Array = NDArray[np.float64]
-Record = NDArray[Any]
 
 FEW, MANY = 4, 16
 """Runs that go through the formulas together: one vector of the processor, or several to hide latency."""

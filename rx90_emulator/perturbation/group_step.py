@@ -10,18 +10,13 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rx90_common.base.arrays import Array, Record
 from rx90_common.friction.bristle import bristle_step, load_elements
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
 from rx90_emulator.perturbation.batch import FEW, MANY
 from rx90_sim.drives import encoder_reading, observe
-
-Array = NDArray[np.float64]
-Record = NDArray[Any]
 
 
 class Tables(NamedTuple):

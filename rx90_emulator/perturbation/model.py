@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
@@ -15,11 +16,9 @@ from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.batch import FEW, Record, lanes_for, pack
+from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
 from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
 from rx90_emulator.perturbation.nominal import NominalMotion, linearise, nominal_motion, nominal_torque
-
-Array = NDArray[np.float64]
 
 SPACING = 0.01
 """From one point of the linearisation to the next, s."""

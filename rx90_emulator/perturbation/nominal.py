@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_sim.manipulator import mass_and_bias
-
-Array = NDArray[np.float64]
-Record = NDArray[Any]
 
 
 class NominalMotion(NamedTuple):

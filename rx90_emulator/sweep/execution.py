@@ -16,6 +16,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessP
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from functools import lru_cache
+from importlib import import_module
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -109,11 +110,16 @@ def read_sweep(file: Path | str) -> Any:
 
 
 def _store() -> Any:
+    return _import("rx90_emulator.sweep.store")
+
+
+def _import(module: str) -> Any:
+    """Return a module that stands on pyarrow or Dask, which are optional."""
     try:
-        from rx90_emulator.sweep import store  # needs an extra
+        return import_module(module)
     except ImportError as error:
-        raise FailureError("pyarrow is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
-    return store
+        missing = (error.name or module).partition(".")[0]
+        raise FailureError(f"{missing} is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
 
 
 def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:
@@ -220,8 +226,9 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
 
     Raises:
         SweepError: if the cluster cannot be reached, has no workers, or loses them.
+        FailureError: if Dask is not installed.
     """
-    distributed = _distributed()
+    distributed = _import("distributed")
     with _quiet_loggers():
         yield from _cluster(sweep, address, distributed)
 
@@ -244,14 +251,6 @@ def _cluster(sweep: Sweep, address: str, distributed: Any) -> Iterator[Pool]:
         raise SweepError(f"a Dask worker lacks the emulator ({error}); accepted: the same version") from error
     finally:
         client.close()
-
-
-def _distributed() -> Any:
-    try:
-        import distributed  # an extra that only this needs
-    except ImportError as error:
-        raise SweepError("Dask is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
-    return distributed
 
 
 @contextmanager

@@ -1,8 +1,7 @@
-"""What a run is judged by: a short list of numbers with units.
+"""The metrics of a run: a short list of numbers with units.
 
-Series are looked at from the start of the line until it has settled at its end, as for the path error: in
-the rest before it, the controller still takes up the weight of the arm. They are sampled at the position
-rate.
+They are computed from the series at the position rate, from the start of the line until the arm has settled at its end,
+as the path error is. The rest before the line is left out: the controller still takes up the weight of the arm there.
 """
 
 from __future__ import annotations
@@ -11,15 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import path_error
 from rx90_common.description.robot import RigidChain
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import SETTLING
 from rx90_emulator.loop.result import RunResult
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import config_path
+from rx90_common.base.share import REFERENCE_TASK, config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.spaces import Distribution, Values
@@ -104,7 +104,7 @@ class SweepBase:
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
-    task: Path = field(default_factory=lambda: config_path("task/reference_line.yaml"))
+    task: Path = field(default_factory=lambda: config_path(REFERENCE_TASK))
     rates: Rates = field(default_factory=Rates)
     substeps: int = 1
 

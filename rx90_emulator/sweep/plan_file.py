@@ -2,8 +2,8 @@
 
 seed: 1                          of all random draws; 0 if left out
 base:                            what every run starts from; the shipped files if left out
-  task: task/reference_line.yaml     also urdf, tool, drives, friction, controller: a file beside the
-                                     plan, from the working folder, or shipped
+  task: task/reference_line.yaml     also urdf, tool (or none), drives, friction, controller: a file
+                                     beside the plan, from the working folder, or shipped
   base_rate: 4000                    also position_rate, substeps
 blocks:                          their runs follow each other
   any_name:
@@ -30,13 +30,12 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import SHIPPED, RobotFiles
 from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
 
 _Thing = TypeVar("_Thing")
-_FILES = ("urdf", "tool", "drives", "friction", "controller")
 _SPACES = "[v1, v2, ...], {linspace: [start, stop, count]} or {geomspace: [start, stop, count]}"
 _DRAWN = (
     "{uniform: [low, high]}, {loguniform: [low, high]} or "
@@ -82,7 +81,7 @@ class _PlanSection(Section):
 
 
 def _base(section: _PlanSection) -> SweepBase:
-    files = {role: _file(section, role) for role in (*_FILES, "task") if role in section}
+    files = {role: _file(section, role) for role in (*SHIPPED, "task") if role in section}
     task = {"task": files.pop("task")} if "task" in files else {}
     base_hz = section.integer("base_rate", 1, 10**9) if "base_rate" in section else Rates.base_hz
     position_hz = section.integer("position_rate", 1, 10**9) if "position_rate" in section else Rates.position_hz
@@ -92,11 +91,15 @@ def _base(section: _PlanSection) -> SweepBase:
     return SweepBase(RobotFiles(**files), rates=rates, substeps=substeps, **task)
 
 
-def _file(section: _PlanSection, role: str) -> Path:
-    """Return a file's path: beside the plan, from the working folder, or shipped."""
+def _file(section: _PlanSection, role: str) -> Any:
+    """Return a file's path: beside the plan, from the working folder, or shipped; None for the tool `none`."""
     name = section.text(role)
     beside = section.file.parent / name
-    return beside if beside.is_file() else _built(section, role, lambda: resolve_config(name))
+    if beside.is_file():
+        return beside
+    if role in SHIPPED:
+        return getattr(_built(section, role, lambda: RobotFiles.named(**{role: name})), role)
+    return _built(section, role, lambda: resolve_config(name))
 
 
 def _block(blocks: _PlanSection, name: str) -> Block:

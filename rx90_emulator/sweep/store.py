@@ -14,7 +14,6 @@ import shutil
 import time
 from collections.abc import Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -192,11 +191,8 @@ class ResultStore:
     def _take_up(self) -> None:
         table = read_results(self.file)
         there, own = (about(schema, self.file) for schema in (table.schema, self._schema))
-        for key, what in (
-            ("identity", "plan"),
-            ("sources", "version of the sources"),
-            ("versions", "set of versions"),
-        ):
+        kinds = {"identity": "plan", "sources": "version of the sources", "versions": "set of versions"}
+        for key, what in kinds.items():
             if there[key] != own[key]:
                 raise SweepError(
                     f"{self.file} has another {what} ({_difference(there[key], own[key])}); accepted: the "
@@ -224,9 +220,7 @@ class ResultStore:
     def __enter__(self) -> ResultStore:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Gather what is done into the file, whatever ended the sweep."""
         try:
             self.flush()

@@ -6,13 +6,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rx90_common.base.arrays import Array
 from rx90_common.base.stamps import cdr_stamp_ns
 from rx90_common.exchange.channel import Channel
-
-Array = NDArray[np.float64]
 
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s

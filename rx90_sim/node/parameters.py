@@ -10,7 +10,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.exchange.node_tools import declare, declare_robot_files
+from rx90_common.exchange.node_tools import declare, declare_rates, declare_robot_files
 from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_sim.plant import Plant
@@ -51,11 +51,8 @@ def read_parameters(node: Node) -> SimulationParameters:
     Raises:
         ConfigError: naming parameter, value and accepted range.
     """
-    base = declare(node, "base_rate", 4000, "rate of the plant and of the exchange with the controller, Hz",
-                   low=100, high=20000)  # fmt: skip
-    position = declare(node, "position_rate", 1000, "rate of the controller's position loop, Hz", low=10, high=20000)
     return SimulationParameters(
-        rates=Rates(base, position),
+        rates=declare_rates(node),
         joint_state_rate=declare(
             node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
         ),

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from rx90_common.base import share
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import EXECUTABLES
 
@@ -48,7 +49,7 @@ def described(monkeypatch: pytest.MonkeyPatch) -> list[Action]:
 def declared_parameters() -> dict[str, Any]:
     """Return the node's parameters as its source declares them, with defaults that are constants."""
     tree = ast.parse((REPOSITORY / "friction_bench" / "node" / "bench_node.py").read_text())
-    constants = {
+    constants = vars(share) | {
         node.targets[0].id: node.value.value
         for node in tree.body
         if isinstance(node, ast.Assign)

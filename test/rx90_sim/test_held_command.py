@@ -73,7 +73,7 @@ def test_a_command_does_not_age_while_time_stands_still(drive: Drive) -> None:
 
 
 def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
-    """Of 400 changes within a second a handful of lines is left, and the last state is told with a count."""
+    """Of 400 changes within a second a handful of lines is left, and the last state is reported with a count."""
     drive.tick(1)
     for stamp in range(200):
         drive.tick(stamp, count=TIMEOUT + 2)
@@ -85,7 +85,7 @@ def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
 
 
 def test_a_second_controller_is_told_and_takes_the_torque_away(drive: Drive) -> None:
-    """Commands of two controllers, told by stamps that go back, are not used until one is left."""
+    """Commands of two controllers, recognised by stamps that go back, are not used until one is left."""
     drive.publishers = 2
     for k in range(1, 11):
         torque = drive.tick(1000 + k, k)

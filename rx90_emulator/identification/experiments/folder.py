@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rx90_common.base.config import load_yaml, yaml_text
-from rx90_common.base.errors import IdentificationError
+from rx90_common.base.errors import IdentificationError, write_text
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
 INDEX = "experiments.yaml"
@@ -57,9 +57,13 @@ def make_folder(folder: Path) -> None:
 
 
 def write_index(folder: Path, done: Sequence[Experiment]) -> None:
-    """Write the uses of the bags recorded so far; after each experiment, so that a series may be cut short."""
+    """Write the uses of the bags recorded so far; after each experiment, so that a series may be cut short.
+
+    Raises:
+        Rx90Error: if it cannot be written.
+    """
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
-    (folder / INDEX).write_text(yaml_text(content), encoding="utf-8")
+    write_text(folder / INDEX, yaml_text(content))
 
 
 def _names(folder: Path) -> list[str]:

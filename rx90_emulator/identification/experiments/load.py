@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
+from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.robot import RobotModel
@@ -15,9 +16,7 @@ from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.identification.experiments.plan import Experiment
 
-Array = NDArray[np.float64]
-
-_PERIOD = 0.001
+_PERIOD = Rates().position_period
 _TORQUE_STRIDE = 10
 
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_controller.trajectory import TrajectoryPoints
-
-Array = NDArray[np.float64]
 
 _QUINTIC_PEAK_SPEED = 15.0 / 8.0  # of a rest-to-rest quintic, times mean speed
 _QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)  # times distance over time squared

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import POLL, ClientNode, client_node
 from rx90_common.process.children import ProcessGroup, executable
@@ -24,8 +24,6 @@ from rx90_emulator.identification.experiments.folder import TOPICS, write_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
 _PATIENCE = 5.0  # s of the controller's time, for a trajectory to begin and beyond its end

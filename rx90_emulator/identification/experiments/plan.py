@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, fields
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
@@ -17,8 +17,6 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
-
-Array = NDArray[np.float64]
 
 HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 POSES = (

@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
+from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.wrist import coupling_matrix
 
-Array = NDArray[np.float64]
-
-_PERIOD = 0.001  # s, of the position loop and of joint_states
+_PERIOD = Rates().position_period  # s, that of joint_states too
 _SHIFT = 0.1  # of the logarithm of a speed, at most
 _CANDIDATES = 401
 _DENOMINATORS = (1, 2, 3, 4)

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.records.record import BagSource
-
-Array = NDArray[np.float64]
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
 PRESLIDING = ("c0", "c1")

@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.rigid_torque import configurations, rigid_torque
 from rx90_common.description.wrist import element_matrix
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import SHIPPED, RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
@@ -92,7 +92,7 @@ def _own(options: RobotOptions) -> RecordedRobot:
             )
     setup = Setup.load(RobotFiles.of_options(options))
     arm = RigidArm.from_setup(setup)
-    name = options.fallback or "robot/friction.yaml"
+    name = options.fallback or SHIPPED["friction"]
     return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)
 
 

@@ -6,16 +6,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.report.drawing import COLOURS, as_svg, make_figure
 from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
 from rx90_emulator.identification.result.identification import FrictionIdentification
 from rx90_emulator.identification.result.validation import Validation
 from rx90_emulator.identification.sliding.fit import CurvePoints
-
-Array = NDArray[np.float64]
 
 _MOST_POINTS = 3000
 _INTERVAL = 1.96  # standard deviations, 95 %

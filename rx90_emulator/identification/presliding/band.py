@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import prev_fast_len, rfft, rfftfreq
 from scipy.signal.windows import tukey
 
-Array = NDArray[np.float64]
+from rx90_common.base.arrays import Array
 
 BLOCK = 8
 """Steps of the simulation in one block mean."""

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.bristle import damping, decay, one_element, sliding_torque
 from rx90_common.friction.lugre import element_arrays
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.presliding.band import block_means
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

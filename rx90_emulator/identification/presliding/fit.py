@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.model.estimates import PRESLIDING, ElementEstimate, ParameterEstimate
@@ -18,8 +18,6 @@ from rx90_emulator.identification.presliding.group_model import JointGroup, join
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_informative
 from rx90_emulator.identification.presliding.solver import GroupSolution, fit_group
 from rx90_emulator.identification.records.record import JointRecord
-
-Array = NDArray[np.float64]
 
 _LARGEST = 0.3  # standard deviation of ln c0 or ln c1, up to which a parameter is identifiable
 _NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far

@@ -6,13 +6,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.bristle_path import BristlePath
-
-Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # relative step of difference quotients
 

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import butter, sosfiltfilt
 
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord, spikes
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LOWEST_RATE = 500.0
 """Samples per second below which the damping of the bristles is not separable from a delay."""

@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.presliding.band import BLOCK, band_spectrum, block_means
 from rx90_emulator.identification.presliding.group_model import GroupFriction, ParameterVector
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 
-Array = NDArray[np.float64]
 Clusters = NDArray[np.int64]
 
 INERTIA_DEVIATION = 0.05

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.presliding.band import band_spectrum, block_means
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.presliding.residual import GroupResidual
 from rx90_emulator.identification.presliding.uncertainty import group_covariance
-
-Array = NDArray[np.float64]
 
 _PASSES = 3  # of the fit, each with the noise that the one before shows
 _EVALUATIONS = 30  # of the residuals in one pass, at most

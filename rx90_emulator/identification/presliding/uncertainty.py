@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.model.estimates import SLIDING
 from rx90_emulator.identification.presliding.residual import INERTIA_DEVIATION, Clusters, GroupResidual
-
-Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-4  # relative step of difference quotients
 _FEW = 3  # motions, below which they are too few to be clusters

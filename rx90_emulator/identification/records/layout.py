@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.record import JointRecord, spikes
-
-Array = NDArray[np.float64]
 
 _BANDWIDTH = 40.0  # Hz, of velocities differentiated from positions
 _FACTOR = 2.0  # largest ratio between a velocity and the change of its position

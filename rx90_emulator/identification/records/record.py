@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-
-Array = NDArray[np.float64]
 
 _NEIGHBOURS = 5  # samples in the running median
 _OUTLIER = 4.0  # times the 99th percentile of the distances from it

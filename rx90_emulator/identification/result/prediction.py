@@ -11,6 +11,7 @@ from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet, LuGreElement
@@ -23,8 +24,6 @@ from rx90_emulator.identification.sliding.fit import SlidingFit
 from rx90_emulator.loop.closed_loop import run_ticks
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
-
-Array = NDArray[np.float64]
 
 _BANDWIDTH = 40.0  # Hz, of the compared torques: above it lies the noise of differentiated velocities
 _MOVES = 1e-3  # rad/s, at which the arm counts as moving

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.model.options import ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.result.prediction import TorquePrediction, predict_torque, tip_difference
 from rx90_emulator.identification.sliding.fit import SlidingFit
-
-Array = NDArray[np.float64]
 
 _REFERENCE = "rx90_controller/reference"
 

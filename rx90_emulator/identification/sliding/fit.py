@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -17,8 +18,6 @@ from rx90_emulator.identification.sliding.identifiability import element_estimat
 from rx90_emulator.identification.sliding.plateaus import Blocks, find_blocks
 from rx90_emulator.identification.sliding.rows import sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
-
-Array = NDArray[np.float64]
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom."""

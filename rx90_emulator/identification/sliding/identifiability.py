@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.solver import SlidingSolution
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _SIGNIFICANT = 3.0  # standard deviations of the Stribeck rise from 0
 _LARGEST = 0.3  # relative standard deviation up to which a parameter is identifiable

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.sliding.rows import SlidingRows
 from rx90_emulator.identification.sliding.weights import Weights
-
-Array = NDArray[np.float64]
 
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones count as 0
 

@@ -9,11 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.records.record import JointRecord
-
-Array = NDArray[np.float64]
 
 _BIN = 0.02  # s, over which velocities are compared
 _RELATIVE = 0.02  # change of velocity that ends a plateau

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.sliding.plateaus import Blocks
-
-Array = NDArray[np.float64]
 
 _OBSERVABLE = 1e-2  # effect of an inertial error on all data together, in standard deviations of the noise
 

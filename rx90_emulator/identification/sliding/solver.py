@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, lsq_linear
 
+from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
 from rx90_emulator.identification.sliding.rows import SlidingRows
 from rx90_emulator.identification.sliding.weights import Weights, speed_design_effect
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ROUNDS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)

@@ -8,11 +8,9 @@ omega_s, delta > 0 are plain, and five of the seven parameters are linear.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.model.estimates import SLIDING
-
-Array = NDArray[np.float64]
 
 SIZE = 7
 """Parameters of an element in the fit: tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta."""

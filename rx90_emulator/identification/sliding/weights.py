@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, eye_array
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.sliding.rows import SlidingRows
-
-Array = NDArray[np.float64]
 
 _HUBER = 3.0  # standard deviations from which a residual counts linearly
 _SAME_SPEED = 0.1  # width of the classes of ln |speed| that count as one speed

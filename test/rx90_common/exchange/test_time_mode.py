@@ -17,16 +17,16 @@ def test_the_text_carries_mode_and_rates() -> None:
 
 
 @pytest.mark.parametrize(
-    ("theirs", "told"),
+    ("theirs", "complaint"),
     [
         (Rates(2000, 1000), "base_rate is 4000 Hz here and 2000 Hz in the simulation"),
         (Rates(4000, 500), "position_rate is 1000 Hz here and 500 Hz in the simulation"),
     ],
 )
-def test_other_rates_are_refused_with_both_values(theirs: Rates, told: str) -> None:
+def test_other_rates_are_refused_with_both_values(theirs: Rates, complaint: str) -> None:
     """One line names the rate and both values."""
     TimeMode("lock_step", Rates()).check(Rates())
-    with pytest.raises(ExchangeError, match=told):
+    with pytest.raises(ExchangeError, match=complaint):
         TimeMode("lock_step", theirs).check(Rates())
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.base.errors import REFUSED, IdentificationError
+from rx90_common.base.errors import REFUSED, IdentificationError, Rx90Error
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments.folder import read_index
+from rx90_emulator.identification.experiments.folder import read_index, write_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan
@@ -164,3 +164,9 @@ def test_a_time_limit_that_is_none_is_wrong_usage(seconds: str, capsys: pytest.C
     """A --timeout that would never come, or has passed, ends with what is accepted and status 2."""
     assert run("rx90_experiment", ["run", "--nodes", "--output", "nowhere", "--timeout", seconds]) == REFUSED
     assert f"--timeout: '{seconds}'; accepted: a positive number" in capsys.readouterr().err
+
+
+def test_an_index_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    """An index whose folder has gone is an error with the file's name, not a traceback."""
+    with pytest.raises(Rx90Error, match=r"gone/experiments\.yaml: cannot be written \(No such file"):
+        write_index(tmp_path / "gone", ())

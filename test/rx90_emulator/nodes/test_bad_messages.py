@@ -27,7 +27,7 @@ GARBAGE = (
 @pytest.mark.ros
 @pytest.mark.parametrize("mode", MODES)
 def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, client: Client, mode: str) -> None:
-    """Wrong names, sizes and bytes are told in one line; the controller lives and a trajectory goes on to its end."""
+    """Wrong names, sizes and bytes give one line; the controller lives and a trajectory goes on to its end."""
     processes.start("rx90_sim", "--ros-args", "-p", mode)
     controller = processes.start("rx90_controller")
     reference = client.listen("rx90_controller/reference", depth=1)
@@ -70,24 +70,24 @@ def test_a_lag_after_a_malformed_message_is_only_a_line(processes: Processes, cl
 @pytest.mark.ros
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    ("rate", "told"),
+    ("rate", "complaint"),
     [
         ("position_rate:=500", r"rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation"),
         ("base_rate:=2000", r"rx90_controller: base_rate is 2000 Hz here and 4000 Hz in the simulation"),
     ],
 )
-def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, rate: str, told: str) -> None:
+def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, rate: str, complaint: str) -> None:
     """A controller whose rates are not the simulation's ends with one line that names both values."""
     processes.start("rx90_sim", "--ros-args", "-p", mode)
     controller = processes.start("rx90_controller", "--ros-args", "-p", rate)
-    controller.wait_for(told)
+    controller.wait_for(complaint)
     assert controller.wait() == 3
     assert "Traceback" not in controller.output
 
 
 @pytest.mark.ros
 def test_a_second_publisher_of_commands_in_free_running_is_told(processes: Processes, client: Client) -> None:
-    """Commands of somebody else between those of the controller are told once, and the brakes close."""
+    """Commands of somebody else between those of the controller are reported once, and the brakes close."""
     simulation = processes.start("rx90_sim", "--ros-args", "-p", "time_mode:=free_running")
     processes.start("rx90_controller")
     simulation.wait_for("the brakes open")

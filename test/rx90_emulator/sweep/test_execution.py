@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rx90_common.base.errors import ConfigError, SweepError
+from rx90_common.base.errors import FAILED, ConfigError, FailureError, SweepError
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
 from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
@@ -167,3 +168,16 @@ def test_workers_are_positive(tmp_path: Path, sweep: Sweep, workers: int) -> Non
     """A number of workers that makes no sense is refused."""
     with pytest.raises(ConfigError, match=f"workers is {workers}"):
         run_sweep(sweep, tmp_path / "out.parquet", workers=workers)
+
+
+@pytest.mark.parametrize(("missing", "scheduler"), [("pyarrow", None), ("distributed", "tcp://127.0.0.1:1")])
+def test_an_extra_that_is_not_installed_is_named(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch, missing: str, scheduler: str | None
+) -> None:
+    """Without pyarrow or Dask a sweep could not be carried out, exit code 3, and the error says what to install."""
+    monkeypatch.setitem(sys.modules, missing, None)
+    if missing == "pyarrow":
+        monkeypatch.delitem(sys.modules, "rx90_emulator.sweep.store")
+    with pytest.raises(FailureError, match=rf"{missing} is not installed; accepted: pip install .*\[sweep\]"):
+        run_sweep(sweep, tmp_path / "out.parquet", scheduler=scheduler, quiet=True)
+    assert FailureError.exit_code == FAILED

@@ -8,6 +8,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.sweep.plan import plan_hash
 from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
@@ -129,3 +130,10 @@ def test_bad_plans_get_one_line(tmp_path: Path, text: str, said: str) -> None:
         Sweep(load_sweep_plan(written(tmp_path, text)))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_plan_may_leave_the_tool_off(tmp_path: Path) -> None:
+    """`tool: none` means in a plan what it means to commands and nodes: no tool, and the shipped other files."""
+    text = "base: {tool: none}\nblocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
+    files = load_sweep_plan(written(tmp_path, text)).base.files
+    assert files == RobotFiles(tool=None)
