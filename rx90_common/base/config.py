@@ -138,7 +138,7 @@ class Section:
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            self.refuse(key, value, accepted)
+            self.refuse(key, value, accepted.replace("a number >", "a finite number >"))  # infinity is > 0, too
         if number > high or number < low or (above and number == low):
             self.refuse(key, value, accepted)
         return number

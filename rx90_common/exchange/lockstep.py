@@ -167,7 +167,7 @@ class LockstepController:
         self._wait = _Wait(announce, "the simulation is there:")
         self._period_ns = messages.rates.period_ns
         self._stamp: int | None = None
-        self._state = b""
+        self._state: bytes | None = None  # as received; an empty message must not pass for a repetition
         self._command = b""
         self._heard = time.monotonic()
         self._jumps: deque[_Jump] = deque(maxlen=_JUMPS)
@@ -230,7 +230,7 @@ class LockstepController:
         if self._channel.matches().publishers > 1:
             return False
         self._two_simulations = False
-        self._stamp, self._state = None, b""
+        self._stamp = self._state = None
         self._jumps.clear()
         return True
 

@@ -86,6 +86,15 @@ def test_a_number_out_of_range_is_refused(write: Write, value: str) -> None:
     assert said.endswith("; accepted: a number in [0, 2]")
 
 
+def test_an_infinite_number_is_refused_as_such(write: Write) -> None:
+    """Where no upper bound is given, the message to one who writes infinity says that a finite number is accepted."""
+    path = write("x: .inf\ny: [.inf]")
+    root = load_yaml(path)
+    assert refusal(lambda: root.number("x", 0.0, above=True), path).endswith("x is inf; accepted: a finite number > 0")
+    assert refusal(lambda: root.numbers("y", 1, 0.0), path).endswith("accepted: 1 numbers, each a finite number >= 0")
+    assert refusal(lambda: root.number("x"), path).endswith("x is inf; accepted: a finite number")
+
+
 def test_ranges_are_worded_as_they_are_checked(write: Write) -> None:
     """Closed and open ends are accepted or refused just as the message says."""
     path = write("zero: 0.0\ntwo: 2\nthree: 3.0")

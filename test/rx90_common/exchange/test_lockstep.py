@@ -314,8 +314,8 @@ def test_repetitions_of_an_accepted_command_are_no_second_controller(channel: Fa
 def test_states_that_cannot_be_used_are_left_out(channel: FakeChannel) -> None:
     """A message without usable states changes nothing, whatever its stamp: the next tick's states are answered."""
     controller = Controller(channel)
-    bad = [unusable(2), unusable(1), unusable(0), b"garbage", *NOT_FINITE]
-    controller.hear(message(0), message(1), *bad, *bad, message(2), message(3))
+    bad = [b"", unusable(2), unusable(1), unusable(0), b"garbage", *NOT_FINITE]
+    controller.hear(*bad, message(0), message(1), *bad, *bad, message(2), message(3))
     assert controller.answered == [0, 1, 2, 3]
     assert controller.begun == [0]
     assert controller.said == []
