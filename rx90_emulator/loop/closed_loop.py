@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rx90_common.base.errors import check_type
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
@@ -107,6 +108,7 @@ def simulate(
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
     """
+    check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
     rates = setup.rates
     end = start_time + float(points.times[-1]) if duration is None else duration
     start, ticks = rates.start_tick(start_time), rates.ticks_of(end)

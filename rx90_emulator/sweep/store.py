@@ -149,6 +149,8 @@ def _read_source(source: Path, file: Path) -> pa.Table:
 
 
 def _sources(file: Path) -> list[Path]:
+    if not file.name:
+        raise SweepError(f"{file} is a folder; accepted: a file that rx90_sweep run wrote")
     parts = sorted(parts_folder(file).glob("part-*.parquet"))
     return [file, *parts] if file.is_file() else parts
 
