@@ -55,7 +55,7 @@ def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries,
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
         slow = SlowSeries(*(np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6)))
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
-        raise FailureError(f"a run of {ticks} ticks does not fit into memory; accepted: a shorter one") from error
+        raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
 
 
