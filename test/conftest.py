@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,11 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
 pytest_plugins = ["processes", "lugre_oracle"]
+
+# A background job or `nohup` ignores signals, and what it starts inherits that: tests of interrupts would wait in vain.
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")

@@ -182,7 +182,7 @@ class LockstepController:
         """
         raw = self._channel.receive(timeout)
         if raw is None:
-            self._quiet()
+            self.announce_silence()
             return
         if self._two_simulations and not self._alone_again():
             return
@@ -234,7 +234,8 @@ class LockstepController:
         self._jumps.clear()
         return True
 
-    def _quiet(self) -> None:
+    def announce_silence(self) -> None:
+        """Say that there is no simulation, if there has been none for a while."""
         matches = self._channel.matches()
         if matches.publishers == 0 and time.monotonic() - self._heard > _PATIENCE:
             self._wait.begin(f"waiting for a simulation on {self._channel.subscribe_topic}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Sequence
 
@@ -41,6 +42,7 @@ from rx90_controller.node.free_running import FreeRunningController
 from rx90_controller.node.servo_loop import ServoLoop
 
 _WAIT_SLICE = 0.1
+_MODE_PATIENCE = 5.0  # s with a simulation that does not tell its mode
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
@@ -99,6 +101,7 @@ class Control:
         self._free = FreeRunningController(channel, self._messages, self._loop, self._pacer, outputs.info)
         self._stopped = False
         self._mode: str | None = None
+        self._mode_known = threading.Event()
         self._refused: ExchangeError | None = None
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
@@ -125,6 +128,7 @@ class Control:
         Raises:
             ExchangeError: if the simulation's rates are not this one's.
         """
+        self._wait_for_mode()
         while not self._stopped:
             if self._mode == FREE_RUNNING:
                 self._free.serve()
@@ -133,9 +137,22 @@ class Control:
         if self._refused is not None:
             raise self._refused
 
+    def _wait_for_mode(self) -> None:
+        """Wait until the simulation has told the mode; one that tells none within some seconds is taken for lock-step.
+
+        Loops that began in the wrong mode would begin again in the right one, and drop the trajectory that they follow.
+        """
+        deadline = time.monotonic() + _MODE_PATIENCE
+        while not self._stopped and self._mode is None and time.monotonic() < deadline:
+            if self._channel.matches().publishers == 0:
+                deadline = time.monotonic() + _MODE_PATIENCE
+                self._lockstep.announce_silence()
+            self._mode_known.wait(_WAIT_SLICE)
+
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._stopped = True
+        self._mode_known.set()
         self._channel.wake()
 
     # Topics, services and diagnostics, on the executor's thread.
@@ -152,6 +169,7 @@ class Control:
         else:
             self._mode = time_mode.mode
             self._messages.same_rates = True
+            self._mode_known.set()
             self._channel.wake()
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

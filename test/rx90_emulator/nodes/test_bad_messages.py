@@ -41,9 +41,9 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     client.spin_until(lambda: publisher.publish(next(garbage)) or "ignored" in controller.output, "the complaint")
     for raw in GARBAGE:
         publisher.publish(raw)
-    begun = seconds(reference[-1])
-    client.spin_until(lambda: seconds(reference[-1]) > begun + 0.5, "the end of the motion")
-    assert list(reference[-1].position) == pytest.approx([0.02] * 6, abs=1e-12)
+    # A controller that falls behind on a loaded machine comes to the end later.
+    end = pytest.approx([0.02] * 6, abs=1e-12)
+    client.spin_until(lambda: list(reference[-1].position) == end, "the end of the motion")
     assert sum("ignored" in line for line in controller.lines) <= 3
     assert controller.returncode is None
 

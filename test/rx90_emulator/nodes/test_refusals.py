@@ -11,7 +11,7 @@ from processes import Processes
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ("name", "arguments", "told"),
+    ("name", "arguments", "accepted"),
     [
         ("rx90_sim", ["joint_state_rate:=333"], ["333", "4000"]),
         ("rx90_sim", ["time_mode:=sometimes"], ["sometimes", "lock_step"]),
@@ -27,20 +27,22 @@ from processes import Processes
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
     ],
 )
-def test_a_bad_parameter_is_one_line(processes: Processes, name: str, arguments: list[str], told: list[str]) -> None:
+def test_a_bad_parameter_is_one_line(
+    processes: Processes, name: str, arguments: list[str], accepted: list[str]
+) -> None:
     """The line names the program, the offending value and what is accepted; the exit code is 2."""
     parameters = [word for argument in arguments for word in ("-p", argument)]
     done = processes.run(name, "--ros-args", *parameters)
     assert done.returncode == 2
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, done.stderr
-    assert lines[0].startswith(f"{name}: ")
-    assert all(word in lines[0] for word in told), lines[0]
+    # On a machine that has not compiled the kernels yet, a line before it says so.
+    (line,) = (line for line in done.stderr.strip().splitlines() if "compiling the numerical kernels" not in line)
+    assert line.startswith(f"{name}: ")
+    assert all(word in line for word in accepted), line
 
 
 @pytest.mark.ros
 @pytest.mark.parametrize(
-    ("variable", "value", "told"),
+    ("variable", "value", "accepted"),
     [("ROS_DOMAIN_ID", "500", "0 to 232"), ("RMW_IMPLEMENTATION", "rmw_nothing_cpp", "rmw_fastrtps_cpp")],
 )
 @pytest.mark.parametrize(
@@ -60,14 +62,14 @@ def test_an_environment_that_cannot_be_is_one_line(
     code: int,
     variable: str,
     value: str,
-    told: str,
+    accepted: str,
 ) -> None:
     """A DDS domain that has no ports, or a middleware that is not there, is named with what is accepted."""
     monkeypatch.setenv(variable, value)
     done = processes.run(name, *arguments)
     assert done.returncode == code
     (line,) = done.stderr.strip().splitlines()
-    assert all(word in line for word in (name, variable, value, told)), line
+    assert all(word in line for word in (name, variable, value, accepted)), line
     assert not Path("never_made").exists()
 
 
