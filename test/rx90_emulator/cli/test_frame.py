@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from importlib import import_module
 
 import pytest
 
+from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process.children import executable
 from rx90_emulator.cli.frame import EXECUTABLES
@@ -45,6 +47,16 @@ def test_an_unknown_word_is_wrong_usage(name: str) -> None:
     done = subprocess.run(executable(name, "--nonsense"), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: ")
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_files_that_help_names_are_shipped(name: str) -> None:
+    """Each file of config/ that the help of an executable or of a verb names is there."""
+    parser = CommandParser(prog=name)
+    import_module(EXECUTABLES[name]).add_arguments(parser)
+    for action in actions(parser):
+        for file in re.findall(r"[a-z]+/\w+\.(?:yaml|urdf)", f"{action.help} {action.default}"):
+            assert config_path(file).is_file(), f"{action.option_strings or action.dest}: {file}"
 
 
 LONG = "x" * 5000
