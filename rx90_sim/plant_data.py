@@ -64,6 +64,9 @@ STATE_DTYPE = np.dtype(
 )
 
 
+_MOST_SUBSTEPS = 1000
+
+
 def plant_record(
     robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int = 1
 ) -> np.ndarray[Any, Any]:
@@ -72,8 +75,8 @@ def plant_record(
     Raises:
         ConfigError: if `substeps` is not at least 1 or the observer is faster than the tick allows.
     """
-    if substeps < 1:
-        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1")
+    if not isinstance(substeps, int | np.integer) or not 1 <= substeps <= _MOST_SUBSTEPS:
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {_MOST_SUBSTEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
         raise ConfigError(
             f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "

@@ -173,8 +173,11 @@ def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
 
 
 def _split(entry: str) -> tuple[float, Path]:
-    slope, _, file = entry.partition(":")
+    text, _, file = entry.partition(":")
     try:
-        return float(slope), Path(file)
+        slope = float(text)
     except ValueError:
-        raise ConfigError(f"file is '{entry}'; accepted: slope:file, for example 0.05:ramp_01.csv") from None
+        slope = math.nan
+    if not 0.0 < slope < math.inf or not file:
+        raise ConfigError(f"file is '{entry}'; accepted: slope:file, for example 0.05:ramp_01.csv")
+    return slope, Path(file)

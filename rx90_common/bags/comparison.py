@@ -16,7 +16,7 @@ from rx90_common.bags.storage import BagReader
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import BagError
+from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.rates import NANOSECONDS
 
 
@@ -150,6 +150,7 @@ def compare_bags(
         BagError: if a bag cannot be read, or there is nothing to compare, or a tolerance fits nothing.
     """
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
+    check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     paths = (Path(path_a), Path(path_b))
     topics_a, skipped_a = _joint_state_topics(paths[0])
     topics_b, skipped_b = _joint_state_topics(paths[1])
@@ -242,6 +243,7 @@ def compare_series(
 ) -> TopicComparison:
     """Compare two series as `compare_bags` does, aligned on stamps and joint names."""
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
+    check_type(a=(a, JointSeries), b=(b, JointSeries), tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     a, b = scope.cut(a), scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:

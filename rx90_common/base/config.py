@@ -218,7 +218,7 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
         with path.open(encoding="utf-8") as stream:
             data = next(yaml.load_all(stream, _Loader), None) if first else yaml.load(stream, _Loader)
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
+        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
     except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
         # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
         raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error

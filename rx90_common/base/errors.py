@@ -85,6 +85,17 @@ def write_text(path: Path, text: str) -> None:
         raise write_error(path, error) from error
 
 
+def check_type(**given: tuple[object, type]) -> None:
+    """Refuse arguments, given with their values and types, such as those of a call in the wrong order.
+
+    Raises:
+        TypeError: naming the argument, its type and the one that is accepted.
+    """
+    for name, (value, kind) in given.items():
+        if not isinstance(value, kind):
+            raise TypeError(f"{name} is of type {type(value).__name__}; accepted: {kind.__name__}")
+
+
 class BagError(Rx90Error):
     """A bag cannot be made, read or compared."""
 

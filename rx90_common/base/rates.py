@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from rx90_common.base.errors import ConfigError
@@ -23,6 +22,10 @@ def ticks_per(name: str, base_hz: int, rate_hz: int) -> int:
             f"such as {', '.join(str(d) for d in divisors)}"
         )
     return base_hz // rate_hz
+
+
+_LAST = 2.0**31
+"""What a stamp of ROS ends before, s."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +72,12 @@ class Rates:
         """Return the base ticks of a run of `duration` seconds.
 
         Raises:
-            ConfigError: if it is not finite or shorter than a tick.
+            ConfigError: if it is not finite, shorter than a tick, or beyond what a stamp holds.
         """
-        if not self.period <= duration < math.inf:
+        if not self.period <= duration <= _LAST:
             raise ConfigError(
-                f"duration is {duration} s; accepted: a finite number, at least a tick, {self.period:g} s"
+                f"duration is {duration} s; accepted: a finite number, at least a tick, {self.period:g} s, "
+                f"up to {_LAST:g} s"
             )
         return round(duration * self.base_hz)
 
@@ -81,8 +85,8 @@ class Rates:
         """Return the position tick of a start time in s.
 
         Raises:
-            ConfigError: if it is not finite.
+            ConfigError: if it is not finite, or beyond what a stamp holds.
         """
-        if not math.isfinite(start_time):
-            raise ConfigError(f"start time is {start_time} s; accepted: a finite number")
+        if not abs(start_time) <= _LAST:
+            raise ConfigError(f"start time is {start_time} s; accepted: a finite number up to {_LAST:g} s")
         return round(start_time * self.position_hz)

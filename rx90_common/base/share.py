@@ -56,9 +56,12 @@ def resolve_config(name: str) -> Path:
         own = Path(name).expanduser()
     except RuntimeError as error:
         raise ConfigError(f"no file '{name}': its home folder does not exist") from error
-    if own.is_file():
-        return own
     shipped = config_path(name)
-    if shipped.is_file():
-        return shipped
+    try:
+        if own.is_file():
+            return own
+        if shipped.is_file():
+            return shipped
+    except OSError as error:  # a name longer than the system takes, a folder that may not be read
+        raise ConfigError(f"no file '{name}': {error.strerror}") from error
     raise ConfigError(f"no file '{name}': neither {own.absolute()} nor the shipped {shipped} exists")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rx90_common.base.config import Section, load_yaml, yaml_text
+from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.lugre import LuGreElement
@@ -31,6 +31,10 @@ class FrictionFile:
     source: str | None = None
     identification: Mapping[str, Any] | None = None
     path: Path | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.provenance is not None and self.provenance not in PROVENANCE:
+            raise ConfigError(f"provenance is {self.provenance!r}; accepted: one of {', '.join(PROVENANCE)}")
 
     @classmethod
     def read(cls, path: Path | str) -> FrictionFile:

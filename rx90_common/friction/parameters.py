@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,7 +50,7 @@ class FrictionParameter:
             ConfigError: naming attribute, value and range.
         """
         above = value > 0.0 if self.positive else value >= 0.0
-        if not above or (math.isinf(value) and self.default != math.inf):
+        if not above or (value > sys.float_info.max and self.default != math.inf):
             raise ConfigError(f"{attribute} is {value}; accepted: {self.accepted}")
 
 

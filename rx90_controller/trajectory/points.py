@@ -45,11 +45,12 @@ class TrajectoryPoints:
         Raises:
             TrajectoryError: naming joint, index of the point and reason.
         """
+        robot_joints, joint_names, times = list(robot_joints), list(joint_names), list(times)
         order = _joint_order(robot_joints, joint_names)
         _check_times(times)
         named = [joint_names[i] for i in order]
         tables = {
-            what: _table(what, values, order, named)
+            what: _table(what, values, len(times), order, named)
             for what, values in (
                 ("positions", position),
                 ("velocities", velocity),
@@ -98,7 +99,9 @@ def _check_times(times: Sequence[float]) -> None:
         raise TrajectoryError("one point at time_from_start 0; accepted: a point later than the start")
 
 
-def _table(what: str, rows: Sequence[Sequence[float]], order: list[int], names: list[str]) -> Array | None:
+def _table(what: str, rows: Sequence[Sequence[float]], points: int, order: list[int], names: list[str]) -> Array | None:
+    if len(rows) != points:
+        raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
     given = [len(row) > 0 for row in rows]
     if not any(given):
         return None

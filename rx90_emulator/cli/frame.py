@@ -11,7 +11,7 @@ from functools import partial
 from importlib import import_module
 from types import SimpleNamespace
 
-from rx90_common.base.errors import FAILED, INTERRUPTED, REFUSED, Rx90Error
+from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
     keep_exit_code,
@@ -84,6 +84,11 @@ def run(program: str, words: Sequence[str]) -> int:
     except Rx90Error as error:
         _say(f"{program}: {error}")
         return error.exit_code
+    except OSError as error:  # of a file's name: one too long, or below a folder that may not be read
+        if error.filename is None:
+            raise
+        _say(f"{program}: {error.filename}: {error.strerror}")
+        return FAILED if error.errno in DISK_ERRORS else REFUSED
     except ModuleNotFoundError as error:
         missing = str(error.name).partition(".")[0]
         source = _source_of(missing)

@@ -11,8 +11,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     run = verbs.add_parser("run", help="run a plan", description="Run a plan of closed-loop runs.")
-    run.add_argument("plan", help="plan file, of your own or shipped, such as sweep/friction.yaml")
-    run.add_argument("--output", type=Path, required=True, help="Parquet file to write")
+    run.add_argument(
+        "plan", metavar="PLAN", help="plan file, of your own or shipped, such as sweep/friction_and_feed_forward.yaml"
+    )
+    run.add_argument("--output", type=Path, metavar="FILE", required=True, help="Parquet file to write")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, help="processes on this machine (all cores)")
@@ -21,8 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb=_run,
         interrupted="what is done is kept; go on with: rx90_sweep run {plan} --output {output} --resume",
     )
-    info = verbs.add_parser("info", help="show what a file of results holds")
-    info.add_argument("file", type=Path, help="Parquet file, finished or not")
+    info = verbs.add_parser(
+        "info", help="show what a file of results holds", description="Show what a file of results holds."
+    )
+    info.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
     info.set_defaults(verb=_info)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
@@ -34,6 +34,7 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     Raises:
         ConfigError: if a path names nothing or a value is out of range, with what is accepted.
     """
+    check_type(values=(values, Mapping))
     catalogue = Catalogue(setup)
     leaves: dict[Leaf, Value] = {}
     for path, value in values.items():

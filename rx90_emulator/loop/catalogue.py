@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
@@ -119,6 +119,7 @@ class Catalogue:
     """All values of a setup, and of a task if there is one, that have a path."""
 
     def __init__(self, setup: Setup, task: LineTask | None = None) -> None:
+        check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
         self._add(("drives",), setup.drives, DRIVES_UNITS)

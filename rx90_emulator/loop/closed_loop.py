@@ -5,6 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Record
+from rx90_common.base.errors import check_type
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
@@ -102,6 +103,7 @@ def simulate(
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
     """
+    check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
     rates = setup.rates
     end = start_time + float(points.times[-1]) if duration is None else duration
     start, ticks = rates.start_tick(start_time), rates.ticks_of(end)

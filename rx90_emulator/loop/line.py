@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.description.kinematics import forward, path_error
 from rx90_common.description.robot import RobotModel
 from rx90_controller.lines import plan as planning
@@ -72,6 +73,7 @@ def plan_line(setup: Setup, task: LineTask) -> LinePlan:
     Raises:
         LineError: saying where on the line the arm cannot go and why.
     """
+    check_type(setup=(setup, Setup), task=(task, LineTask))
     return planning.plan_line(setup.robot, task, setup.rates.position_period)
 
 
@@ -102,10 +104,19 @@ def path_accuracy(
     """Measure the path error of joint positions, rad, shape (n, 6), at `times`, s, shape (n,).
 
     The trajectory, that is the rest before the line, starts at `start_time`, s.
+
+    Raises:
+        ConfigError: if the shapes do not fit together, or a joint position on the line is not finite.
     """
+    times, joint_position = np.asarray(times, dtype=np.float64), np.asarray(joint_position, dtype=np.float64)
+    shape = (times.size, len(robot.joint_names))
+    if times.ndim != 1 or joint_position.shape != shape:
+        raise ConfigError(f"joint positions: shape {joint_position.shape}; accepted: {shape}, a row for each time")
     begin = start_time + task.rest_before
     end = begin + task.profile().duration + min(SETTLING, task.rest_after)
     window = (times >= begin) & (times <= end)
+    if not np.isfinite(joint_position[window]).all():
+        raise ConfigError("a joint position on the line is not finite; accepted: finite numbers")
     tip = forward(robot.chain, joint_position[window]).position
     error = path_error(tip, np.array(task.start), np.array(task.end))
     return PathAccuracy(times[window], error.along, error.perpendicular)

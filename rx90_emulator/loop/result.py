@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import write_error
+from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
 from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
 
@@ -43,11 +43,18 @@ class SlowSeries(NamedTuple):
 
 
 def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
-    """Return arrays for a run of `ticks` base ticks."""
+    """Return arrays for a run of `ticks` base ticks.
+
+    Raises:
+        FailureError: if they do not fit into memory.
+    """
     rows = -(-ticks // ratio)
     fast_rows = ticks if record_fast else 0
-    fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-    slow = SlowSeries(np.empty((rows, 3, 6)), np.empty((rows, 3, 7)), np.empty((rows, 3, 6)), np.empty((rows, 3, 6)))
+    try:
+        fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
+        slow = SlowSeries(*(np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6)))
+    except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
+        raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
 
 
@@ -113,10 +120,14 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
 
     Raises:
         BagError: if the folder exists or cannot be written.
+        ConfigError: if `decimation` is not at least 1.
     """
+    check_type(run=(run, RunResult))
     from rx90_common.bags.writing import string_message, write_joint_states  # takes as long as the plant's import
 
     description = string_message("/robot_description", run.setup.robot.urdf)
+    if not isinstance(decimation, int | np.integer) or decimation < 1:
+        raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
     series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
     write_joint_states(path, series, storage=storage, messages=[description])

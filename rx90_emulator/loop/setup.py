@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rx90_common.base.errors import check_type
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -32,14 +33,15 @@ class Setup:
         Raises:
             ConfigError: naming file, key, value and accepted range.
         """
-        files = files or RobotFiles()
+        files, rates = files or RobotFiles(), rates or Rates()
+        check_type(rates=(rates, Rates))
         robot = load_robot(files.urdf, files.tool)
         return cls(
             robot,
             load_drives(files.drives),
             load_friction(files.friction, robot.joint_names),
             load_controller(files.controller),
-            rates or Rates(),
+            rates,
         )
 
     def plant(self, substeps: int = 1) -> Plant:

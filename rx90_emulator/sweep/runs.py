@@ -11,7 +11,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, SweepError
 from rx90_emulator.loop.catalogue import SWITCH, Catalogue, Leaf, Value
 from rx90_emulator.sweep.plan import Block, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Values
@@ -86,10 +86,10 @@ class RunList:
         """Return what run `index` is.
 
         Raises:
-            IndexError: if there is no such run.
+            SweepError: if there is no such run.
         """
         if not 0 <= index < len(self):
-            raise IndexError(f"run {index}; accepted: 0 to {len(self) - 1}")
+            raise SweepError(f"run {index}; accepted: 0 to {len(self) - 1}")
         block, inner = self._locate(index)
         draw, point = divmod(inner, block.block.points)
         seed = block.seed(self._plan.seed, draw)

@@ -148,6 +148,8 @@ def _read_source(source: Path, file: Path) -> pa.Table:
 
 
 def _sources(file: Path) -> list[Path]:
+    if not file.name:
+        raise SweepError(f"{file} is a folder; accepted: a file that rx90_sweep run wrote")
     parts = sorted(parts_folder(file).glob("part-*.parquet"))
     return [file, *parts] if file.is_file() else parts
 
@@ -166,13 +168,13 @@ class ResultStore:
         Raises:
             SweepError: if a result is in the way, or is not one of this sweep, or cannot be written.
         """
+        if not file.name or file.is_dir():
+            raise SweepError(f"{file} is a folder; accepted: a file")
         self.file = file
         self.done: NDArray[np.bool_] = np.zeros(len(sweep), dtype=np.bool_)
         self._sweep = sweep
         self._schema = schema_of(sweep)
         self._parts = parts_folder(file)
-        if file.is_dir():
-            raise SweepError(f"{file} is a folder; accepted: a file")
         if not resume:
             self._refuse_existing()
         if _sources(file):

@@ -110,7 +110,7 @@ class Sweep:
         """Run one run through the closed loop and return all of it.
 
         Raises:
-            IndexError: if there is no such run.
+            SweepError: if there is no such run.
             Rx90Error: whatever ends it.
         """
         return self._simulate(self.runs.describe(index))[1]

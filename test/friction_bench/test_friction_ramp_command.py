@@ -105,6 +105,8 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--end-torque", "0.02", "--load", "none"], "no break-away"),
         (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
         (["--no-load-file", "nothing.csv"], "accepted: slope:file"),
+        (["--no-load-file", "0.1"], "accepted: slope:file"),
+        (["--no-load-file", "nan:ramp.csv"], "accepted: slope:file"),
         (["--element", "joint_9", *QUICK, "--load", "none"], "--element is 'joint_9'"),
     ],
 )

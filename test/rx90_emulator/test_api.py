@@ -9,6 +9,7 @@ import pydoc
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -193,3 +194,72 @@ def test_a_run_and_its_bag_give_the_same_series(shipped: rx.Setup, task: rx.Line
         }
     assert run.series["friction_states"].quantities["effort"] == "friction torque [Nm]"
     assert list(rx.read_bag(tmp_path / "bag", ["motor_states"])) == ["motor_states"]
+
+
+def test_tab_completion_offers_the_api_alone() -> None:
+    """`dir(rx)` lists the API, and no import of the module's own."""
+    assert [name for name in dir(rx) if not name.startswith("__")] == sorted(rx.__all__)
+
+
+HOME = [0.0, 0.3, 1.1, 0.0, 0.7, 0.0]
+JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
+
+
+def points(**changes: object) -> rx.TrajectoryPoints:
+    """Make two points of rest; changed as told."""
+    given = {"position": [HOME, HOME], "velocity": [[0.0] * 6] * 2, "acceleration": [[]] * 2, **changes}
+    return rx.TrajectoryPoints.create(JOINTS, JOINTS, given.pop("times", [0.0, 0.1]), **given)  # type: ignore[arg-type]
+
+
+def test_points_are_taken_as_arrays_too() -> None:
+    """NumPy arrays give the same points as lists."""
+    given = points(times=np.array([0.0, 0.1]), position=np.array([HOME, HOME]), velocity=np.zeros((2, 6)))
+    assert (given.position == points().position).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda _: points(position=[HOME]), "positions of 1 points; accepted: of 2"),
+        (lambda _: points(velocity=[[0.0] * 6] * 3), "velocities of 3 points; accepted: of 2"),
+        (lambda s: rx.simulate(s, points(), duration=1e9), "4e\\+12 ticks does not fit into memory"),
+        (lambda s: rx.simulate(s, points(), duration=1e12), "accepted: a finite number, .*, up to 2.147"),
+        (lambda s: rx.simulate(s, points(), start_time=1e306), "accepted: a finite number up to 2.147"),
+        (lambda s: rx.simulate(s, points(), substeps=1.5), "substeps is 1.5; accepted: an integer >= 1"),
+        (lambda s: rx.simulate(s, points(), substeps=10**20), "substeps is 100000000000000000000; accepted"),
+        (lambda s: rx.write_bag(rx.simulate(s, points()), "never", decimation=0), "decimation is 0; accepted"),
+        (lambda s: rx.with_parameters(s, {"friction.joint_2.c0": 10**400}), "accepted: a finite number > 0"),
+        (lambda s: rx.path_accuracy(s.robot, rx.load_task(), np.zeros(5), np.zeros((4, 6))), r"accepted: \(5, 6\)"),
+        (lambda s: rx.path_accuracy(s.robot, rx.load_task(), [1.0], [[np.nan] * 6]), "accepted: finite numbers"),
+        (lambda _: rx.ValidationTolerances(torque=float("nan")), "torque is nan; accepted: a positive number"),
+        (lambda _: rx.ValidationTolerances(tip=-1.0), "tip is -1.0; accepted: a positive number"),
+        (lambda _: rx.FrictionFile({}, provenance="guessed"), "provenance is 'guessed'; accepted: one of published"),
+        (lambda _: rx.load_setup(tool="x" * 5000), "File name too long"),
+        (lambda _: rx.Sweep(rx.SweepPlan.of_grid({"task.speed": [0.1]})).simulate(1), "run 1; accepted: 0 to 0"),
+    ],
+)
+def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], message: str) -> None:
+    """Values and shapes that no run could mean anything with are an Rx90Error with what is accepted."""
+    with pytest.raises(rx.Rx90Error, match=message) as refused:
+        call(rx.load_setup())
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: rx.run_line(rx.load_task(), s), "setup is of type LineTask; accepted: Setup"),
+        (lambda s: rx.run_line(s, "task/reference_line.yaml"), "task is of type str; accepted: LineTask"),
+        (lambda s: rx.simulate(s, None), "points is of type NoneType; accepted: TrajectoryPoints"),
+        (lambda s: rx.with_parameters(s, ["friction.joint_2.c0"]), "values is of type list; accepted: Mapping"),
+        (lambda _: rx.parameters(rx.load_task()), "setup is of type LineTask; accepted: Setup"),
+        (lambda _: rx.load_setup(rates=4000), "rates is of type int; accepted: Rates"),
+        (lambda _: rx.write_bag(None, "never"), "run is of type NoneType; accepted: RunResult"),
+        (lambda _: rx.compare_bags("a", "b", 1e-3), "tolerances is of type float; accepted: Tolerances"),
+        (lambda _: rx.compare_series(None, None), "a is of type NoneType; accepted: JointSeries"),
+    ],
+)
+def test_arguments_of_a_wrong_type_are_named(call: Callable[[rx.Setup], object], message: str) -> None:
+    """Arguments in a wrong order or of another type are a TypeError that names argument and type."""
+    with pytest.raises(TypeError, match=message):
+        call(rx.load_setup())

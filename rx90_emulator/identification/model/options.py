@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from rx90_common.base.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -60,3 +63,8 @@ class ValidationTolerances:
     torque: float = 0.05
     worst_torque: float = 0.15
     tip: float = 1e-4
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 < value < math.inf:
+                raise ConfigError(f"{name} is {value}; accepted: a positive number")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from importlib import import_module
 
 import pytest
 
+from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process.children import executable
 from rx90_emulator.cli.frame import EXECUTABLES
@@ -45,6 +47,47 @@ def test_an_unknown_word_is_wrong_usage(name: str) -> None:
     done = subprocess.run(executable(name, "--nonsense"), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: ")
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_files_that_help_names_are_shipped(name: str) -> None:
+    """Each file of config/ that the help of an executable or of a verb names is there."""
+    parser = CommandParser(prog=name)
+    import_module(EXECUTABLES[name]).add_arguments(parser)
+    for action in actions(parser):
+        for file in re.findall(r"[a-z]+/\w+\.(?:yaml|urdf)", f"{action.help} {action.default}"):
+            assert config_path(file).is_file(), f"{action.option_strings or action.dest}: {file}"
+
+
+LONG = "x" * 5000
+CALLS_WITH_LONG_NAMES = (
+    ("rx90_run", "--output"),
+    ("rx90_run", "--arrays"),
+    ("rx90_run", "--task"),
+    ("rx90_bag", "info"),
+    ("rx90_sweep", "info"),
+    ("rx90_demo", "--output"),
+    ("friction_ramp", "--output"),
+)
+
+
+@pytest.mark.parametrize("words", CALLS_WITH_LONG_NAMES)
+def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...]) -> None:
+    """A file name longer than the system takes is refused with 2 and a line, by every command."""
+    done = subprocess.run(executable(*words, LONG), capture_output=True, text=True, timeout=60, check=False)
+    told = [line for line in done.stderr.splitlines() if "compiling" not in line]
+    assert (done.returncode, len(told)) == (2, 1), done.stderr
+    assert told[0].startswith(f"{words[0]}: ")
+    assert "File name too long" in told[0]
+
+
+def test_a_folder_is_no_result_of_a_sweep() -> None:
+    """An empty name, which is the folder one is in, is refused in a line for the result of a sweep."""
+    for words in (("info", ""), ("run", "sweep/reference_1000.yaml", "--output", "")):
+        command = executable("rx90_sweep", *words)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2, done.stderr
+        assert ". is a folder; accepted: a file" in done.stderr
 
 
 def test_arguments_for_ros_end_at_two_dashes() -> None:
