@@ -40,7 +40,7 @@ class TrajectoryPoints:
         velocity: Sequence[Sequence[float]],
         acceleration: Sequence[Sequence[float]],
     ) -> TrajectoryPoints:
-        """Check raw points, joints in any order; an empty vector means "not given".
+        """Check raw points, joints in any order; an empty vector, or none at all, means "not given".
 
         Raises:
             TrajectoryError: naming joint, index of the point and reason.
@@ -100,7 +100,7 @@ def _check_times(times: Sequence[float]) -> None:
 
 
 def _table(what: str, rows: Sequence[Sequence[float]], points: int, order: list[int], names: list[str]) -> Array | None:
-    if len(rows) != points:
+    if len(rows) not in (0, points):
         raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
     given = [len(row) > 0 for row in rows]
     if not any(given):

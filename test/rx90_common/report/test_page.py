@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from jinja2 import UndefinedError
 
+from rx90_common.base.sources import PACKAGES, ROOT
 from rx90_common.report.page import render_page
 
-ROOT = Path(__file__).resolve().parents[3]
 REPORTS = {
     path.name: path
-    for path in sorted(ROOT.glob("*/**/templates/*.j2"))
+    for package in PACKAGES
+    for path in sorted((ROOT / package).glob("**/templates/*.j2"))
     if path.parents[1] != ROOT / "rx90_common" / "report"
 }
 
