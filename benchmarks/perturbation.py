@@ -22,6 +22,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from benchmarks.agreement import Agreement, agreement
 from benchmarks.report import merge, print_table
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionSet
@@ -33,7 +34,6 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import SETTLING, path_accuracy, plan_line
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.agreement import Agreement, agreement
 from rx90_emulator.perturbation.model import PerturbationModel, prepare
 
 Array = NDArray[np.float64]

@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.agreement import agreement
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionSet
@@ -16,7 +17,6 @@ from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.perturbation.agreement import agreement
 from rx90_emulator.perturbation.model import PerturbationModel, prepare
 
 Array = NDArray[np.float64]
