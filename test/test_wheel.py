@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from processes import TIMEOUT
+from short_task import SHORT_TASK
 
 import rx90_emulator as rx
 
@@ -23,16 +24,6 @@ PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
 EXECUTABLES = {e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts"}
 DATA = ("config", "launch", "firmware")
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "out", "test")
-TASK = """
-line:
-  start: [0.6, -0.3, 0.2]
-  end: [0.6034, -0.2808, 0.1955]
-  speed: 0.1
-  acceleration: 2.0
-  tool_rpy_degrees: [0.0, 180.0, 0.0]
-  rest_before: 0.05
-  rest_after: 0.05
-"""
 
 
 def run(*command: object, folder: Path) -> str:
@@ -152,7 +143,7 @@ def test_what_an_extra_lacks_is_one_line(program: str, missing: str, words: list
 
 def test_a_line_runs_from_the_wheel(binaries: Path, tmp_path: Path) -> None:
     """`rx90_run` of the wheel, in a folder of its own, writes the bag and the arrays that the source tree would."""
-    (tmp_path / "task.yaml").write_text(TASK, encoding="utf-8")
+    (tmp_path / "task.yaml").write_text(SHORT_TASK, encoding="utf-8")
     words = ("--task", "task.yaml", "--output", "bag", "--arrays", "run.npz")
     assert "path error: worst 0.2" in run(binaries / "rx90_run", *words, folder=tmp_path)
     here = rx.run_line(rx.load_setup(), rx.load_task(tmp_path / "task.yaml"), record_fast=True)
