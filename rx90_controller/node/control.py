@@ -162,8 +162,9 @@ class Control:
             self._refused = error
             self.stop()
         else:
-            self._mode = time_mode.mode
+            # In this order: the ticking thread acts on the mode as soon as it is there.
             self._messages.same_rates = True
+            self._mode = time_mode.mode
             self._mode_known.set()
             self._channel.wake()
 
