@@ -90,7 +90,7 @@ def test_the_documented_plan_has_the_runs_that_the_page_says(tmp_path: Path) -> 
     (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     plan = tmp_path / "plan.yaml"
     plan.write_text(text, encoding="utf-8")
-    said = re.search(r"This plan has 3 × 3 \+ 2 × 10 = (\d+) runs", page)
+    said = re.search(r"This plan has .* = (\d+) runs", page)
     assert said is not None
     assert len(Sweep(load_sweep_plan(plan))) == int(said[1]) == 29
 
