@@ -20,6 +20,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.ros_start import start_ros
@@ -67,7 +68,7 @@ def declare(
     try:
         value: Any = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
+        raise ConfigError(f"parameter {name} is {quoted(given)}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
 
 

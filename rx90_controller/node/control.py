@@ -13,6 +13,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
@@ -78,11 +79,11 @@ class ControllerOutputs:
 
     def info(self, text: str) -> None:
         """Print what happened."""
-        self._log.info(text)
+        self._log.info(one_line(text))
 
     def error(self, text: str) -> None:
         """Print what went wrong."""
-        self._log.error(text)
+        self._log.error(one_line(text))
 
 
 class Control:
