@@ -48,6 +48,7 @@ class CS7B:
         # Fixed memory: what is sent in every tick is read from there.
         self._reference = np.zeros((3, 6))
         self._error = np.zeros((3, 6))
+        self._details = np.zeros((3, 6))
         self.command: Array = self.state["command"][0]
 
     def reset(self, position: Array, tick: int = 0) -> None:
@@ -71,6 +72,7 @@ class CS7B:
             self.step(rest, rest)
         self.reference()
         self.tracking_error()
+        self.details()
         self.reset(rest)
 
     @property
@@ -108,7 +110,7 @@ class CS7B:
             self._first, row = tick, 0
             self._revision = self.trajectory.revision
         setpoint: Array = self._lookahead[row]
-        self._reference[:2] = setpoint[:2]
+        self._reference[:2], self._details[0] = setpoint[:2], setpoint[2]
         return setpoint
 
     @property
@@ -136,3 +138,12 @@ class CS7B:
         to_joint(self._gear, state["velocity_error"][0], velocity)
         to_joint_torque(self._gear, state["command"][0], torque)
         return position, velocity, torque
+
+    def details(self) -> tuple[Array, Array, Array]:
+        """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        acceleration, commanded, current = self._details
+        commanded[:], current[:] = self.state["commanded"][0], self.state["current"][0]
+        return acceleration, commanded, current

@@ -23,6 +23,7 @@ LAW_STATE_DTYPE = np.dtype(
         ("integrator", np.float64, 6),
         ("position_torque", np.float64, 6),  # PI block, held between position ticks
         ("feed_forward", np.float64, 6),  # FF block, held between position ticks
+        ("commanded", np.float64, 6),  # current that the amplifier is asked for, within its limit, A
         ("current", np.float64, 6),
         ("command", np.float64, 6),  # torque constant times current
         ("limited", np.float64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
@@ -39,7 +40,7 @@ def law_reset(states: Record) -> None:
     for i in range(6):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
         state.error[i] = state.velocity_error[i] = 0.0
-        state.current[i] = state.command[i] = 0.0
+        state.commanded[i] = state.current[i] = state.command[i] = 0.0
         state.limited[i] = state.saturated[i] = 0
         for k in range(3):
             state.reference[k, i] = 0.0
@@ -94,6 +95,7 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> None:
         load(velocity, 6),
         load(state.current, 6),
     )
+    store(state.commanded, loop.commanded)
     store(state.current, loop.current)
     store(state.command, loop.command)
     store(state.limited, loop.limited)

@@ -67,6 +67,9 @@ def run_ticks(
             to_joint(gear, law.error, slow.tracking_error[row, 0])
             to_joint(gear, law.velocity_error, slow.tracking_error[row, 1])
             to_joint_torque(gear, law.command, slow.tracking_error[row, 2])
+            slow.details[row, 0] = setpoints[row, 2]
+            slow.details[row, 1] = law.commanded
+            slow.details[row, 2] = law.current
         if fast.motor_commands.shape[0] > 0:
             fast.motor_states[k, 0] = state.motor_position
             fast.motor_states[k, 1] = state.motor_velocity

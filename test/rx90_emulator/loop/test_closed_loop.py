@@ -46,6 +46,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             "friction_states",
             "reference",
             "tracking_error",
+            "details",
         )
     }
     for k in range(round(duration * setup.rates.base_hz)):
@@ -60,6 +61,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
         if slow:
             seen["reference"].append(np.array(controller.reference()))
             seen["tracking_error"].append(np.array(controller.tracking_error()))
+            seen["details"].append(np.array(controller.details()))
         plant.step(command)
     return {name: np.array(rows) for name, rows in seen.items()}
 
