@@ -54,7 +54,7 @@ CONTROLLER_UNITS = {
     "over_speed": "1",
     "start_tolerance": "rad",
 }
-FEED_FORWARD_UNITS = dict.fromkeys(("acceleration", "coulomb", "viscous"), SWITCH)
+FEED_FORWARD_UNITS = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous"), SWITCH)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 TASK_UNITS = {
     "start": "m",
