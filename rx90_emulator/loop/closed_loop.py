@@ -16,6 +16,9 @@ from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
 
+TRIPPED = -2
+"""How a run ends in which the controller's supervision cuts the power."""
+
 
 @kernel
 def run_ticks(
@@ -29,7 +32,7 @@ def run_ticks(
     ticks: int,
     fast: FastSeries,
     slow: SlowSeries,
-) -> tuple[int, int, bool]:
+) -> tuple[int, int]:
     """Run base ticks `first` to `first + ticks - 1`.
 
     Args:
@@ -45,8 +48,8 @@ def run_ticks(
         slow: series to write.
 
     Returns:
-        How many ticks were run, -1 or the joint that diverged in the last of them, and whether the
-        controller's supervision cut the power in the tick after these.
+        How many ticks were run, and -1; or the joint that diverged in the last of them; or TRIPPED, if the
+        controller's supervision cut the power in the tick after them.
     """
     state, law = plant_states[0], law_states[0]
     gear = laws[0].gear
@@ -61,7 +64,7 @@ def run_ticks(
             friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
             tripped = position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
             if tripped:
-                return k - first, -1, True
+                return k - first, TRIPPED
         velocity_loop(laws, law_states, state.motor_velocity)
         if slow_tick:
             slow.reference[row, 0] = setpoints[row, 0]
@@ -77,8 +80,8 @@ def run_ticks(
             fast.motor_commands[k] = law.command
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
-            return k + 1 - first, joint, False
-    return ticks, -1, False
+            return k + 1 - first, joint
+    return ticks, -1
 
 
 def simulate(
@@ -131,12 +134,12 @@ def run_setpoints(
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     ratio = controller.rates.ratio
-    done, diverged, tripped = run_ticks(
+    done, end = run_ticks(
         plant.constants, plant.state, controller.law, controller.state, setpoints, ratio, 0, ticks, fast, slow
     )
     plant.tick = controller.tick = done
-    if diverged >= 0:
-        plant.raise_divergence(diverged)
-    if tripped:
+    if end >= 0:
+        plant.raise_divergence(end)
+    if end == TRIPPED:
         controller.note_fault()
         raise SupervisionError(f"{controller.fault}; the controller's supervision has cut the power")
