@@ -14,6 +14,7 @@ from rx90_common.description.wrist import to_motor
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
+from rx90_controller.law.supervision import beyond_limits
 
 LAW_STATE_DTYPE = np.dtype(
     [
@@ -47,15 +48,19 @@ def law_reset(states: Record) -> None:
 
 
 @kernel
-def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> None:
-    """Run PI and FF for one position tick.
+def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
+    """Run PI, FF and the supervision for one position tick.
 
     Args:
         laws: constants, shape (1,), CONTROLLER_DTYPE.
         states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
         setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
         position: motor positions by the encoders, rad, shape (6,).
-        velocity: measured motor velocities, rad/s, shape (6,); for the velocity error that is published.
+        velocity: measured motor velocities, rad/s, shape (6,); for the supervision and the velocity error that is
+            published.
+
+    Returns:
+        Whether the following error or the speed of a joint is beyond its limit: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
     for k in range(3):
@@ -70,10 +75,12 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         load(state.limited, 6),
     )
     store(state.error, loop.error)
-    store(state.velocity_error, load(state.reference[1], 6) - load(velocity, 6))
+    measured = load(velocity, 6)
+    store(state.velocity_error, load(state.reference[1], 6) - measured)
     store(state.integrator, loop.integrator)
     store(state.position_torque, loop.position_torque)
     store(state.feed_forward, loop.feed_forward)
+    return beyond_limits(law, loop.error, measured)
 
 
 @kernel

@@ -197,6 +197,9 @@ class Control:
                 "late ticks": str(counts.late),
                 "dropped ticks": str(counts.dropped),
             }
+        fault = self._loop.fault
+        if fault is not None:
+            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
         if not self._loop.running:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)

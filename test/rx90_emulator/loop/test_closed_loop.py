@@ -198,7 +198,8 @@ def test_a_diverging_run_is_an_error(shipped: Setup) -> None:
 def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
     """A motion beyond the amplifiers counts as many ticks as the controller limits when stepped one by one."""
     weak = dataclasses.replace(shipped.drives, peak_current=shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
-    setup = dataclasses.replace(shipped, drives=weak)
+    loose = dataclasses.replace(shipped.controller, following_error=np.full(6, 1.0))
+    setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     result = simulate(setup, there_and_back(), HOME, 0.6, record_fast=True)
     assert result.fast is not None
     at_peak = np.abs(result.fast.motor_commands) > 0.999 * weak.peak_torque
