@@ -21,11 +21,13 @@ from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
+    DETAIL_DECIMATION,
+    DETAILS,
     FREE_RUNNING,
     LATCHED_QOS,
     MOTOR_COMMANDS,
@@ -45,7 +47,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
-    """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
+    """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
     def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B) -> None:
         self._node, self._cs7b = node, cs7b
@@ -54,7 +56,22 @@ class ControllerOutputs:
         self._encode_error = codec.encoder(*cs7b.tracking_error())
         self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
         self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
-        self.publishers = (self._reference, self._error, channel.publisher)
+        motors = JointStateCodec(MOTOR_NAMES)
+        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        self._details = [
+            (node.create_publisher(JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
+            for name, names, values in details
+        ]
+        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare(
+            node, "detail_decimation", DETAIL_DECIMATION,
+            f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
+        )  # fmt: skip
+        self.publishers = (
+            self._reference,
+            self._error,
+            *(publisher for publisher, _ in self._details),
+            channel.publisher,
+        )
         self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
@@ -70,6 +87,14 @@ class ControllerOutputs:
         if self._error.get_subscription_count():
             self._cs7b.tracking_error()
             self._error.publish(self._encode_error(stamp_ns))
+        if stamp_ns % self._detail_ns == 0:
+            self._publish_details(stamp_ns)
+
+    def _publish_details(self, stamp_ns: int) -> None:
+        self._cs7b.details()
+        for publisher, encode in self._details:
+            if publisher.get_subscription_count():
+                publisher.publish(encode(stamp_ns))
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.
 
@@ -178,6 +203,9 @@ class Control:
                 "late ticks": str(counts.late),
                 "dropped ticks": str(counts.dropped),
             }
+        fault = self._loop.fault
+        if fault is not None:
+            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
         if not self._loop.running:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)

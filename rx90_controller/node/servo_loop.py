@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
+from rx90_controller.law.supervision import DriveFault
 from rx90_controller.trajectory.message import points_from_message, start_tick
 
 
@@ -37,6 +38,7 @@ class ServoLoop:
     Attributes:
         command: see `CS7B`.
         enabled: whether the motors get torque.
+        fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
         rejected: number of trajectories that were refused.
     """
@@ -46,6 +48,7 @@ class ServoLoop:
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.enabled = True
+        self.fault: DriveFault | None = None
         self.running = False
         self.rejected = 0
         self._waiting: Any = None
@@ -76,7 +79,17 @@ class ServoLoop:
             cs7b.step(states.position, states.velocity)
             if slow:
                 self._outputs.publish(stamp_ns)
-            return True
+            if cs7b.fault is None:
+                return True
+            self._trip(cs7b.fault)
+            cs7b.reset(states.position, cs7b.tick)
+            return False
+
+    def _trip(self, fault: DriveFault) -> None:
+        self.enabled, self.fault = False, fault
+        self._outputs.error(
+            f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
+        )
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
@@ -89,6 +102,8 @@ class ServoLoop:
         """Switch the torque on or off; off, the brakes hold the arm."""
         with self._lock:
             self.enabled = on
+            if on:
+                self.fault = None
 
     def offer(self, trajectory: Any) -> None:
         """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not."""

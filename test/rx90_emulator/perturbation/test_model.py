@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.agreement import agreement
-from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
+from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -157,12 +157,16 @@ def test_exact_feed_forward_without_friction_leaves_no_deviation(shipped: Setup)
 
 
 def test_saturation_is_counted_as_in_the_full_simulation(shipped: Setup) -> None:
-    """A motion too fast for weak amplifiers saturates them for as many ticks in both methods."""
-    setup = dataclasses.replace(
-        shipped, drives=dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
-    )
+    """A motion too fast for weak amplifiers saturates them for as many ticks in both methods, and trips both."""
+    weak = dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
+    loose = dataclasses.replace(shipped.controller, following_error=np.full(6, 1.0))
+    setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     full = simulate(setup, there_and_back(0.4), HOME, 0.7)
-    result = prepare(setup, there_and_back(0.4), HOME, 0.7).run_one()
+    model = prepare(setup, there_and_back(0.4), HOME, 0.7)
+    result = model.run([shipped.friction] * 2, [loose, shipped.controller])
+    with pytest.raises(SupervisionError, match="joint_2: following error"):
+        simulate(dataclasses.replace(setup, controller=shipped.controller), there_and_back(0.4), HOME, 0.7)
+    assert result.tripped.tolist() == [False, True]
     assert full.saturated.max() > 20
     assert np.abs(result.saturated[0] - full.saturated).max() <= 0.05 * full.saturated.max()
 
