@@ -66,16 +66,17 @@ class ControllerOutputs:
             node, "detail_decimation", DETAIL_DECIMATION,
             f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
         )  # fmt: skip
-        self._all = (self._reference, self._error, *(publisher for publisher, _ in self._details), channel.publisher)
+        self.publishers = (
+            self._reference,
+            self._error,
+            *(publisher for publisher, _ in self._details),
+            channel.publisher,
+        )
         self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
-        node_tools.wait_until_matched(self._node, self._all, _MATCH_ATTEMPTS)
-
-    def wait_until_received(self) -> None:
-        """Let the last messages reach who listens."""
-        node_tools.wait_until_received(self._all)
+        node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -112,21 +113,26 @@ class Control:
     Args:
         make_channel: makes the exchange with the simulation.
         time_mode: how a simulation in this process keeps time; None: as the topic says.
+        own_args: arguments for ROS that concern this node of its process alone.
 
     Raises:
         ExchangeError: if that simulation's rates are not this one's.
 
     Attributes:
         node: for the executor.
+        publishers: of all that the ticking thread sends.
     """
 
-    def __init__(self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None) -> None:
-        self.node = Node("rx90_controller")
+    def __init__(
+        self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None, own_args: Sequence[str] = ()
+    ) -> None:
+        self.node = Node("rx90_controller", cli_args=list(own_args))
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
         self._cs7b = cs7b = self._build(rates)
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = self._outputs = ControllerOutputs(self.node, channel, cs7b)
+        outputs = ControllerOutputs(self.node, channel, cs7b)
+        self.publishers = outputs.publishers
         self._loop = ServoLoop(cs7b, outputs)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
@@ -153,7 +159,7 @@ class Control:
             ExchangeError: if the simulation's rates are not this one's.
         """
         self._serving.run()
-        self._outputs.wait_until_received()
+        node_tools.wait_until_received(self.publishers)
 
     def hand_over(self) -> Callable[[], None]:
         """Return what answers one tick in lock-step, to be called by the thread that ticks; `tick_loop` then rests."""
