@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.bags.comparison import Scope, Verdict, compare_bags
+from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.share import config_path
@@ -41,7 +41,7 @@ def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_
     """Joint, friction, reference and error series stay within what rounding can do."""
     write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
     tolerances = Tolerances.parse(*TOLERANCES)
-    comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances, Scope(same_range=True))
+    comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == 7
 
