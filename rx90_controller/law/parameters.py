@@ -13,6 +13,8 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
     [
@@ -73,6 +75,7 @@ class CS7BParameters:
         current_bandwidth: bandwidth of the current loop, Hz.
         current_slew: the amplifier's fastest change of current, A/s.
         start_tolerance: how far a trajectory may start from the held set-point, rad.
+        max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
     """
 
     inertia: Array
@@ -87,6 +90,7 @@ class CS7BParameters:
     current_bandwidth: float
     current_slew: Array
     start_tolerance: float
+    max_acceleration: Array
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -95,9 +99,20 @@ class CS7BParameters:
             value = np.asarray(getattr(self, field.name), dtype=np.float64)
             if not np.all(np.isfinite(value)) or np.any(value < 0):
                 raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
-        for name in ("inertia", "coulomb_velocity", "current_bandwidth", "current_slew"):
+        for name in ("inertia", "coulomb_velocity", "current_bandwidth", "current_slew", "max_acceleration"):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
+
+    def limits(self, robot: RobotModel) -> JointLimits:
+        """Return the limits that the set-points of an arm must keep."""
+        return JointLimits(
+            robot.joint_names,
+            robot.lower,
+            robot.upper,
+            robot.max_velocity,
+            self.max_acceleration,
+            self.start_tolerance,
+        )
 
     def record(self, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
         """Return the law's constants on the motor side, shape (1,), dtype CONTROLLER_DTYPE."""
@@ -147,6 +162,7 @@ def load_controller(path: Path) -> CS7BParameters:
         current_bandwidth=current.number("bandwidth", 0.0, above=True),
         current_slew=np.array(current.numbers("slew_rate", 6, 0.0, above=True)),
         start_tolerance=trajectory.number("start_tolerance", 0.0),
+        max_acceleration=np.array(trajectory.numbers("max_acceleration", 6, 0.0, above=True)),
     )
     for section in (servo, forward, current, trajectory, root):
         section.finish()

@@ -51,6 +51,7 @@ CONTROLLER_UNITS = {
     "current_bandwidth": "Hz",
     "current_slew": "A/s",
     "start_tolerance": "rad",
+    "max_acceleration": "rad/s^2",
 }
 FEED_FORWARD_UNITS = dict.fromkeys(("acceleration", "coulomb", "viscous"), SWITCH)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}

@@ -69,6 +69,7 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
             "current_bandwidth": 800.0,
             "current_slew": FREE * six,
             "start_tolerance": 10.0,
+            "max_acceleration": FREE * six,
         }
         controller = CS7B(
             dataclasses.replace(shipped.robot, lower=-100 * six, upper=100 * six, max_velocity=1000 * six),
