@@ -10,9 +10,9 @@ from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.duration import Infinite
+from rclpy.duration import Duration, Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -20,6 +20,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.ros_start import start_ros
@@ -28,6 +29,7 @@ from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
+_RECEIVED_LOOKS = 40  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
 _OF_ROS = ("use_sim_time", "start_type_description_service")  # and qos_overrides.*: rclpy declares them itself
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
@@ -66,7 +68,7 @@ def declare(
     try:
         value: Any = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
+        raise ConfigError(f"parameter {name} is {quoted(given)}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
 
 
@@ -103,16 +105,19 @@ def _with_real_numbers(override: Parameter, default: object) -> Parameter:
     return override
 
 
-def refuse_unknown_parameters(node: Node) -> None:
-    """Look for values given to parameters that the node has not declared; to be called when it has declared all.
+def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
+    """Look for values given to parameters that a node has not declared; to be called when all are declared.
 
     Raises:
-        ConfigError: naming the first one, and those that there are.
+        ConfigError: naming the first one, and those that there are, or the node of this process that has it.
     """
-    known = sorted(name for name in node._parameters if not _is_of_ros(name))
-    for name in node._parameter_overrides:
-        if not node.has_parameter(name) and not _is_of_ros(name):
-            raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
+    for node in nodes:
+        known = sorted(name for name in node._parameters if not _is_of_ros(name))
+        for name in node._parameter_overrides:
+            if not node.has_parameter(name) and not _is_of_ros(name):
+                owners = [other.get_name() for other in nodes if other.has_parameter(name)]
+                accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else ", ".join(known)
+                raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {accepted}")
 
 
 def _is_of_ros(name: str) -> bool:
@@ -160,48 +165,60 @@ class TickingNode(Protocol):
 
 
 def spin(
-    make: Callable[[], TickingNode],
+    make: Callable[[], Sequence[TickingNode]],
     args: Sequence[str],
-    make_executor: Callable[[], Executor] = SingleThreadedExecutor,
+    make_executor: Callable[[], Executor] | None = None,
 ) -> None:
-    """Run a ticking node: ticks on a thread of their own, everything slow on an executor in this one.
+    """Run ticking nodes: ticks on threads of their own, everything slow on an executor in this one.
 
-    A node whose services wait for something brings an executor with threads of its own.
+    The first node that ends, ends all. A node whose services wait for something brings an executor with threads of its
+    own; several nodes have one for each, so that a service of one does not keep the others waiting.
 
     Raises:
-        Rx90Error: what the node's constructor or its ticks raise.
+        Rx90Error: what the nodes' constructors or their ticks raise.
     """
     start_ros(args)
     try:
-        _spin(make, make_executor)
+        _spin(make(), make_executor)
     finally:
         try_shutdown()
 
 
-def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]) -> None:
-    ticking = make()
-    refuse_unknown_parameters(ticking.node)
+def _spin(members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None) -> None:
+    refuse_unknown_parameters([member.node for member in members])
     failures: list[BaseException] = []
-    thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
-    executor = make_executor()
-    executor.add_node(ticking.node)
+    threads = [
+        threading.Thread(target=_guard, args=(member.tick_loop, failures), name="ticks", daemon=True)
+        for member in members
+    ]
+    executor = make_executor() if make_executor is not None else _executor_of(len(members))
+    for member in members:
+        executor.add_node(member.node)
     # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
     # everything that was imported in the middle of a tick.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()
     stopped = stop_request()
-    thread.start()
+    for thread in threads:
+        thread.start()
     try:
-        while thread.is_alive() and not stopped.is_set():
+        while all(thread.is_alive() for thread in threads) and not stopped.is_set():
             executor.spin_once(timeout_sec=_SPIN_SLICE)
     finally:
-        ticking.stop()
-        thread.join(5.0)
+        # The simulation comes first: what its last tick has brought about is sent before the controller ends.
+        for member, thread in zip(members, threads, strict=True):
+            member.stop()
+            thread.join(5.0)
         executor.shutdown()
-        ticking.node.destroy_node()
+        for member in members:
+            member.node.destroy_node()
     if failures:
         raise failures[0]
+
+
+def _executor_of(nodes: int) -> Executor:
+    return SingleThreadedExecutor() if nodes == 1 else MultiThreadedExecutor(nodes)
 
 
 def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
@@ -236,6 +253,14 @@ def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: in
         before = have
         pause.wait(0.05)
     return False
+
+
+def wait_until_received(publishers: Sequence[Publisher]) -> None:
+    """Let the last messages reach who listens, a recorder for example; not without end, who listens may be stopped."""
+    for publisher in publishers:
+        for _ in range(_RECEIVED_LOOKS):
+            if publisher.wait_for_all_acked(Duration(nanoseconds=50_000_000)):
+                break
 
 
 def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
