@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,14 +16,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.quoting import one_line
-from rx90_common.base.rates import Rates
+from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
@@ -45,7 +47,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
-    """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
+    """The topics ~/reference and ~/tracking_error of the ticking thread, ~/trajectory_accepted, and the log."""
 
     def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B) -> None:
         self._node, self._cs7b = node, cs7b
@@ -54,7 +56,9 @@ class ControllerOutputs:
         self._encode_error = codec.encoder(*cs7b.tracking_error())
         self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
         self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
-        self._all = (self._reference, self._error, channel.publisher)
+        self._accepted = node.create_publisher(JointTrajectory, "~/trajectory_accepted", LATCHED_QOS.profile)
+        self._all = (self._reference, self._error, self._accepted, channel.publisher)
+        self._report: GuardCondition | None = None
         self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
@@ -74,6 +78,22 @@ class ControllerOutputs:
         if self._error.get_subscription_count():
             self._cs7b.tracking_error()
             self._error.publish(self._encode_error(stamp_ns))
+
+    def report_with(self, report: Callable[[], None]) -> None:
+        """Have `report` called by the node's executor after each `wake`."""
+        self._report = self._node.create_guard_condition(report)
+
+    def wake(self) -> None:
+        """Wake the executor; callable from every thread."""
+        if self._report is not None:
+            self._report.trigger()
+
+    def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
+        """Publish a trajectory as it came, stamped with its start."""
+        taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
+        sec, nanosec = divmod(start_ns, NANOSECONDS)
+        taken.header.stamp = Time(sec=sec, nanosec=nanosec)
+        self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.
 
@@ -107,7 +127,10 @@ class Control:
         self._cs7b = cs7b = self._build(rates)
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         outputs = self._outputs = ControllerOutputs(self.node, channel, cs7b)
-        self._loop = ServoLoop(cs7b, outputs)
+        about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+        horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+        self._loop = ServoLoop(cs7b, outputs, horizon)
+        outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
@@ -142,6 +165,7 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+        self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
 

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.trajectory.message import points_from_message, start_tick
+from rx90_controller.trajectory import Schedule
+from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
 
 
 class Outputs(Protocol):
-    """Where set-points, tracking errors and lines for the user go."""
+    """Where set-points, tracking errors, accepted trajectories and lines for the user go."""
 
     def wait_for_subscribers(self) -> None:
         """Wait, not without end, until those who listen will get the first message."""
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
+
+    def wake(self) -> None:
+        """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
+
+    def accepted(self, trajectory: Any, start_ns: int) -> None:
+        """Publish a trajectory that was taken, and when it starts, ns."""
 
     def info(self, text: str) -> None:
         """Print what happened."""
@@ -33,6 +43,7 @@ class ServoLoop:
     Args:
         cs7b: the control law, warmed up.
         outputs: get what it does, and what became of a trajectory.
+        horizon: how far ahead of its own time, s, a trajectory may start.
 
     Attributes:
         command: see `CS7B`.
@@ -41,16 +52,18 @@ class ServoLoop:
         rejected: number of trajectories that were refused.
     """
 
-    def __init__(self, cs7b: CS7B, outputs: Outputs) -> None:
-        self._cs7b, self._outputs = cs7b, outputs
+    def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float) -> None:
+        self._cs7b, self._outputs, self._horizon = cs7b, outputs, horizon
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.enabled = True
         self.running = False
         self.rejected = 0
         self._waiting: Any = None
+        self._stopping = False
+        self._reports: deque[Callable[[], None]] = deque()
 
-    # The ticking thread.
+    # The ticking thread. What it has to say is left to another one: printing may take longer than a tick.
 
     def begin(self) -> None:
         """Wait for the subscribers."""
@@ -63,7 +76,8 @@ class ServoLoop:
             self.running = True
             waiting, self._waiting = self._waiting, None
             if waiting is not None:
-                self._accept(waiting)
+                self._take(waiting)
+                self._outputs.wake()
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -73,6 +87,8 @@ class ServoLoop:
                 cs7b.reset(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
             slow = cs7b.on_position_tick
+            if slow:
+                self._note_end(cs7b.trajectory.ended(cs7b.position_tick))
             cs7b.step(states.position, states.velocity)
             if slow:
                 self._outputs.publish(stamp_ns)
@@ -83,6 +99,13 @@ class ServoLoop:
         with self._lock:
             self._cs7b.skip(count)
 
+    def _note_end(self, tick: int | None) -> None:
+        if tick is None:
+            return
+        what = "stopped" if self._stopping else "trajectory ended"
+        self._say(f"{what} at {tick * self._cs7b.rates.position_period:.3f} s; holding")
+        self._outputs.wake()
+
     # Any thread.
 
     def enable(self, on: bool) -> None:
@@ -90,28 +113,73 @@ class ServoLoop:
         with self._lock:
             self.enabled = on
 
+    # The executor's thread.
+
     def offer(self, trajectory: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not."""
+        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
+
+        One without points stops the arm.
+        """
         with self._lock:
             if self.running:
-                self._accept(trajectory)
+                self._take(trajectory)
             else:
                 self._waiting = trajectory
-                self._outputs.info("a trajectory waits for the simulation's first tick")
+                self._say("a trajectory waits for the simulation's first tick")
+        self.report()
 
-    def _accept(self, trajectory: Any) -> None:
-        cs7b = self._cs7b
+    def report(self) -> None:
+        """Print and publish what there is to say."""
+        while self._reports:
+            self._reports.popleft()()
+
+    def _take(self, trajectory: Any) -> None:
+        """Accept or refuse a trajectory, and note what to say of it."""
         try:
             if not self.enabled:
                 raise TrajectoryError("the controller is disabled; accepted: after a call of ~/enable with true")
-            points = points_from_message(cs7b.joint_names, trajectory)
-            start = start_tick(trajectory, cs7b.rates.position_hz)
-            begin = cs7b.trajectory.accept(points, cs7b.position_tick, start)
+            schedule, text = self._stop(trajectory) if not trajectory.points else self._follow(trajectory)
         except TrajectoryError as error:
             self.rejected += 1
-            self._outputs.error(f"trajectory rejected: {error}")
+            self._reports.append(partial(self._outputs.error, f"trajectory rejected: {error}"))
             return
-        period = cs7b.rates.position_period
-        self._outputs.info(
-            f"trajectory accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin * period:.3f} s"
-        )
+        self._stopping = not trajectory.points
+        start_ns = schedule.begin * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
+        self._reports.append(partial(self._outputs.accepted, trajectory, start_ns))
+        self._say(text)
+
+    def _follow(self, trajectory: Any) -> tuple[Schedule, str]:
+        cs7b = self._cs7b
+        points = points_from_message(cs7b.joint_names, trajectory)
+        schedule = cs7b.trajectory.accept(points, cs7b.position_tick, self._start(trajectory))
+        begin = schedule.begin * cs7b.rates.position_period
+        text = f"trajectory accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+        if schedule.miss > 0.0:
+            text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
+        return schedule, text
+
+    def _stop(self, trajectory: Any) -> tuple[Schedule, str]:
+        cs7b = self._cs7b
+        if trajectory.joint_names:
+            check_joint_names(cs7b.joint_names, trajectory)
+        schedule = cs7b.trajectory.stop(cs7b.position_tick, self._start(trajectory))
+        begin, end = (tick * cs7b.rates.position_period for tick in (schedule.begin, schedule.end))
+        return schedule, f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
+
+    def _start(self, trajectory: Any) -> int | None:
+        """Return the start tick of a message, None for now.
+
+        Raises:
+            TrajectoryError: if it is further ahead than the horizon.
+        """
+        rates, now = self._cs7b.rates, self._cs7b.position_tick
+        start = start_tick(trajectory, rates.position_hz)
+        if start is not None and start - now > self._horizon * rates.position_hz:
+            raise TrajectoryError(
+                f"start time {start / rates.position_hz:.3f} s, the controller's time is "
+                f"{now / rates.position_hz:.3f} s; accepted: 0 for now, or simulated time within {self._horizon:g} s"
+            )
+        return start
+
+    def _say(self, text: str) -> None:
+        self._reports.append(partial(self._outputs.info, text))

@@ -9,6 +9,7 @@ allow and of the same duration in all joints, so that the motion stays straight:
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
@@ -106,7 +107,7 @@ def _both_ends(point: int, span: float, way: Array, velocity: Array, limits: Joi
     return least
 
 
-def _refuse_early(point: int, early: Array, span: float, way: Array, limits: JointLimits) -> None:
+def _refuse_early(point: int, early: NDArray[np.bool_], span: float, way: Array, limits: JointLimits) -> None:
     if early.any():
         joint = int(np.argmax(early))
         raise TrajectoryError(

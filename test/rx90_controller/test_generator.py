@@ -357,7 +357,7 @@ def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
     inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
     generator = TrajectoryGenerator(LIMITS, PERIOD, held)
     for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
-        with pytest.raises(TrajectoryError, match="joint_3 (gets a set-point|has the) position"):
+        with pytest.raises(TrajectoryError, match=r"joint_3 (gets a set-point|has the) position"):
             generator.accept(bad, 0, None)
     with pytest.raises(TrajectoryError, match="joint_3"):
         TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)

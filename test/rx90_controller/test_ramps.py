@@ -30,7 +30,7 @@ def averaged(times: Array, position: Array, at: Array, half: Array) -> Array:
 
 
 def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
-    """d = v (T - tau), v = a tau in the joint that needs most, and every joint at the same share of its way."""
+    """The way is v (T - tau), v = a tau in the joint that needs most, and every joint at the same share of its way."""
     got = straight(np.array([0.0, 1.0]), np.stack([REST, WAY]), REST, LIMITS)
     tau = (1.0 - np.sqrt(1.0 - 4.0 * np.abs(WAY) / MOST)).max() / 2.0
     peak = WAY / (1.0 - tau)
@@ -46,7 +46,7 @@ def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
 def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
     """Around a point in between, a ramp of duration 2h gives the lines averaged over 2h, and misses it by dv^2/8a."""
     times = np.array([0.0, 0.8, 1.5, 2.4])
-    position = np.stack([REST, WAY, WAY + [0.1, 0.2, -0.3, 0.4, 0.0, 0.0], REST])
+    position = np.stack([REST, WAY, WAY + np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.0]), REST])
     got = straight(times, position, REST, LIMITS)
     slope = np.diff(position, axis=0) / np.diff(times)[:, None]
     at = np.linspace(0.8, 1.5, 41)

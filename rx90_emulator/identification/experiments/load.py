@@ -38,7 +38,7 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     """Return the shares of the limits that an experiment uses.
 
     Raises:
-        IdentificationError: if it leaves a joint's range, speed, acceleration or torque, naming joint, amount and limit.
+        IdentificationError: if it leaves a joint's limits, of torque too, naming joint, amount and limit.
     """
     setpoints = _setpoints(experiment, controller.limits(robot))
     speed = np.abs(setpoints[:, 1]).max(axis=0) / robot.max_velocity
