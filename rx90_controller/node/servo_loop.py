@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
-from collections.abc import Callable
-from functools import partial
 from typing import Any, Protocol
 
-from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.trajectory import Schedule
-from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
+from rx90_controller.law.supervision import DriveFault
+from rx90_controller.node.requests import Log, Requests
 
 
-class Outputs(Protocol):
+class Outputs(Log, Protocol):
     """Where set-points, tracking errors, accepted trajectories and lines for the user go."""
 
     def wait_for_subscribers(self) -> None:
@@ -23,18 +19,6 @@ class Outputs(Protocol):
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
-
-    def wake(self) -> None:
-        """Have `ServoLoop.report` called soon, by another thread than the one that ticks."""
-
-    def accepted(self, trajectory: Any, start_ns: int) -> None:
-        """Publish a trajectory that was taken, and when it starts, ns."""
-
-    def info(self, text: str) -> None:
-        """Print what happened."""
-
-    def error(self, text: str) -> None:
-        """Print what went wrong."""
 
 
 class ServoLoop:
@@ -48,22 +32,21 @@ class ServoLoop:
     Attributes:
         command: see `CS7B`.
         enabled: whether the motors get torque.
+        fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
-        rejected: number of trajectories that were refused.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float) -> None:
-        self._cs7b, self._outputs, self._horizon = cs7b, outputs, horizon
+        self._cs7b, self._outputs = cs7b, outputs
+        self._requests = Requests(cs7b, outputs, horizon)
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.enabled = True
+        self.fault: DriveFault | None = None
         self.running = False
-        self.rejected = 0
         self._waiting: Any = None
-        self._stopping = False
-        self._reports: deque[Callable[[], None]] = deque()
 
-    # The ticking thread. What it has to say is left to another one: printing may take longer than a tick.
+    # The ticking thread.
 
     def begin(self) -> None:
         """Wait for the subscribers."""
@@ -76,8 +59,7 @@ class ServoLoop:
             self.running = True
             waiting, self._waiting = self._waiting, None
             if waiting is not None:
-                self._take(waiting)
-                self._outputs.wake()
+                self._requests.take(waiting, enabled=self.enabled)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -88,23 +70,25 @@ class ServoLoop:
                 return False
             slow = cs7b.on_position_tick
             if slow:
-                self._note_end(cs7b.trajectory.ended(cs7b.position_tick))
+                self._requests.note_end()
             cs7b.step(states.position, states.velocity)
             if slow:
                 self._outputs.publish(stamp_ns)
-            return True
+            if cs7b.fault is None:
+                return True
+            self._trip(cs7b.fault)
+            cs7b.reset(states.position, cs7b.tick)
+            return False
+
+    def _trip(self, fault: DriveFault) -> None:
+        self.enabled, self.fault = False, fault
+        text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
+        self._requests.note(text, wrong=True)
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
         with self._lock:
             self._cs7b.skip(count)
-
-    def _note_end(self, tick: int | None) -> None:
-        if tick is None:
-            return
-        what = "stopped" if self._stopping else "trajectory ended"
-        self._say(f"{what} at {tick * self._cs7b.rates.position_period:.3f} s; holding")
-        self._outputs.wake()
 
     # Any thread.
 
@@ -112,8 +96,15 @@ class ServoLoop:
         """Switch the torque on or off; off, the brakes hold the arm."""
         with self._lock:
             self.enabled = on
+            if on:
+                self.fault = None
 
     # The executor's thread.
+
+    @property
+    def rejected(self) -> int:
+        """Return how many trajectories were refused."""
+        return self._requests.rejected
 
     def offer(self, trajectory: Any) -> None:
         """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
@@ -122,64 +113,11 @@ class ServoLoop:
         """
         with self._lock:
             if self.running:
-                self._take(trajectory)
+                self._requests.take(trajectory, enabled=self.enabled)
             else:
                 self._waiting = trajectory
-                self._say("a trajectory waits for the simulation's first tick")
-        self.report()
+                self._requests.note("a trajectory waits for the simulation's first tick")
 
     def report(self) -> None:
-        """Print and publish what there is to say."""
-        while self._reports:
-            self._reports.popleft()()
-
-    def _take(self, trajectory: Any) -> None:
-        """Accept or refuse a trajectory, and note what to say of it."""
-        try:
-            if not self.enabled:
-                raise TrajectoryError("the controller is disabled; accepted: after a call of ~/enable with true")
-            schedule, text = self._stop(trajectory) if not trajectory.points else self._follow(trajectory)
-        except TrajectoryError as error:
-            self.rejected += 1
-            self._reports.append(partial(self._outputs.error, f"trajectory rejected: {error}"))
-            return
-        self._stopping = not trajectory.points
-        start_ns = schedule.begin * self._cs7b.rates.period_ns * self._cs7b.rates.ratio
-        self._reports.append(partial(self._outputs.accepted, trajectory, start_ns))
-        self._say(text)
-
-    def _follow(self, trajectory: Any) -> tuple[Schedule, str]:
-        cs7b = self._cs7b
-        points = points_from_message(cs7b.joint_names, trajectory)
-        schedule = cs7b.trajectory.accept(points, cs7b.position_tick, self._start(trajectory))
-        begin = schedule.begin * cs7b.rates.position_period
-        text = f"trajectory accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
-        if schedule.miss > 0.0:
-            text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
-        return schedule, text
-
-    def _stop(self, trajectory: Any) -> tuple[Schedule, str]:
-        cs7b = self._cs7b
-        if trajectory.joint_names:
-            check_joint_names(cs7b.joint_names, trajectory)
-        schedule = cs7b.trajectory.stop(cs7b.position_tick, self._start(trajectory))
-        begin, end = (tick * cs7b.rates.position_period for tick in (schedule.begin, schedule.end))
-        return schedule, f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s"
-
-    def _start(self, trajectory: Any) -> int | None:
-        """Return the start tick of a message, None for now.
-
-        Raises:
-            TrajectoryError: if it is further ahead than the horizon.
-        """
-        rates, now = self._cs7b.rates, self._cs7b.position_tick
-        start = start_tick(trajectory, rates.position_hz)
-        if start is not None and start - now > self._horizon * rates.position_hz:
-            raise TrajectoryError(
-                f"start time {start / rates.position_hz:.3f} s, the controller's time is "
-                f"{now / rates.position_hz:.3f} s; accepted: 0 for now, or simulated time within {self._horizon:g} s"
-            )
-        return start
-
-    def _say(self, text: str) -> None:
-        self._reports.append(partial(self._outputs.info, text))
+        """Print and publish what there is to say; called after each `Outputs.wake`."""
+        self._requests.report()

@@ -50,6 +50,8 @@ CONTROLLER_UNITS = {
     "viscous": "Nm s/rad",
     "current_bandwidth": "Hz",
     "current_slew": "A/s",
+    "following_error": "rad",
+    "over_speed": "1",
     "start_tolerance": "rad",
     "max_acceleration": "rad/s^2",
 }

@@ -68,6 +68,8 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
             "feed_forward": dataclasses.replace(FeedForward.off(), velocity=True),
             "current_bandwidth": 800.0,
             "current_slew": FREE * six,
+            "following_error": FREE * six,
+            "over_speed": FREE,
             "start_tolerance": 10.0,
             "max_acceleration": FREE * six,
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 
@@ -88,8 +89,9 @@ def header(stamp: tuple[int, int]) -> SimpleNamespace:
 
 @pytest.fixture
 def rig(shipped: Setup) -> Rig:
-    """Return a servo loop that has seen nothing yet."""
-    return Rig(shipped)
+    """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
+    controller = dataclasses.replace(shipped.controller, following_error=np.full(6, 0.3))
+    return Rig(dataclasses.replace(shipped, controller=controller))
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -123,6 +125,27 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
     assert rig.loop.command == pytest.approx(np.zeros(6), abs=1e-9)
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+
+
+def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
+    """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.5))
+    assert rig.run(0, 2) == [True] * 2
+    rig.position = np.array([0.0, 0.301 * 85.0, 0.0, 0.0, 0.0, 0.0])  # the gear of joint 2 is 85
+    assert rig.run(2, 400) == [True] * 2 + [False] * 398
+    line = rig.around.lines[-1]
+    assert line.startswith("joint_2: following error -0.301 rad at 0.001 s; accepted: up to 0.3 rad; torque off")
+    assert sum("following error" in each for each in rig.around.lines) == 1
+    assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
+    assert rig.loop.fault is not None
+    rig.loop.offer(rig.trajectory(0.2))
+    assert rig.loop.rejected == 1
+    rig.loop.enable(True)
+    assert rig.run(402, 8) == [True] * 8
+    assert rig.loop.fault is None
+    assert rig.cs7b.reference()[0][1] == pytest.approx(0.301)
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 

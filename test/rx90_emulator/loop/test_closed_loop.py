@@ -46,6 +46,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             "friction_states",
             "reference",
             "tracking_error",
+            "details",
         )
     }
     for k in range(round(duration * setup.rates.base_hz)):
@@ -60,6 +61,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
         if slow:
             seen["reference"].append(np.array(controller.reference()))
             seen["tracking_error"].append(np.array(controller.tracking_error()))
+            seen["details"].append(np.array(controller.details()))
         plant.step(command)
     return {name: np.array(rows) for name, rows in seen.items()}
 
@@ -196,7 +198,8 @@ def test_a_diverging_run_is_an_error(shipped: Setup) -> None:
 def test_saturated_amplifiers_are_counted(shipped: Setup) -> None:
     """A motion beyond the amplifiers counts as many ticks as the controller limits when stepped one by one."""
     weak = dataclasses.replace(shipped.drives, peak_current=shipped.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
-    setup = dataclasses.replace(shipped, drives=weak)
+    loose = dataclasses.replace(shipped.controller, following_error=np.full(6, 1.0))
+    setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     result = simulate(setup, there_and_back(), HOME, 0.6, record_fast=True)
     assert result.fast is not None
     at_peak = np.abs(result.fast.motor_commands) > 0.999 * weak.peak_torque

@@ -31,4 +31,7 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
         "/motor_states",
         "/rx90_controller/reference",
         "/rx90_controller/tracking_error",
+        "/rx90_controller/reference_acceleration",
+        "/rx90_controller/commanded_current",
+        "/rx90_controller/motor_current",
     }
