@@ -16,6 +16,7 @@ SUITE_TOPICS: Final = (
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",
+    "rx90_controller/trajectory_accepted",
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
     "rx90_controller/reference_acceleration",

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,7 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.quoting import one_line
-from rx90_common.base.rates import Rates
+from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange import node_tools
@@ -66,9 +68,12 @@ class ControllerOutputs:
             node, "detail_decimation", DETAIL_DECIMATION,
             f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
         )  # fmt: skip
+        self._accepted = node.create_publisher(JointTrajectory, "~/trajectory_accepted", LATCHED_QOS.profile)
+        self._report: GuardCondition | None = None
         self.publishers = (
             self._reference,
             self._error,
+            self._accepted,
             *(publisher for publisher, _ in self._details),
             channel.publisher,
         )
@@ -95,6 +100,22 @@ class ControllerOutputs:
         for publisher, encode in self._details:
             if publisher.get_subscription_count():
                 publisher.publish(encode(stamp_ns))
+
+    def report_with(self, report: Callable[[], None]) -> None:
+        """Have `report` called by the node's executor after each `wake`."""
+        self._report = self._node.create_guard_condition(report)
+
+    def wake(self) -> None:
+        """Wake the executor; callable from every thread."""
+        if self._report is not None:
+            self._report.trigger()
+
+    def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
+        """Publish a trajectory as it came, stamped with its start."""
+        taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
+        sec, nanosec = divmod(start_ns, NANOSECONDS)
+        taken.header.stamp = Time(sec=sec, nanosec=nanosec)
+        self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.
 
@@ -133,7 +154,10 @@ class Control:
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         outputs = ControllerOutputs(self.node, channel, cs7b)
         self.publishers = outputs.publishers
-        self._loop = ServoLoop(cs7b, outputs)
+        about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+        horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+        self._loop = ServoLoop(cs7b, outputs, horizon)
+        outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
@@ -168,6 +192,7 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+        self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
 
