@@ -271,7 +271,7 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
     try:
         data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
-        # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting while it scans.
+        # All but the first: PyYAML on a tag or escape that its text does not fit, and on deep nesting while it scans.
         reason = plain(" ".join(str(error).replace('in "<file>", ', "").split()), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
