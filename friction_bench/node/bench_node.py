@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -26,6 +27,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
+from rx90_common.exchange.qos_overrides import publish
 
 JOINT = "rig_motor"
 EMULATED = "emulated"
@@ -41,8 +43,8 @@ class _Readings:
     def __init__(self, node: Node, rig: Rig) -> None:
         self._clock = node.get_clock()
         self._rig = rig
-        self._states = node.create_publisher(JointState, "~/joint_states", 10)
-        self._commands = node.create_publisher(JointState, "~/joint_commands", 10)
+        self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
+        self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
         self._previous: Sample | None = None
         self._epoch_ns = 0
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import gc
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Sequence
+from pathlib import PurePath
 from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.duration import Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -22,14 +24,17 @@ from rclpy.utilities import try_shutdown
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
-from rx90_common.exchange.ros_start import start_ros
+from rx90_common.exchange.parameter_services import answer_all_requests
+from rx90_common.exchange.qos_overrides import PREFIX, publish, refuse_unknown_overrides
+from rx90_common.exchange.ros_start import reason, start_ros
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.topics import CLOCK_QOS
 from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
-_OF_ROS = ("use_sim_time", "start_type_description_service")  # and qos_overrides.*: rclpy declares them itself
+_OF_ROS = ("use_sim_time", "start_type_description_service")  # rclpy declares them itself
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 
 
@@ -113,10 +118,11 @@ def refuse_unknown_parameters(node: Node) -> None:
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not _is_of_ros(name):
             raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
+    refuse_unknown_overrides(node)
 
 
 def _is_of_ros(name: str) -> bool:
-    return name in _OF_ROS or name.startswith("qos_overrides.")
+    return name in _OF_ROS or name.startswith(PREFIX)
 
 
 class Diagnostics:
@@ -130,21 +136,26 @@ class Diagnostics:
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
         self._node = node
         self._collect = collect
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
+        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
+        # Without the leading slash, as diagnostic_aggregator writes names.
+        self._namespace = node.get_namespace().rstrip("/").removeprefix("/")
         self._timer = node.create_timer(1.0, self._publish)
 
     def _publish(self) -> None:
         level, message, values = self._collect()
         status = DiagnosticStatus(
             level=level,
-            name=self._node.get_name(),
+            name=self._with_namespace(self._node.get_name()),
             message=message,
-            hardware_id="rx90_emulator",
+            hardware_id=self._with_namespace("rx90_emulator"),
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+
+    def _with_namespace(self, name: str) -> str:
+        return f"{self._namespace}/{name}" if self._namespace else name
 
 
 class TickingNode(Protocol):
@@ -181,6 +192,7 @@ def spin(
 def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]) -> None:
     ticking = make()
     refuse_unknown_parameters(ticking.node)
+    answer_all_requests(ticking.node)
     failures: list[BaseException] = []
     thread = threading.Thread(target=_guard, args=(ticking.tick_loop, failures), name="ticks", daemon=True)
     executor = make_executor()
@@ -191,10 +203,11 @@ def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]
     gc.collect()
     gc.freeze()
     stopped = stop_request()
+    log = ThrottledLog(lambda text: ticking.node.get_logger().error(text))
     thread.start()
     try:
         while thread.is_alive() and not stopped.is_set():
-            executor.spin_once(timeout_sec=_SPIN_SLICE)
+            spin_once(executor, log)
     finally:
         ticking.stop()
         thread.join(5.0)
@@ -202,6 +215,18 @@ def _spin(make: Callable[[], TickingNode], make_executor: Callable[[], Executor]
         ticking.node.destroy_node()
     if failures:
         raise failures[0]
+
+
+def spin_once(executor: Executor, log: ThrottledLog) -> None:
+    """Serve what has come, or wait a moment; a request or a message that cannot be served is a line, not the end."""
+    try:
+        executor.spin_once(timeout_sec=_SPIN_SLICE)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{PurePath(at.filename).name}:{at.lineno}"
+        log.say(where, f"not served: {type(error).__name__} in {where}: {reason(error)}")
 
 
 def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:

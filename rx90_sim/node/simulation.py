@@ -12,7 +12,7 @@ from std_srvs.srv import SetBool, Trigger
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, TIME_MODE
+from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import build_plant, read_parameters
 from rx90_sim.node.ticks import Ticks
 
@@ -26,6 +26,7 @@ class Simulation:
         self.node = node = Node("rx90_sim")
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
+        self._robot_name = str(robot.model.name)
         self._ticks = Ticks(node, self._plant, self._parameters)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
@@ -43,7 +44,18 @@ class Simulation:
         Raises:
             DivergenceError: naming joint and tick.
         """
+        self.node.get_logger().info(self._ready_text())
         self._ticks.run()
+
+    def _ready_text(self) -> str:
+        node, parameters = self.node, self._parameters
+        text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
+        if parameters.time_mode == LOCK_STEP:
+            text += f", real_time_factor {parameters.real_time_factor:g}"
+        text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
+        if parameters.paused:
+            text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
+        return text
 
     def stop(self) -> None:
         """End `tick_loop` soon."""
