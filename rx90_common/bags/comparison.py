@@ -17,6 +17,7 @@ from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 
 
@@ -116,7 +117,7 @@ class Scope:
     def __post_init__(self) -> None:
         for field in self.fields:
             if field not in FIELDS:
-                raise BagError(f"field {field!r}; accepted: {', '.join(FIELDS)}")
+                raise BagError(f"field {quoted(field)}; accepted: {', '.join(FIELDS)}")
         if not self.fields:
             raise BagError(f"no fields to compare; accepted: {', '.join(FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:

@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain, quoted
 
 PROVENANCE = ("published", "derived", "assumed", "identified")
 
@@ -50,11 +51,11 @@ class Section:
 
     def where(self, key: str) -> str:
         """Return `file: path.key`, the way every message names a value."""
-        return f"{self.file}: {self.path}{'.' if self.path else ''}{key}"
+        return f"{plain(self.file)}: {plain(self.path)}{'.' if self.path else ''}{plain(key)}"
 
     def refuse(self, key: str, value: object, accepted: str) -> None:
         """Raise a ConfigError that names file, key, value and what is accepted."""
-        raise ConfigError(f"{self.where(key)} is {value!r}; accepted: {accepted}")
+        raise ConfigError(f"{self.where(key)} is {quoted(value)}; accepted: {accepted}")
 
     def __contains__(self, key: str) -> bool:
         return key in self._data
@@ -192,9 +193,11 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str):
-            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} is not a name", key_node.start_mark)
+            fault = f"the key {quoted(key)} is not a name"
+            raise yaml.constructor.ConstructorError(None, None, fault, key_node.start_mark)
         if key in mapping:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
+            fault = f"the key {quoted(key)} stands twice"
+            raise yaml.constructor.ConstructorError(None, None, fault, key_node.start_mark)
         mapping[key] = loader.construct_object(value_node, deep=True)
     return mapping
 
@@ -218,12 +221,12 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
         with path.open(encoding="utf-8") as stream:
             data = next(yaml.load_all(stream, _Loader), None) if first else yaml.load(stream, _Loader)
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
+        raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
     except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
         # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
-        raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
+        raise ConfigError(f"{plain(path)}: not valid YAML ({' '.join(str(error).split())})") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: {accepted}")
+        raise ConfigError(f"{plain(path)}: holds {type(data).__name__}; accepted: {accepted}")
     return Section(data, path)
 
 

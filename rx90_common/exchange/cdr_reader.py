@@ -8,6 +8,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, STAMP_BYTES, cdr_stamp
 
@@ -65,7 +66,7 @@ class CdrReader:
         try:
             return content.rstrip(b"\0").decode()
         except UnicodeDecodeError as error:
-            raise ExchangeError(f"{what} is {content!r}; accepted: UTF-8") from error
+            raise ExchangeError(f"{what} is {quoted(content)}; accepted: UTF-8") from error
 
     def doubles(self, what: str) -> Array:
         """Return a sequence of float64, shape (n,)."""

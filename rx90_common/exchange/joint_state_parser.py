@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.quoting import quoted
 from rx90_common.exchange.cdr_reader import CdrReader
 
 Arrays = tuple[NDArray[np.float64] | None, NDArray[np.float64] | None, NDArray[np.float64] | None]
@@ -35,12 +36,12 @@ def _order(found: list[str], names: Sequence[str]) -> list[int]:
     """Return where each of `names` stands in the message."""
     for name in found:
         if name not in names:
-            raise ExchangeError(f"joint name {name!r} is unknown; accepted: {', '.join(names)}")
+            raise ExchangeError(f"joint name {quoted(name)} is unknown; accepted: {', '.join(names)}")
         if found.count(name) > 1:
-            raise ExchangeError(f"joint name {name!r} is repeated; accepted: {', '.join(names)}, each once")
+            raise ExchangeError(f"joint name {quoted(name)} is repeated; accepted: {', '.join(names)}, each once")
     missing = [name for name in names if name not in found]
     if missing:
-        raise ExchangeError(f"joint name {missing[0]!r} is missing; accepted: {', '.join(names)}, each once")
+        raise ExchangeError(f"joint name {quoted(missing[0])} is missing; accepted: {', '.join(names)}, each once")
     return [found.index(name) for name in names]
 
 

@@ -22,6 +22,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.parameter_services import answer_all_requests
@@ -71,7 +72,7 @@ def declare(
     try:
         value: Any = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-        raise ConfigError(f"parameter {name} is {given!r}; accepted: {accepted}") from error
+        raise ConfigError(f"parameter {name} is {quoted(given)}; accepted: {accepted}") from error
     return value  # type: ignore[no-any-return]
 
 
@@ -117,7 +118,7 @@ def refuse_unknown_parameters(node: Node) -> None:
     known = sorted(name for name in node._parameters if not _is_of_ros(name))
     for name in node._parameter_overrides:
         if not node.has_parameter(name) and not _is_of_ros(name):
-            raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
+            raise ConfigError(f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {', '.join(known)}")
     refuse_unknown_overrides(node)
 
 

@@ -10,6 +10,8 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from rx90_common.base.quoting import quoted
+
 _TYPES = {kind.value for kind in Parameter.Type}
 
 
@@ -51,5 +53,5 @@ def _refusal(parameter: Any) -> SetParametersResult | None:
     kind = parameter.value.type
     if kind in _TYPES:
         return None
-    reason = f"parameter {parameter.name} has a value of type {kind}; accepted: {min(_TYPES)} to {max(_TYPES)}"
+    reason = f"parameter {quoted(parameter.name)} has a value of type {kind}; accepted: {min(_TYPES)} to {max(_TYPES)}"
     return SetParametersResult(successful=False, reason=reason)

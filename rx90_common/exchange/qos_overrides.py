@@ -14,6 +14,7 @@ from rclpy.qos import QoSPolicyKind, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain, quoted
 
 PREFIX: Final = "qos_overrides."
 _MOST = 100_000  # messages
@@ -49,7 +50,7 @@ def overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
         name = f"{PREFIX}{node.resolve_topic_name(topic)}.{entity}.{policy.name.lower()}"
         given = node._parameter_overrides.get(name)  # rclpy's own errors name no parameter
         if given is not None and (isinstance(given.value, bool) or given.value not in values):
-            raise ConfigError(f"parameter {name} is {given.value!r}; accepted: {accepted}")
+            raise ConfigError(f"parameter {plain(name)} is {quoted(given.value)}; accepted: {accepted}")
     return QoSOverridingOptions(list(_ACCEPTED))
 
 
@@ -64,4 +65,4 @@ def refuse_unknown_overrides(node: Node) -> None:
             known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters}
             topics = ", ".join(sorted(topic for topic in known if topic.startswith("/")))
             policies = ", ".join(policy.name.lower() for policy in _ACCEPTED)
-            raise ConfigError(f"parameter {name} cannot be honoured; accepted: {policies} of {topics}")
+            raise ConfigError(f"parameter {plain(name)} cannot be honoured; accepted: {policies} of {topics}")

@@ -22,6 +22,7 @@ CONTROLLER_DTYPE = np.dtype(
         ("integrator_limit", np.float64, 6),  # motor side, Nm
         ("derivative", np.float64, 6),  # motor side, Nm s/rad
         ("inertia", np.float64, 6),  # motor side, kg m^2; 0 where acceleration feed-forward is off
+        ("velocity_weight", np.float64, 6),  # of the velocity set-point in D; 0 where it is off
         ("coulomb", np.float64, 6),  # motor side, Nm; 0 where the compensation is off
         ("coulomb_velocity", np.float64, 6),  # motor side, rad/s
         ("viscous", np.float64, 6),  # motor side, Nm s/rad; 0 where the compensation is off
@@ -36,14 +37,18 @@ CONTROLLER_DTYPE = np.dtype(
 
 @dataclass(frozen=True)
 class FeedForward:
-    """What the feed-forward block adds, each part by its own switch.
+    """What the set-points add beside PI, each part by its own switch.
+
+    The paper's D block has the measured velocity alone (section 5, figure 4): that is `velocity=False`.
 
     Attributes:
+        velocity: velocity set-point in the D block, which then damps the velocity error.
         acceleration: nominal inertia times acceleration set-point.
         coulomb: Coulomb friction compensation by the sign of the velocity set-point.
         viscous: viscous friction compensation.
     """
 
+    velocity: bool = True
     acceleration: bool = True
     coulomb: bool = True
     viscous: bool = True
@@ -51,14 +56,14 @@ class FeedForward:
     @classmethod
     def off(cls) -> FeedForward:
         """Return the block with every part switched off."""
-        return cls(acceleration=False, coulomb=False, viscous=False)
+        return cls(velocity=False, acceleration=False, coulomb=False, viscous=False)
 
 
 @dataclass(frozen=True)
 class CS7BParameters:
     """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
 
-    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward.
+    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward (docs/closed_loop.md).
 
     Attributes:
         inertia: nominal inertia Mn, kg m^2.
@@ -69,7 +74,7 @@ class CS7BParameters:
         coulomb: Coulomb friction to compensate, Nm.
         coulomb_velocity: velocity set-point at which the compensation is complete, rad/s.
         viscous: viscous friction to compensate, Nm s/rad.
-        feed_forward: switches of the feed-forward block.
+        feed_forward: switches of all feed-forward parts.
         current_bandwidth: bandwidth of the current loop, Hz.
         current_slew: the amplifier's fastest change of current, A/s.
         start_tolerance: how far a trajectory may start from the held set-point, rad.
@@ -110,6 +115,7 @@ class CS7BParameters:
         law["proportional"] = self.inertia * self.kv * self.kp / gear**2
         law["integral"] = self.inertia * self.ki / gear**2 * rates.position_period
         law["integrator_limit"] = self.integrator_limit / gear
+        law["velocity_weight"] = float(switch.velocity)
         law["inertia"] = self.inertia / gear**2 * switch.acceleration
         law["coulomb"] = self.coulomb / gear * switch.coulomb
         law["coulomb_velocity"] = self.coulomb_velocity * gear
@@ -140,6 +146,7 @@ def load_controller(path: Path) -> CS7BParameters:
         coulomb_velocity=forward.number("coulomb_velocity", 0.0, above=True),
         viscous=np.array(forward.numbers("viscous_friction", 6, 0.0)),
         feed_forward=FeedForward(
+            velocity=forward.boolean("velocity"),
             acceleration=forward.boolean("acceleration"),
             coulomb=forward.boolean("coulomb"),
             viscous=forward.boolean("viscous"),

@@ -18,6 +18,7 @@ class Gains(NamedTuple):
     integral: Lanes
     integrator_limit: Lanes
     derivative: Lanes
+    velocity_weight: Lanes
     inertia: Lanes
     coulomb: Lanes
     coulomb_velocity: Lanes
@@ -58,6 +59,7 @@ def load_gains(law: Any, width: int) -> Gains:
         load(law.integral, width),
         load(law.integrator_limit, width),
         load(law.derivative, width),
+        load(law.velocity_weight, width),
         load(law.inertia, width),
         load(law.coulomb, width),
         load(law.coulomb_velocity, width),
@@ -100,7 +102,7 @@ def velocity_servo(
     current: Lanes,
 ) -> VelocityLoop:
     """Return D and C of one base tick: damping, amplifier limit, current loop of first order with limited slew."""
-    damping = gains.derivative * (velocity_setpoint - velocity)
+    damping = gains.derivative * (gains.velocity_weight * velocity_setpoint - velocity)
     wanted = (position_torque + feed_forward + damping) / gains.torque_constant
     limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
     change = current_gain * (clip(wanted, gains.peak_current) - current)

@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
+from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -56,7 +57,7 @@ class ControllerOutputs:
     def __init__(self, node: Node, channel: Channel, cs7b: CS7B, robot_name: str) -> None:
         self._node, self._cs7b = node, cs7b
         self._ready = (
-            f"ready: {robot_name}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
+            f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
             f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
             f"{node.resolve_topic_name(_TRAJECTORY)}"
         )
@@ -74,7 +75,7 @@ class ControllerOutputs:
 
     def ready(self) -> None:
         """Print that the first states have come."""
-        self._log.info(self._ready)
+        self.info(self._ready)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -90,11 +91,11 @@ class ControllerOutputs:
 
     def info(self, text: str) -> None:
         """Print what happened."""
-        self._log.info(text)
+        self._log.info(one_line(text))
 
     def error(self, text: str) -> None:
         """Print what went wrong."""
-        self._log.error(text)
+        self._log.error(one_line(text))
 
 
 class Control:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.quoting import quoted
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
@@ -73,12 +74,12 @@ class TrajectoryPoints:
 def _joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list[int]:
     for name in joint_names:
         if name not in robot_joints:
-            raise TrajectoryError(f"unknown joint '{name}'; accepted: {', '.join(robot_joints)}")
+            raise TrajectoryError(f"unknown joint {quoted(name)}; accepted: {', '.join(robot_joints)}")
         if joint_names.count(name) > 1:
-            raise TrajectoryError(f"joint '{name}' stands {joint_names.count(name)} times; accepted: once")
+            raise TrajectoryError(f"joint {quoted(name)} stands {joint_names.count(name)} times; accepted: once")
     for name in robot_joints:
         if name not in joint_names:
-            raise TrajectoryError(f"joint '{name}' is missing; accepted: all of {', '.join(robot_joints)}")
+            raise TrajectoryError(f"joint {quoted(name)} is missing; accepted: all of {', '.join(robot_joints)}")
     return [list(joint_names).index(name) for name in robot_joints]
 
 

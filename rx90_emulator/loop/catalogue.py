@@ -52,7 +52,7 @@ CONTROLLER_UNITS = {
     "current_slew": "A/s",
     "start_tolerance": "rad",
 }
-FEED_FORWARD_UNITS = dict.fromkeys(("acceleration", "coulomb", "viscous"), SWITCH)
+FEED_FORWARD_UNITS = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous"), SWITCH)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 TASK_UNITS = {
     "start": "m",

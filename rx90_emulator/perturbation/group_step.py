@@ -126,10 +126,11 @@ def _run(
 
 @inlined
 def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Let encoders and observers start where the arm is."""
-    _read_encoders(plant, nominal, state, lanes)
+    """Let counts and observers start where the arm is."""
     for i in range(6):
-        store(state.observer[i], load(state.motor_position[i], lanes))
+        angle = _motor_angle(plant, nominal, state, i, lanes)
+        store(state.observer[i], angle)
+        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
 
 
 @inlined
@@ -272,11 +273,11 @@ def _mark_divergence(speed_limit: Array, state: Any, lanes: int) -> None:
 
 @inlined
 def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Read the encoders and update the velocity observers."""
-    _read_encoders(plant, nominal, state, lanes)
+    """Sample the resolvers: counts, and the converters' velocity."""
     for i in range(6):
+        angle = _motor_angle(plant, nominal, state, i, lanes)
         position, velocity = observe(
-            load(state.motor_position[i], lanes),
+            angle,
             load(state.observer[i], lanes),
             load(state.motor_velocity[i], lanes),
             plant.period,
@@ -285,12 +286,12 @@ def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
         )
         store(state.observer[i], position)
         store(state.motor_velocity[i], velocity)
+        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
 
 
 @inlined
-def _read_encoders(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    for i in range(6):
-        q = nominal[i] + load(state.q[i], lanes)
-        if i == 5:  # motor 6 turns with joints 5 and 6 together
-            q = q + (nominal[4] + load(state.q[4], lanes))
-        store(state.motor_position[i], encoder_reading(plant.gear[i] * q, plant.resolution[i]))
+def _motor_angle(plant: Any, nominal: Array, state: Any, i: int, lanes: int) -> Any:
+    q = nominal[i] + load(state.q[i], lanes)
+    if i == 5:  # motor 6 turns with joints 5 and 6 together
+        q = q + (nominal[4] + load(state.q[4], lanes))
+    return plant.gear[i] * q

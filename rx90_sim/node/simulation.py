@@ -9,6 +9,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from rx90_common.base.quoting import plain
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.time_mode import TimeMode
@@ -26,7 +27,7 @@ class Simulation:
         self.node = node = Node("rx90_sim")
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
-        self._robot_name = str(robot.model.name)
+        self._robot_name = plain(robot.model.name)
         self._ticks = Ticks(node, self._plant, self._parameters)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))

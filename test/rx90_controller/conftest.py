@@ -65,7 +65,7 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
             "coulomb": 0.0 * six,
             "coulomb_velocity": 0.01,
             "viscous": 0.0 * six,
-            "feed_forward": FeedForward.off(),
+            "feed_forward": dataclasses.replace(FeedForward.off(), velocity=True),
             "current_bandwidth": 800.0,
             "current_slew": FREE * six,
             "start_tolerance": 10.0,

@@ -31,7 +31,7 @@ SIX = [
 ]
 POSITIVE_ONE = [("feed_forward", "coulomb_velocity"), ("current_loop", "bandwidth")]
 ONE = [*POSITIVE_ONE, ("trajectory", "start_tolerance")]
-SWITCHES = [("feed_forward", key) for key in ("acceleration", "coulomb", "viscous")]
+SWITCHES = [("feed_forward", key) for key in ("velocity", "acceleration", "coulomb", "viscous")]
 
 
 def refusal(path: Path) -> str:

@@ -17,6 +17,7 @@ from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.topics import CLOCK, JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import quoted
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
@@ -41,7 +42,7 @@ class Streams:
             try:
                 name = node.resolve_topic_name(topic)
             except RuntimeError as error:
-                raise BagError(f"topic {topic!r}: no name that ROS accepts ({reason(error)})") from error
+                raise BagError(f"topic {quoted(topic)}: no name that ROS accepts ({reason(error)})") from error
             if name in self._found:
                 raise BagError(f"topic {name} stands twice; accepted: each topic once")
             self._found[name] = None
