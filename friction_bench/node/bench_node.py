@@ -23,6 +23,7 @@ from friction_bench.rig.link import RigLink
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
@@ -90,8 +91,8 @@ class BenchNode:
             lambda: SerialPort(port, baud),
             self.rig,
             _Readings(self.node, self.rig).publish,
-            log.error,
-            lambda text: log.info(f"{port}: {text}"),
+            lambda text: log.error(one_line(text)),
+            lambda text: log.info(one_line(f"{port}: {text}")),
         )
         self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(self.node, self._collect)

@@ -25,7 +25,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
-from rx90_common.exchange.parameter_services import answer_all_requests
+from rx90_common.exchange.node_services import answer_all_requests
 from rx90_common.exchange.qos_overrides import PREFIX, publish, refuse_unknown_overrides
 from rx90_common.exchange.ros_start import reason, start_ros
 from rx90_common.exchange.throttle import ThrottledLog

@@ -27,6 +27,7 @@ from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.subscribing import subscribe
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     FREE_RUNNING,
@@ -118,6 +119,7 @@ class Control:
         self._mode: str | None = None
         self._mode_known = threading.Event()
         self._refused: ExchangeError | None = None
+        self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
         qos = TRAJECTORY_QOS.profile
@@ -174,7 +176,7 @@ class Control:
             time_mode = TimeMode.parse(message.data)
             time_mode.check(self._cs7b.rates)
         except MessageError as error:
-            self._log.error(f"{error}; ignored")
+            self._complaints.say("mode", f"{error}; ignored")
         except ExchangeError as error:
             self._refused = error
             self.stop()
