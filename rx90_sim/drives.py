@@ -1,9 +1,9 @@
 """What a drive measures, for one motor or for lanes of them: the position in counts and the observed velocity.
 
-The sensor is a resolver with a tracking converter. Such a converter rounds the position to its counts, but its velocity is
-the analog signal inside the tracking loop (data sheet of the AD2S83: it replaces a tachogenerator), so the counts do not
-appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1, which the velocity loop
-answers with 10 Nm.
+The sensor is a resolver with a tracking converter. Such a converter rounds the position to its counts, but its velocity
+is the analog signal inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator),
+so counts do not appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, which
+the velocity loop answers with 10 Nm.
 """
 
 from __future__ import annotations

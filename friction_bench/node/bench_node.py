@@ -206,4 +206,4 @@ class BenchNode:
 
 def spin(args: Sequence[str]) -> None:
     """Run the node until it is interrupted."""
-    spin_node(BenchNode, args, lambda: MultiThreadedExecutor(_THREADS))
+    spin_node(lambda: [BenchNode()], args, lambda: MultiThreadedExecutor(_THREADS))

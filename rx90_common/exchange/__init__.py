@@ -6,6 +6,7 @@ __all__ = [
     "client_node",
     "environment",
     "joint_state_cdr",
+    "local_link",
     "lockstep",
     "motor_messages",
     "node_services",
@@ -15,6 +16,7 @@ __all__ = [
     "ros_start",
     "subscribing",
     "throttle",
+    "tick_channel",
     "time_mode",
     "topics",
 ]

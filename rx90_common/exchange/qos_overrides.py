@@ -54,15 +54,7 @@ def overridable(node: Node, topic: str, entity: str) -> QoSOverridingOptions:
     return QoSOverridingOptions(list(_ACCEPTED))
 
 
-def refuse_unknown_overrides(node: Node) -> None:
-    """Look for overrides of topics whose quality of service is fixed; to be called when the node has all its topics.
-
-    Raises:
-        ConfigError: naming the first one, and those that can be chosen.
-    """
-    for name in node._parameter_overrides:
-        if name.startswith(PREFIX) and not node.has_parameter(name):
-            known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters}
-            topics = ", ".join(sorted(topic for topic in known if topic.startswith("/")))
-            policies = ", ".join(policy.name.lower() for policy in _ACCEPTED)
-            raise ConfigError(f"parameter {plain(name)} cannot be honoured; accepted: {policies} of {topics}")
+def overridable_topics(node: Node) -> str:
+    """Return, for a message, what can be chosen, once the node has all its topics; of the others it is fixed."""
+    known = {known.removeprefix(PREFIX).rpartition(".")[0] for known in node._parameters if known.startswith(PREFIX)}
+    return f"{', '.join(policy.name.lower() for policy in _ACCEPTED)} of {', '.join(sorted(known))}"

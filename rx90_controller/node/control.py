@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
@@ -21,13 +20,13 @@ from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.subscribing import subscribe
 from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     FREE_RUNNING,
@@ -42,20 +41,18 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
-from rx90_controller.node.free_running import FreeRunningController
+from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.message import check_trajectory_bytes
 
 _TRAJECTORY = "~/joint_trajectory"
-_WAIT_SLICE = 0.1
-_MODE_PATIENCE = 5.0  # s with a simulation that does not tell its mode
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
     """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
 
-    def __init__(self, node: Node, channel: Channel, cs7b: CS7B, robot_name: str) -> None:
+    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
         self._node, self._cs7b = node, cs7b
         self._ready = (
             f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
@@ -77,6 +74,10 @@ class ControllerOutputs:
     def ready(self) -> None:
         """Print that the first states have come."""
         self.info(self._ready)
+
+    def wait_until_received(self) -> None:
+        """Let the last messages reach who listens."""
+        node_tools.wait_until_received(self._all)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -100,28 +101,37 @@ class ControllerOutputs:
 
 
 class Control:
-    """The node and its ticking thread's loop."""
+    """The node and its ticking thread's loop.
 
-    def __init__(self) -> None:
+    Args:
+        make_channel: makes the exchange with the simulation.
+        time_mode: how a simulation in this process keeps time; None: as the topic says.
+
+    Raises:
+        ExchangeError: if that simulation's rates are not this one's.
+
+    Attributes:
+        node: for the executor.
+    """
+
+    def __init__(self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None) -> None:
         self.node = Node("rx90_controller")
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
         robot, self._cs7b = self._build(rates)
         cs7b = self._cs7b
-        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
+        channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        outputs = self._outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
         self._loop = ServoLoop(cs7b, outputs)
-        self._messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
+        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
-        self._lockstep = LockstepController(channel, self._messages, self._loop, outputs.info)
-        self._free = FreeRunningController(channel, self._messages, self._loop, self._pacer, outputs.info)
-        self._stopped = False
-        self._mode: str | None = None
-        self._mode_known = threading.Event()
-        self._refused: ExchangeError | None = None
+        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
         self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
-        subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        if time_mode is None:
+            subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        else:
+            self._serving.follow(time_mode)
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
@@ -134,58 +144,32 @@ class Control:
         cs7b.warm_up()
         return robot, cs7b
 
-    # The ticking thread.
-
     def tick_loop(self) -> None:
         """Answer the simulation until `stop`.
 
         Raises:
             ExchangeError: if the simulation's rates are not this one's.
         """
-        self._wait_for_mode()
-        while not self._stopped:
-            if self._mode == FREE_RUNNING:
-                self._free.serve()
-            else:
-                self._lockstep.serve(_WAIT_SLICE)
-        if self._refused is not None:
-            raise self._refused
+        self._serving.run()
+        self._outputs.wait_until_received()
 
-    def _wait_for_mode(self) -> None:
-        """Wait until the simulation has told the mode; one that tells none within some seconds is taken for lock-step.
-
-        Loops that began in the wrong mode would begin again in the right one, and drop the trajectory that they follow.
-        """
-        deadline = time.monotonic() + _MODE_PATIENCE
-        while not self._stopped and self._mode is None and time.monotonic() < deadline:
-            if self._channel.matches().publishers == 0:
-                deadline = time.monotonic() + _MODE_PATIENCE
-                self._lockstep.announce_silence()
-            self._mode_known.wait(_WAIT_SLICE)
+    def hand_over(self) -> Callable[[], None]:
+        """Return what answers one tick in lock-step, to be called by the thread that ticks; `tick_loop` then rests."""
+        return self._serving.hand_over()
 
     def stop(self) -> None:
         """End `tick_loop` soon."""
-        self._stopped = True
-        self._mode_known.set()
-        self._channel.wake()
+        self._serving.stop()
 
     # Topics, services and diagnostics, on the executor's thread.
 
     def _on_mode(self, message: String) -> None:
         try:
-            time_mode = TimeMode.parse(message.data)
-            time_mode.check(self._cs7b.rates)
+            self._serving.follow(TimeMode.parse(message.data))
         except MessageError as error:
             self._complaints.say("mode", f"{error}; ignored")
-        except ExchangeError as error:
-            self._refused = error
-            self.stop()
-        else:
-            # In this order: the ticking thread acts on the mode as soon as it is there.
-            self._messages.same_rates = True
-            self._mode = time_mode.mode
-            self._mode_known.set()
-            self._channel.wake()
+        except ExchangeError:
+            pass  # ends `tick_loop`
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._loop.enable(request.data)
@@ -198,14 +182,14 @@ class Control:
         cs7b, counts = self._cs7b, self._pacer.take()
         rates = cs7b.rates
         values = {
-            "time mode": self._mode or "unknown: no simulation yet",
+            "time mode": self._serving.mode or "unknown: no simulation yet",
             "controller time, s": f"{cs7b.tick * rates.period:.3f}",
             "rate, Hz": f"{self._rate():.1f}",
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
             "rejected trajectories": str(self._loop.rejected),
             "enabled": "true" if self._loop.enabled else "false",
         }
-        if self._mode == FREE_RUNNING:
+        if self._serving.mode == FREE_RUNNING:
             values |= {
                 "worst period, ms": f"{counts.worst * 1e3:.3f}",
                 "late ticks": str(counts.late),
@@ -229,4 +213,4 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or a simulation that does not fit.
     """
-    node_tools.spin(Control, args)
+    node_tools.spin(lambda: [Control()], args)

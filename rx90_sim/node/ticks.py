@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TICK_QOS
 from rx90_sim.node.heartbeat import Heartbeat
 from rx90_sim.node.held_command import HeldCommand
@@ -24,7 +23,6 @@ from rx90_sim.node.run_control import RunControl, Turn
 from rx90_sim.plant import Plant
 
 _WAIT_SLICE = 0.1  # s
-_FLUSH_SLICES = 40  # of 50 ms
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
@@ -35,6 +33,7 @@ class Ticks:
         node: the node whose topics are published.
         plant: at rest in tick 0.
         parameters: of the node.
+        make_channel: makes the exchange with the controller.
 
     Attributes:
         control: takes requests from other threads.
@@ -43,12 +42,12 @@ class Ticks:
         lockstep: exchange in lock-step.
     """
 
-    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters) -> None:
+    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters, make_channel: MakeChannel) -> None:
         self._node, self._plant, self._parameters = node, plant, parameters
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
+        self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
         self._heartbeat = Heartbeat(self._publications.repeat)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
@@ -91,7 +90,7 @@ class Ticks:
             else:
                 self._heartbeat.beat(self._plant.tick)
             moving = turn is Turn.STEP
-        self._flush()
+        node_tools.wait_until_received(self._publishers)
 
     def _step_in_lock_step(self) -> bool:
         plant = self._plant
@@ -137,10 +136,3 @@ class Ticks:
         self.held.forget()
         self.control.reset_done()
         self.pacer.restart()
-
-    def _flush(self) -> None:
-        """Let the last messages reach a recorder."""
-        for publisher in self._publishers:
-            for _ in range(_FLUSH_SLICES):
-                if publisher.wait_for_all_acked(Duration(nanoseconds=50_000_000)):
-                    break

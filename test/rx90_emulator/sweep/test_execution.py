@@ -79,6 +79,8 @@ def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatc
         with pytest.raises(SweepError, match=f"no Dask scheduler answers at {address}") as error:
             run_sweep(sweep, tmp_path / "out.parquet", scheduler=address, quiet=True)
         assert "\n" not in str(error.value)
+    with pytest.raises(SweepError, match="the scheduler is 'foo'; accepted: an address such as tcp://host:8786"):
+        run_sweep(sweep, tmp_path / "out.parquet", scheduler="foo", quiet=True)
     assert not list(tmp_path.iterdir())
 
 
