@@ -9,7 +9,6 @@ __all__ = [
     "local_link",
     "lockstep",
     "motor_messages",
-    "node_services",
     "node_tools",
     "pacing",
     "qos_overrides",
