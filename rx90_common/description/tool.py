@@ -104,7 +104,9 @@ def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tup
 def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
     """Add a cylinder to a link as its "visual" or "collision"; return that element."""
     element = ET.SubElement(link, kind)
-    ET.SubElement(element, "origin", xyz=_text((0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)), rpy=_text((0.0,) * 3))
+    ET.SubElement(
+        element, "origin", xyz=_text((0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)), rpy=_text((0.0,) * 3)
+    )
     geometry = ET.SubElement(element, "geometry")
     ET.SubElement(geometry, "cylinder", radius=repr(cylinder.radius), length=repr(cylinder.end - cylinder.start))
     return element
