@@ -136,7 +136,7 @@ def _trajectory_run(
         recorded = read_run(options.from_bag, setup, start)
         start = recorded.initial_position
         told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
-        print(f"{len(recorded.commands)} trajectories of {options.from_bag}, from {told}")
+        print(f"trajectories in {options.from_bag}: {len(recorded.commands)}, from {told}")
         run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
     else:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)

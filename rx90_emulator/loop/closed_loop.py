@@ -163,13 +163,13 @@ def _setpoints(generator: TrajectoryGenerator, commands: Sequence[Command], coun
     """Return the set-points of `count` position ticks, shape (count, 3, 6)."""
     parts, at = [], 0
     for start, points in commands:
-        begin = min(start, count)
+        begin = min(max(start, at), count)
         parts.append(generator.setpoints(at, begin - at))
         at = begin
         if points is None:
-            generator.stop(start, start)
+            generator.stop(begin, start)
         else:
-            generator.accept(points, start, start)
+            generator.accept(points, begin, start)
     parts.append(generator.setpoints(at, count - at))
     return np.concatenate(parts)
 
