@@ -14,7 +14,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.result import Command, FastSeries, RunResult, SlowSeries, empty_series
+from rx90_emulator.loop.result import MotionCommand, FastSeries, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
@@ -118,14 +118,14 @@ def simulate(
     """
     check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
     end = start_time + float(points.times[-1]) if duration is None else duration
-    command = Command(setup.rates.start_tick(start_time), points)
+    command = MotionCommand(setup.rates.start_tick(start_time), points)
     start = points.position[0] if initial_position is None else initial_position
     return simulate_commands(setup, (command,), start, end, substeps=substeps, record_fast=record_fast)
 
 
 def simulate_commands(
     setup: Setup,
-    commands: Sequence[Command],
+    commands: Sequence[MotionCommand],
     initial_position: ArrayLike,
     duration: float,
     *,
@@ -159,7 +159,7 @@ def simulate_commands(
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands))
 
 
-def _setpoints(generator: TrajectoryGenerator, commands: Sequence[Command], count: int) -> Array:
+def _setpoints(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
     """Return the set-points of `count` position ticks, shape (count, 3, 6)."""
     parts, at = [], 0
     for start, points in commands:

@@ -15,7 +15,7 @@ from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory.message import points_from_message
 from rx90_emulator.loop.closed_loop import simulate_commands
-from rx90_emulator.loop.result import Command, RunResult
+from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.loop.trajectory_file import message_of
 
@@ -33,7 +33,7 @@ class RecordedRun:
         duration: simulated time at the end of the bag, s.
     """
 
-    commands: tuple[Command, ...]
+    commands: tuple[MotionCommand, ...]
     initial_position: Array
     duration: float
 
@@ -73,7 +73,7 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
             )
         except TrajectoryError as error:
             raise TrajectoryError(f"{plain(bag)}: {error}") from error
-        commands.append(Command(start, points))
+        commands.append(MotionCommand(start, points))
     step = setup.rates.position_period
     return RecordedRun(tuple(commands), initial_position, last / NANOSECONDS + step)
 

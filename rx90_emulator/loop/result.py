@@ -22,7 +22,7 @@ from rx90_emulator.loop.setup import Setup
 _ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
 
 
-class Command(NamedTuple):
+class MotionCommand(NamedTuple):
     """A trajectory that the controller follows from a position tick on; None stops the arm."""
 
     start: int
@@ -86,7 +86,7 @@ class RunResult:
     fast: FastSeries | None
     slow: SlowSeries
     saturated: NDArray[np.int64]
-    commands: tuple[Command, ...]
+    commands: tuple[MotionCommand, ...]
 
     @property
     def times(self) -> Array:

@@ -11,7 +11,7 @@ from rx90_common.bags.reading import read_bag
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.closed_loop import simulate_commands
-from rx90_emulator.loop.result import Command
+from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
 
 
@@ -111,7 +111,7 @@ def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -
     rest = np.zeros((1, 6))
     there = TrajectoryPoints(np.array([0.5]), np.full((1, 6), 0.1), rest, rest)
     back = TrajectoryPoints(np.array([0.5]), np.zeros((1, 6)), rest, rest)
-    commands = (Command(0, there), Command(600, back), Command(800, None))
+    commands = (MotionCommand(0, there), MotionCommand(600, back), MotionCommand(800, None))
     run_ = simulate_commands(shipped, commands, np.zeros(6), 1.5)
     reference = run_.slow.reference
     assert reference[599, 0] == pytest.approx(np.full(6, 0.1))
