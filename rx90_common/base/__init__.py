@@ -1,3 +1,3 @@
-"""Errors, checked configuration files, tick rates, and the shared files of the package."""
+"""Errors, checked configuration files, tick rates, required packages, and the shared files of the package."""
 
-__all__ = ["arrays", "config", "errors", "rates", "share", "sources", "stamps"]
+__all__ = ["arrays", "config", "errors", "rates", "requirements", "share", "sources", "stamps"]

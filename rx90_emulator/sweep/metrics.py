@@ -62,7 +62,7 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
     error = slow.tracking_error[rows, 0]
     power = slow.friction_states[rows, 1] * slow.friction_states[rows, 2]
-    work = np.asarray(np.trapezoid(power, dx=result.setup.rates.position_period, axis=0))
+    work = (result.setup.rates.position_period * (power[1:] + power[:-1]) / 2.0).sum(axis=0)
     return (
         float(path.max()),
         _rms(path),
