@@ -18,6 +18,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import length
 from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
 from rx90_controller.trajectory import TrajectoryPoints
@@ -149,7 +150,7 @@ def _through(path: JointPath, times: Array) -> LinePlan:
     plan = LinePlan(path, times, q, qd, qdd, 0.0)
     probes = np.linspace(times[:-1], times[1:], _PROBES + 2)[1:-1].T.ravel()
     tip = forward(path.robot.chain, plan.setpoints(probes)[:, 0]).position
-    error = float(np.linalg.norm(tip - plan.tip(probes), axis=1).max())
+    error = float(length(tip - plan.tip(probes)).max())
     return LinePlan(path, times, q, qd, qdd, error)
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import path_error
-from rx90_common.description.robot import RigidChain
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import SETTLING
 from rx90_emulator.loop.result import RunResult
