@@ -36,6 +36,8 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -64,13 +66,12 @@ setup(
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
+        "test": TEST,
         "dev": [
+            *TEST,
             "pyarrow>=18,<27",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
-            "pytest>=8.3,<10",
-            "pytest-xdist>=3.6,<4",
-            "hypothesis>=6.120,<7",
             "wheel>=0.42,<1",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
