@@ -30,7 +30,7 @@ def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_
     write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
     comparison = compare_bags(tmp_path / "new", REFERENCE, scope=Scope(same_range=True))
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
-    assert len(comparison.topics) == 4
+    assert len(comparison.topics) == 7
 
 
 def test_constants_set_points_and_runs_have_the_committed_digests() -> None:
