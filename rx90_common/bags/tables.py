@@ -12,6 +12,7 @@ from rx90_common.bags.alignment import Side
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.bags.topics import unit
+from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {
@@ -27,8 +28,9 @@ def comparison_text(comparison: BagComparison) -> str:
     """Return a table of the differences, topic by topic, and the verdict in the last line."""
     blocks = [_topic_text(topic) for topic in comparison.topics]
     if comparison.skipped:
-        blocks.append(f"not compared, as they are no JointState: {', '.join(comparison.skipped)}")
-    blocks.append(f"{comparison.path_a} against {comparison.path_b}: {_WORDS[comparison.verdict]}")
+        blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
+    blocks += comparison.notes
+    blocks.append(f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}")
     return "\n\n".join(blocks)
 
 
@@ -41,6 +43,7 @@ def comparison_json(comparison: BagComparison) -> str:
         "exit_code": int(comparison.verdict),
         "topics": [_topic_dict(topic) for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
+        "notes": list(comparison.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)
 
@@ -54,7 +57,7 @@ def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
 
 
 def _topic_text(topic: TopicComparison) -> str:
-    lines = [f"{topic.topic}: {_WORDS[topic.verdict]}"]
+    lines = [f"{plain(topic.topic)}: {_WORDS[topic.verdict]}"]
     if topic.range_ns is not None:
         low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
         lines[0] += f", {topic.pairs} messages compared, t = {low} to {high} s"
@@ -95,7 +98,7 @@ def _value_row(topic: str, value: ValueDifference) -> tuple[str, ...]:
         beyond += f" ({value.not_finite} not finite)"
     return (
         value.field,
-        value.joint,
+        plain(value.joint),
         f"{value.maximum:.3e}" if value.maximum else "0",
         "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
         f"{value.rms:.3e}" if value.rms else "0",
@@ -113,14 +116,17 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    head = f"{summary.path}: {summary.storage}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
-    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
+    compression = f" ({summary.compression})" if summary.compression else ""
+    kind = f"{summary.storage}{compression}"
+    head = f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
+    notes = "".join(f"\n{note}" for note in summary.notes)
+    return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
     return (
-        topic.topic,
-        topic.msgtype,
+        plain(topic.topic),
+        plain(topic.msgtype),
         f"{topic.count}",
         "" if topic.rate is None else f"{topic.rate:.3f}",
         _seconds(topic.first_ns),
@@ -139,6 +145,8 @@ def _remarks(topic: TopicSummary) -> str:
         remarks.append(f"time goes back {topic.backward} times")
     if topic.repeated:
         remarks.append(f"{topic.repeated} repeated times")
+    if topic.encoding not in ("cdr", "ros1"):
+        remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")
     if topic.time == "log" and topic.count:
         remarks.append("by log time")
     return "; ".join(remarks)
