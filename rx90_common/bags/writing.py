@@ -27,6 +27,7 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
@@ -63,6 +64,12 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
+class _Writer(Writer):
+    """The writer of rosbags, with checksums in mcap files."""
+
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChecksummedMcapWriter}  # noqa: RUF012 - its own
+
+
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
@@ -85,7 +92,7 @@ class BagWriter:
         self._checkpoint_ns = 0
         self._opened = self._closed = False
         with self._failures():
-            self._writer = Writer(
+            self._writer = _Writer(
                 self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()

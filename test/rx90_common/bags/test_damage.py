@@ -44,6 +44,9 @@ def forget_a_message(content: dict[str, Any]) -> None:
     content["message_count"] += 1
 
 
+ALIASES = "a0: &a0 1\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
+"""Two to the power of 59 values."""
+
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "missing": (shutil.rmtree, "no such bag"),
     "emptied": (lambda bag: [file.unlink() for file in bag.iterdir()], "not a bag"),
@@ -54,8 +57,8 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "metadata no YAML": (lambda bag: (bag / "metadata.yaml").write_text("{]"), "metadata.yaml: not valid YAML"),
     "metadata empty": (lambda bag: (bag / "metadata.yaml").write_text(""), "metadata.yaml: holds NoneType"),
     "metadata binary": (lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe"), "metadata.yaml: cannot be read"),
-    "metadata a bomb": (
-        lambda bag: (bag / "metadata.yaml").write_text("".join(f"a{i}: &a [{'*a, *a' if i else 1}]\n" for i in range(99))),
+    "metadata of aliases": (
+        lambda bag: (bag / "metadata.yaml").write_text(ALIASES),
         "metadata.yaml: not valid YAML (more than 1,000,000 values",
     ),
     "metadata without topics": (
