@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.base.quoting import listed
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
 
-HELP = "record topics to a new bag; a lost message is a non-zero exit"
+HELP = "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Record until Ctrl-C or SIGTERM; return 0 when nothing was lost and 1 otherwise.
+    """Record until Ctrl-C or SIGTERM; return 0 when something was recorded and nothing lost, and 1 otherwise.
 
     Raises:
         BagError: if the bag cannot be made or a topic cannot be recorded.
@@ -51,6 +52,10 @@ def main(args: argparse.Namespace) -> int:
 def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
     print(f"recorded {sum(count.received for count in counts)} messages of {len(counts)} topics to {output}")
     complete = not stalls
+    if not any(count.received for count in counts):
+        complete = False
+        topics = listed([count.topic for count in counts])
+        print(f"nothing recorded: no message came on {topics}", file=sys.stderr)
     for stall in stalls:
         print(
             f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr
