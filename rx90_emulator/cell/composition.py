@@ -30,7 +30,7 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or what ends the ticks.
     """
-    node_tools.spin(partial(_compose, own_parameters(args)), args)
+    node_tools.spin(partial(compose, own_parameters(args)), args)
 
 
 def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
@@ -51,8 +51,12 @@ def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
     return {node: ["--ros-args", *words] if words else [] for node, words in own.items()}
 
 
-def _compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
-    """Make both nodes and connect them."""
+def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
+    """Make both nodes, each with arguments for ROS of its own, and connect them.
+
+    Raises:
+        Rx90Error: for parameters, names and remaps that are refused.
+    """
     link = LocalLink()
     simulation = Simulation(link.end, own[SIMULATION])
     control = Control(link.end, simulation.time_mode, own[CONTROLLER])

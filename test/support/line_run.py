@@ -20,6 +20,17 @@ from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
 
 START = 0.1
+TOPICS = {
+    "/friction_states",
+    "/joint_states",
+    "/motor_commands",
+    "/motor_states",
+    "/rx90_controller/reference",
+    "/rx90_controller/tracking_error",
+    "/rx90_controller/reference_acceleration",
+    "/rx90_controller/commanded_current",
+    "/rx90_controller/motor_current",
+}
 TASK = """
 line:
   provenance: assumed
