@@ -46,10 +46,10 @@ def main(args: argparse.Namespace) -> int:
     with StatusLine() as status:
         recorder = Recorder(args.topics, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(counts, recorder.stalls, args.output)
+    return _report(args.topics, counts, recorder.stalls, args.output)
 
 
-def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
+def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
     repeated = sum(count.repeated for count in counts)
     recorded = sum(count.received for count in counts) - repeated
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
@@ -57,8 +57,7 @@ def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) 
     complete = not stalls
     if not any(count.received for count in counts):
         complete = False
-        topics = listed([count.topic for count in counts])
-        print(f"nothing recorded: no message came on {topics}", file=sys.stderr)
+        print(f"nothing recorded: no message came on {listed(topics)}", file=sys.stderr)
     for stall in stalls:
         print(
             f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr
