@@ -25,8 +25,9 @@ from processes import wait_until
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.base.errors import BagError
 
 pytest.importorskip("rclpy")
 pytestmark = pytest.mark.ros
@@ -223,17 +224,17 @@ def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start) -> None:
     state = start_recorder(start, tmp_path / "state", "state")
     command.wait_for("ready: all 1 topics")
     state.wait_for("waiting for /state")
-    for recorder in (command, state):
+    for recorder, name in ((command, "command"), (state, "state")):
         recorder.signal(signal.SIGINT)
         code, out, err = recorder.finish()
-        assert (code, err) == (0, "")
+        assert (code, err) == (1, f"nothing recorded: no message came on {name}\n")
         assert "ready" not in out
 
 
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("moment", ["handler", "folder", "waiting"])
 def test_signal_while_starting(tmp_path: Path, start: Start, storage: str, moment: str) -> None:
-    """A signal at any moment of the start leaves a valid, if empty, bag and exit code 0."""
+    """A signal at any moment of the start leaves a valid bag; that it is empty is a line and exit code 1."""
     recorder = start_recorder(start, tmp_path / "bag", "joint_states", "-s", storage)
     if moment == "handler":
         wait_until(lambda: catches_sigterm(recorder), "the handler")
@@ -244,7 +245,7 @@ def test_signal_while_starting(tmp_path: Path, start: Start, storage: str, momen
     recorder.signal(signal.SIGINT)
     recorder.signal(signal.SIGINT)
     code, _, err = recorder.finish()
-    assert (code, err) == (0, "")
+    assert (code, err) == (1, "nothing recorded: no message came on joint_states\n")
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0
 
@@ -273,6 +274,8 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     assert [p.name for p in place.rglob("*")] == ["taken", "notes.txt"]
 
 
+HALF = "; what was written before stays, and rx90_bag info says how much of it is whole"
+
 CRAMPED = """
 import resource, sys
 from rx90_emulator.cli.frame import run
@@ -288,8 +291,9 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) ->
     recorder.wait_for("ready: all 1 topics")
     publisher.tell("20000 4000")
     code, _, err = recorder.finish()
-    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large)")
-    assert any((tmp_path / "bag").iterdir())
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){HALF}")
+    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
+        pass
 
 
 def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:
