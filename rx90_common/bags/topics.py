@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 
 FIELDS: Final = ("position", "velocity", "effort")
@@ -16,6 +17,7 @@ SUITE_TOPICS: Final = (
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",
+    "rx90_controller/trajectory_accepted",
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
     "rx90_controller/reference_acceleration",

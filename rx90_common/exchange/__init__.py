@@ -1,6 +1,7 @@
 """How nodes exchange ticks over DDS: raw CDR, the lock-step, pacing, and what entry points share."""
 
 __all__ = [
+    "cdr_reader",
     "channel",
     "client_node",
     "environment",
@@ -11,7 +12,9 @@ __all__ = [
     "motor_messages",
     "node_tools",
     "pacing",
+    "qos_overrides",
     "ros_start",
+    "subscribing",
     "throttle",
     "tick_channel",
     "time_mode",

@@ -15,7 +15,7 @@ from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.law.supervision import DriveFault
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory import TrajectoryGenerator
 
 _LOOKAHEAD = 64  # set-points that are sampled at once
 
@@ -39,10 +39,7 @@ class CS7B:
         self.law = parameters.record(robot, drives, rates)
         self.state: np.ndarray[Any, Any] = np.zeros(1, LAW_STATE_DTYPE)
         self._gear = drives.gear
-        limits = JointLimits(
-            robot.joint_names, robot.lower, robot.upper, robot.max_velocity, parameters.start_tolerance
-        )
-        self.trajectory = TrajectoryGenerator(limits, rates.position_period, np.zeros(6))
+        self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(6))
         self.tick = 0
         self._lookahead = np.zeros((0, 3, 6))
         self._first = 0  # position tick of the first set-point in it

@@ -14,6 +14,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
+from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
     [
@@ -83,6 +84,7 @@ class CS7BParameters:
         following_error: from where on the supervision cuts the power, joint by joint, rad.
         over_speed: likewise, as a multiple of the joint's nominal speed.
         start_tolerance: how far a trajectory may start from the held set-point, rad.
+        max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
     """
 
     inertia: Array
@@ -99,6 +101,7 @@ class CS7BParameters:
     following_error: Array
     over_speed: float
     start_tolerance: float
+    max_acceleration: Array
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -114,9 +117,21 @@ class CS7BParameters:
             "current_slew",
             "following_error",
             "over_speed",
+            "max_acceleration",
         ):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
+
+    def limits(self, robot: RobotModel) -> JointLimits:
+        """Return the limits that the set-points of an arm must keep."""
+        return JointLimits(
+            robot.joint_names,
+            robot.lower,
+            robot.upper,
+            robot.max_velocity,
+            self.max_acceleration,
+            self.start_tolerance,
+        )
 
     def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
         """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
@@ -172,6 +187,7 @@ def load_controller(path: Path) -> CS7BParameters:
         following_error=np.array(supervision.numbers("following_error", 6, 0.0, above=True)),
         over_speed=supervision.number("over_speed", 0.0, above=True),
         start_tolerance=trajectory.number("start_tolerance", 0.0),
+        max_acceleration=np.array(trajectory.numbers("max_acceleration", 6, 0.0, above=True)),
     )
     for section in (servo, forward, current, supervision, trajectory, root):
         section.finish()

@@ -53,6 +53,7 @@ CONTROLLER_UNITS = {
     "following_error": "rad",
     "over_speed": "1",
     "start_tolerance": "rad",
+    "max_acceleration": "rad/s^2",
 }
 FEED_FORWARD_UNITS = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous"), SWITCH)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}

@@ -166,10 +166,9 @@ def prepare(
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
     controller.reset(encoders)
-    hold = controller.trajectory.setpoints(0)[0, 0]
     controller.trajectory.accept(points, 0, start)
     setpoints = controller.trajectory.setpoints(0, -(-ticks // rates.ratio))
-    motion = nominal_motion(points, hold, start * rates.ratio, ticks, rates)
+    motion = nominal_motion(controller.trajectory, ticks, rates)
     slow = motion.position[: -1 : rates.ratio]
     apart = max(1, round(spacing * rates.base_hz))
     tables = Tables(

@@ -19,7 +19,12 @@ from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
-POSITIVE_SIX = [("servo", "inertia"), ("current_loop", "slew_rate"), ("supervision", "following_error")]
+POSITIVE_SIX = [
+    ("servo", "inertia"),
+    ("current_loop", "slew_rate"),
+    ("supervision", "following_error"),
+    ("trajectory", "max_acceleration"),
+]
 SIX = [
     *POSITIVE_SIX,
     ("servo", "kp"),
@@ -130,6 +135,6 @@ def test_parameters_built_in_python_are_checked(shipped: Setup, name: str, bad: 
 def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:
     """The blocks with values carry their provenance; none of them is called published."""
     data = yaml.safe_load(shipped_files.controller.read_text())
-    for block in ("servo", "feed_forward", "current_loop", "supervision"):
+    for block in ("servo", "feed_forward", "current_loop", "supervision", "trajectory"):
         assert data[block]["provenance"] == "assumed"
     assert np.all(load_controller(shipped_files.controller).inertia > 0)

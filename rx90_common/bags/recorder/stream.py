@@ -14,7 +14,7 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
-from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.bags.topics import CLOCK, JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -86,6 +86,9 @@ class Stream:
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
 
+    Attributes:
+        repeated: messages that were the one before them once more.
+
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
     """
@@ -118,6 +121,19 @@ class Stream:
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
         self._incompatible = self._event(kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=transient_local)
+        self.repeated = 0
+        self._dated = self.msgtype in (JOINT_STATE, CLOCK)
+        self._newest = b""
+
+    def repeats(self, cdr: bytes) -> bool:
+        """Count a message that is the one before it once more, to the bit, stamp included.
+
+        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+        """
+        again = self._dated and cdr == self._newest
+        self._newest = cdr
+        self.repeated += again
+        return again
 
     @property
     def needs_publisher(self) -> bool:

@@ -24,7 +24,7 @@ HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
 REST = np.zeros(6)
 
 
-def there_and_back(size: float = 0.15) -> TrajectoryPoints:
+def there_and_back(size: float = 0.09) -> TrajectoryPoints:
     """Return a motion with reversals in all joints."""
     turn = HOME + size * np.array([1, -1, 1, -1, 1, -1])
     rows = [HOME, turn, HOME]
@@ -92,7 +92,7 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
     assert set(got) == set(want)
     for name, values in want.items():
         assert got[name].tobytes() == values.tobytes(), name
-    assert np.abs(want["joint_states"][:, 0] - HOME).max() > 0.1
+    assert np.abs(want["joint_states"][:, 0] - HOME).max() > 0.08
 
 
 def test_the_same_run_twice_gives_the_same_bits(shipped: Setup) -> None:

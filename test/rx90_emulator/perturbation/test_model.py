@@ -25,7 +25,7 @@ HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
 REST = np.zeros(6)
 
 
-def there_and_back(size: float = 0.15) -> TrajectoryPoints:
+def there_and_back(size: float = 0.09) -> TrajectoryPoints:
     """Return a motion with reversals in all joints."""
     rows = [HOME, HOME + size * np.array([1, -1, 1, -1, 1, -1]), HOME]
     return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3, 0.6], rows, [REST] * 3, [REST] * 3)
@@ -159,13 +159,14 @@ def test_exact_feed_forward_without_friction_leaves_no_deviation(shipped: Setup)
 def test_saturation_is_counted_as_in_the_full_simulation(shipped: Setup) -> None:
     """A motion too fast for weak amplifiers saturates them for as many ticks in both methods, and trips both."""
     weak = dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
-    loose = dataclasses.replace(shipped.controller, following_error=np.full(6, 1.0))
+    fast = dataclasses.replace(shipped.controller, max_acceleration=np.full(6, 99.0))
+    loose = dataclasses.replace(fast, following_error=np.full(6, 1.0))
     setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     full = simulate(setup, there_and_back(0.4), HOME, 0.7)
     model = prepare(setup, there_and_back(0.4), HOME, 0.7)
-    result = model.run([shipped.friction] * 2, [loose, shipped.controller])
+    result = model.run([shipped.friction] * 2, [loose, fast])
     with pytest.raises(SupervisionError, match="joint_2: following error"):
-        simulate(dataclasses.replace(setup, controller=shipped.controller), there_and_back(0.4), HOME, 0.7)
+        simulate(dataclasses.replace(setup, controller=fast), there_and_back(0.4), HOME, 0.7)
     assert result.tripped.tolist() == [False, True]
     assert full.saturated.max() > 20
     assert np.abs(result.saturated[0] - full.saturated).max() <= 0.05 * full.saturated.max()
