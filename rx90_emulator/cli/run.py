@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, check_place
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import REFERENCE_TASK
 from rx90_emulator.cli.options import FINITE, add_robot_arguments
@@ -69,16 +69,7 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done, before anything has been written.
     """
-    if options.decimation < 1:
-        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
-    if options.output is not None and options.output.exists():
-        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
-    if options.arrays is not None and options.arrays.exists():
-        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
-    if options.from_bag is not None and options.start_time is not None:
-        raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
-    if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
-        raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
+    _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.application import with_parameters
@@ -101,6 +92,27 @@ def main(options: argparse.Namespace) -> None:
     if options.arrays is not None:
         save_arrays(result, options.arrays)
         print(f"arrays: {options.arrays}")
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what can be seen to be wrong before anything is read.
+
+    Raises:
+        ConfigError: naming the option.
+    """
+    if options.decimation < 1:
+        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
+    if options.arrays is not None and options.arrays.exists():
+        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
+    if options.from_bag is not None and options.start_time is not None:
+        raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
+    if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
+        raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
+    for path in (options.output, options.arrays):
+        if path is not None:
+            check_place(path)
 
 
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:

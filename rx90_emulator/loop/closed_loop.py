@@ -14,7 +14,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
-from rx90_emulator.loop.result import MotionCommand, FastSeries, RunResult, SlowSeries, empty_series
+from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
