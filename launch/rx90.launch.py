@@ -1,21 +1,23 @@
-"""Start the simulation and the controller and, when asked, robot_state_publisher and RViz.
+"""Start simulation and controller, in a process each or in one, and, when asked, robot_state_publisher and RViz.
 
 When one of the nodes ends, the others are ended too, and the launch ends with its exit code.
 """
 
-from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from pathlib import Path
+
+from launch import Action, Condition, LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration, OrSubstitution
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.process.exit_code import end_with
 
-PACKAGE = "rx90_emulator"
+PARAMETERS = Path(__file__).with_name("rx90_parameters.yaml")
 ARGUMENTS = (
     ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
     ("time_mode", "lock_step", "lock_step or free_running"),
@@ -23,17 +25,12 @@ ARGUMENTS = (
     ("initial_position", "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint positions at the start and after a reset, rad"),
     ("paused", "false", "begin with time standing still"),
     *((name, file, f"{DESCRIPTIONS[name]}; shipped or your own") for name, file in SHIPPED.items()),
+    ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
 )
-TYPES = {"real_time_factor": float, "paused": bool}
 # Two robots must not share a clock or their transforms. Without a namespace these are the names that they have anyway.
 OWN = [(f"/{topic}", topic) for topic in ("clock", "tf", "tf_static")]
-
-
-def given(*names: str) -> dict[str, ParameterValue]:
-    """Return the parameters that have the names of arguments."""
-    return {name: ParameterValue(LaunchConfiguration(name), value_type=TYPES.get(name, str)) for name in names}
 
 
 def end(event: ProcessExited, context: LaunchContext) -> Shutdown | None:
@@ -44,22 +41,21 @@ def end(event: ProcessExited, context: LaunchContext) -> Shutdown | None:
     return Shutdown(reason=f"{event.process_name} has ended with exit code {event.returncode}")
 
 
-def node(executable: str, *parameters: str, numbers: str = "") -> Node:
-    """Return one of the suite's nodes; its parameter `numbers` is a list."""
+def node(executable: str, condition: Condition) -> Node:
+    """Return one of the suite's executables."""
     return Node(
-        package=PACKAGE,
+        package="rx90_emulator",
         executable=executable,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[given(*parameters)],
-        # Read by the node: launch takes no list of whole numbers for one of real ones.
-        ros_arguments=["-p", [f"{numbers}:=", LaunchConfiguration(numbers)]] if numbers else None,
+        parameters=[ParameterFile(str(PARAMETERS), allow_substs=True)],
         remappings=OWN,
         output="screen",
         on_exit=end,
+        condition=condition,
     )
 
 
-def transforms(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+def transforms(context: LaunchContext) -> list[Action]:
     """Return robot_state_publisher with the robot that the simulation has."""
     # Here, because it takes a while and most launches do without.
     from rx90_common.description.robot import load_robot
@@ -81,6 +77,7 @@ def transforms(context: LaunchContext) -> list[LaunchDescriptionEntity]:
 
 def generate_launch_description() -> LaunchDescription:
     wanted = OrSubstitution(LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz"))
+    composed = LaunchConfiguration("composed")
     rviz = Node(
         package="rviz2",
         executable="rviz2",
@@ -97,11 +94,8 @@ def generate_launch_description() -> LaunchDescription:
             *declared,
             OpaqueFunction(function=transforms, condition=IfCondition(wanted)),
             rviz,
-            node(
-                "rx90_sim",
-                *("time_mode", "real_time_factor", "paused", "urdf", "tool", "drives", "friction"),
-                numbers="initial_position",
-            ),
-            node("rx90_controller", "urdf", "drives", "controller"),
+            node("rx90_sim", UnlessCondition(composed)),
+            node("rx90_controller", UnlessCondition(composed)),
+            node("rx90_cell", IfCondition(composed)),
         ]
     )

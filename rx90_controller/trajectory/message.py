@@ -10,6 +10,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.points import joint_order
 
 _VECTORS = ("positions", "velocities", "accelerations", "effort")
 _LEAST_POINT = 4 * len(_VECTORS) + 8  # bytes: four empty sequences and a time
@@ -49,6 +50,15 @@ def points_from_message(robot_joints: Sequence[str], message: Any) -> Trajectory
         [point.velocities for point in message.points],
         [point.accelerations for point in message.points],
     )
+
+
+def check_joint_names(robot_joints: Sequence[str], message: Any) -> None:
+    """Check that a JointTrajectory names the robot's joints, each once, in any order.
+
+    Raises:
+        TrajectoryError: naming the joint that does not fit.
+    """
+    joint_order(robot_joints, list(message.joint_names))
 
 
 def start_tick(message: Any, position_hz: int) -> int | None:

@@ -12,15 +12,15 @@ import pytest
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
 _STUBS = {
-    "launch": ["LaunchContext", "LaunchDescription", "LaunchDescriptionEntity"],
+    "launch": ["Action", "Condition", "LaunchContext", "LaunchDescription"],
     "launch.actions": ["DeclareLaunchArgument", "OpaqueFunction", "Shutdown"],
-    "launch.conditions": ["IfCondition"],
+    "launch.conditions": ["IfCondition", "UnlessCondition"],
     "launch.events": [],
     "launch.events.process": ["ProcessExited"],
     "launch.substitutions": ["LaunchConfiguration", "OrSubstitution"],
     "launch_ros": [],
     "launch_ros.actions": ["Node"],
-    "launch_ros.parameter_descriptions": ["ParameterValue"],
+    "launch_ros.parameter_descriptions": ["ParameterFile", "ParameterValue"],
 }
 
 
@@ -58,10 +58,7 @@ def arguments(actions: list[Action]) -> dict[str, str]:
 def parameters(node: Action) -> dict[str, str]:
     """Return the parameters of a node that are arguments of the launch, and these."""
     (given,) = node.named["parameters"]
-    found = {name: value.given[0].given[0] for name, value in given.items()}
-    for name, value in (node.named.get("ros_arguments") or [])[1::2]:
-        found[name.removesuffix(":=")] = value.given[0]
-    return found
+    return {name: value.given[0].given[0] for name, value in given.items()}
 
 
 def ending(node: Action, code: int, shutting_down: bool = False) -> Action | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import pytest
-from launch_stub import Action, arguments, build, ending, parameters
+import yaml
+from launch_stub import Action, arguments, build, ending
 
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process import exit_code
@@ -24,15 +27,22 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     defaults, made = arguments(actions), nodes(actions)
     assert {name: defaults[name] for name in SHIPPED} == SHIPPED
     assert defaults.keys() - SHIPPED == {
-        *("namespace", "time_mode", "real_time_factor", "initial_position", "paused"),
+        *("namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
         *("robot_state_publisher", "rviz"),
     }
-    own = {"time_mode", "real_time_factor", "initial_position", "paused", "urdf", "tool", "drives", "friction"}
-    assert parameters(made["rx90_sim"]) == {name: name for name in own}
-    assert parameters(made["rx90_controller"]) == {name: name for name in ("urdf", "drives", "controller")}
     for node in made.values():
         assert node.named["namespace"] == Action("LaunchConfiguration", ("namespace",), {})
         assert ("/clock", "clock") in node.named["remappings"]
+    for executable in ("rx90_sim", "rx90_controller", "rx90_cell"):
+        (file,) = made[executable].named["parameters"]
+        assert file.named == {"allow_substs": True}
+    text = Path(file.given[0]).read_text(encoding="utf-8")
+    sections = yaml.safe_load(re.sub(r"\$\(var (\w+)\)", r"\1", text))
+    own = ("time_mode", "real_time_factor", "initial_position", "paused", "urdf", "tool", "drives", "friction")
+    assert sections == {
+        "/**/rx90_sim": {"ros__parameters": {name: name for name in own}},
+        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("urdf", "drives", "controller")}},
+    }
 
 
 def test_robot_state_publisher_gets_the_robot_with_its_tool(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +67,7 @@ def test_a_node_that_ends_ends_the_launch_with_its_code(
     monkeypatch.setattr(exit_code.atexit, "register", lambda _: None)
     made = nodes(build(monkeypatch, FILE))
     assert ending(made["rx90_sim"], 3, shutting_down=True) is None
-    for node in (made["rx90_controller"], made["rx90_sim"]):
+    for node in (made["rx90_controller"], made["rx90_cell"]):
         answer = ending(node, code)
         assert answer is not None
         assert answer.kind == "Shutdown"
