@@ -1,4 +1,4 @@
-"""The exit code of a program that starts others and does not pass on how they ended, as launch does not."""
+"""For launch files: the exit code of a program that starts others and does not pass on how they ended."""
 
 from __future__ import annotations
 
