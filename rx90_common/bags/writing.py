@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import (
@@ -27,15 +27,17 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
+from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 STORAGES: Final = ("mcap", "sqlite3")
 
+_VECTORS = ("positions", "velocities", "accelerations", "effort")
 _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
@@ -63,6 +65,12 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
+class _Writer(Writer):
+    """The writer of rosbags, with checksums in mcap files."""
+
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChecksummedMcapWriter}  # noqa: RUF012 - its own
+
+
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
@@ -85,7 +93,7 @@ class BagWriter:
         self._checkpoint_ns = 0
         self._opened = self._closed = False
         with self._failures():
-            self._writer = Writer(
+            self._writer = _Writer(
                 self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()
@@ -176,11 +184,13 @@ class BagWriter:
 
     def _explained(self, error: Exception) -> BagError:
         if isinstance(error, WriterError):
-            return BagError(str(error))
+            return BagError(plain(error, 1000))
         reason = error.strerror if isinstance(error, OSError) else str(error)
         # What is refused before anything is written is the user's to mend: another folder, another name.
         failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-        return (BagWriteError if failed else BagError)(f"{self.path}: cannot be written ({reason})")
+        half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
+        kind = BagWriteError if failed else BagError
+        return kind(f"{plain(self.path)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)
@@ -206,6 +216,24 @@ def string_message(topic: str, text: str) -> RawMessage:
     """Return a latched std_msgs/String, such as robot_description."""
     content = typestore().types[STRING](data=text)
     return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
+
+
+def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:
+    """Return a latched trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
+    types = typestore().types
+
+    def time(nanoseconds: int) -> Any:
+        return types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, NANOSECONDS))
+
+    def point(values: dict[str, Any]) -> Any:
+        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in _VECTORS)
+        since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
+        return types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since)
+
+    header = types["std_msgs/msg/Header"](stamp=time(start_ns), frame_id="")
+    message = types[JOINT_TRAJECTORY](header, content["joint_names"], [point(values) for values in content["points"]])
+    cdr = bytes(typestore().serialize_cdr(message, JOINT_TRAJECTORY))
+    return RawMessage(topic, JOINT_TRAJECTORY, start_ns, cdr, transient_local=True)
 
 
 def write_joint_states(
