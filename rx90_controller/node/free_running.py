@@ -25,6 +25,36 @@ _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a
 _BACKWARD_WINDOW = 5.0  # s
 
 
+class _SecondSimulation:
+    """Recognises a second simulation by stamps that go back again and again.
+
+    Attributes:
+        there: whether there is one.
+    """
+
+    def __init__(self, channel: TickChannel, announce: Callable[[str], None]) -> None:
+        self._channel, self._announce = channel, announce
+        self._backward: deque[float] = deque(maxlen=_BACKWARD)
+        self.there = False
+
+    def note_backward(self) -> None:
+        """Note that the stamps have gone back; a reset does that once."""
+        now = time.monotonic()
+        self._backward.append(now)
+        often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
+        if often and not self.there and self._channel.matches().publishers > 1:
+            self.there = True
+            self._announce(f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left")
+
+    def look(self) -> bool:
+        """Return whether it is still there."""
+        self.there = self._channel.matches().publishers > 1
+        if not self.there:
+            self._backward.clear()
+            self._announce(f"one simulation is left on {self._channel.subscribe_topic}")
+        return self.there
+
+
 class FreeRunningController:
     """Runs the law once for each tick of the states; owned by the thread that ticks.
 
@@ -59,8 +89,7 @@ class FreeRunningController:
         self._most = self._lag_ns // self._period_ns  # messages that are looked at one by one
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
         self._elsewhere: int | None = None  # a stamp that does not follow; the next one may go on from there
-        self._backward: deque[float] = deque(maxlen=_BACKWARD)
-        self._two_simulations = False
+        self._second = _SecondSimulation(channel, announce)
         self._prepared = False
         self._resting = False
 
@@ -100,7 +129,7 @@ class FreeRunningController:
                 torque = self._loops.step(self._next, states)
                 command = self._messages.encode(self._next, torque)
                 self._next += self._period_ns
-        if command is not None and not (self._two_simulations and self._still_two()):
+        if command is not None and not (self._second.there and self._second.look()):
             self._channel.publish(command)
 
     def _follows(self, states: MotorStates) -> bool:
@@ -142,24 +171,9 @@ class FreeRunningController:
 
     def _begin(self, states: MotorStates) -> None:
         if self._next is not None:
-            self._note_backward()
+            self._second.note_backward()
         self._next = states.stamp_ns
         self._loops.hold(states)
-
-    def _note_backward(self) -> None:
-        now = time.monotonic()
-        self._backward.append(now)
-        often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
-        if often and not self._two_simulations and self._channel.matches().publishers > 1:
-            self._two_simulations = True
-            self._announce(f"two simulations publish on {self._channel.subscribe_topic}: no commands until one is left")
-
-    def _still_two(self) -> bool:
-        self._two_simulations = self._channel.matches().publishers > 1
-        if not self._two_simulations:
-            self._backward.clear()
-            self._announce(f"one simulation is left on {self._channel.subscribe_topic}")
-        return self._two_simulations
 
     def _skip(self, stamp: int) -> None:
         """Skip the time in which this process did not run."""

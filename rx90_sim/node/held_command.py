@@ -22,6 +22,39 @@ _WINDOW = 5.0  # s
 _SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
+class _BrakeLines:
+    """Says when the brakes open and close, a few times in a while; what comes more often is counted."""
+
+    def __init__(self, channel: TickChannel, timeout: float, announce: Callable[[str], None]) -> None:
+        self._channel, self._timeout, self._announce = channel, timeout, announce
+        self._closed = False
+        self._changes = 0  # that have not been announced
+        self._lines: deque[float] = deque(maxlen=_LINES)
+
+    def say(self, followed: bool, heard: bool) -> None:
+        """Note whether there is a command to follow, and whether there has ever been one."""
+        if followed != self._closed and not self._changes:
+            return
+        if followed == self._closed:
+            self._closed = not followed
+            self._changes += 1
+        now = time.monotonic()
+        if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
+            return
+        self._lines.append(now)
+        changes, self._changes = self._changes, 0
+        count = f" (after {changes - 1} changes without a line)" if changes > 1 else ""
+        self._announce(self._text(followed, heard) + count)
+
+    def _text(self, followed: bool, heard: bool) -> str:
+        topic = self._channel.subscribe_topic
+        if followed:
+            return f"commands on {topic}: the brakes open"
+        if not heard:
+            return f"waiting for a controller on {topic}: the brakes hold the arm"
+        return f"no command on {topic} for {self._timeout:g} s: torque off, brakes closed"
+
+
 class HeldCommand:
     """Takes the newest command, and waits for one only when the newest is older than `MOST_AGE` ticks.
 
@@ -66,9 +99,7 @@ class HeldCommand:
         self._stamp = -1
         self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
         self.two_controllers = False
-        self._waiting = False
-        self._changes = 0  # of the brakes that have not been announced
-        self._lines: deque[float] = deque(maxlen=_LINES)
+        self._brakes = _BrakeLines(channel, timeout, announce)
         self.missed = self.waited = 0
 
     def forget(self) -> None:
@@ -86,7 +117,7 @@ class HeldCommand:
             self._note_one_left()
         elif self._followed and self._too_old(tick):
             self._followed = self._wait(tick)
-        self._say(not self._followed)
+        self._brakes.say(self._followed, self._answered is not None)
         return self._torques if self._followed and not self.two_controllers else None
 
     def _too_old(self, tick: int) -> bool:
@@ -152,25 +183,3 @@ class HeldCommand:
             self.two_controllers = False
             self._out_of_turn.clear()
             self._announce(f"one controller is left on {self._channel.subscribe_topic}")
-
-    def _say(self, stale: bool) -> None:
-        if stale == self._waiting and not self._changes:
-            return
-        if stale != self._waiting:
-            self._waiting = stale
-            self._changes += 1
-        now = time.monotonic()
-        if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
-            return
-        self._lines.append(now)
-        changes, self._changes = self._changes, 0
-        count = f" (after {changes - 1} changes without a line)" if changes > 1 else ""
-        self._announce(self._text(stale) + count)
-
-    def _text(self, stale: bool) -> str:
-        topic = self._channel.subscribe_topic
-        if not stale:
-            return f"commands on {topic}: the brakes open"
-        if self._answered is None:
-            return f"waiting for a controller on {topic}: the brakes hold the arm"
-        return f"no command on {topic} for {self._timeout:g} s: torque off, brakes closed"
