@@ -135,6 +135,17 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
+def test_off_and_on_between_two_ticks_ends_the_motion(rig: Rig) -> None:
+    """Switched off and on again before the next tick: one tick without torque, then the arm is held where it is."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.1))
+    rig.run(0, 40)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    assert rig.run(40, 4) == [False, True, True, True]
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+
+
 def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
     rig.loop.hold(rig.states(0))
