@@ -8,6 +8,7 @@ NAME = "rx90_emulator"
 EXECUTABLES = (
     "rx90_sim",
     "rx90_controller",
+    "rx90_cell",
     "friction_bench",
     "friction_ramp",
     "friction_rig_emulator",

@@ -116,8 +116,8 @@ class Ticks:
         kernel(plant.constants, plant.state, controller.law, controller.state, self._setpoints, ratio, q)
         return (time.process_time() - began) / (len(q) * ratio), q
 
-    def check(self, accepted: float = 5e-6) -> None:
-        """Compare both paths; rounding may move the moment at which an encoder counts, about 1 urad each time.
+    def check(self, accepted: float = 5e-7) -> None:
+        """Compare both paths; rounding may move the moment at which a position counts.
 
         Raises:
             RuntimeError: if they part by more than `accepted`, rad.

@@ -88,7 +88,7 @@ def _position_loop(law: Any, state: Any, setpoint: Array, position: Array) -> No
 @kernel
 def _velocity_loop(law: Any, state: Any, velocity: Array) -> None:
     for i in range(6):
-        damping = law.derivative[i] * (state.reference[1, i] - velocity[i])
+        damping = law.derivative[i] * (law.velocity_weight[i] * state.reference[1, i] - velocity[i])
         asked = (state.position_torque[i] + state.feed_forward[i] + damping) / law.torque_constant[i]
         peak = law.peak_current[i]
         state.limited[i] = (asked > peak) - (asked < -peak)
@@ -136,7 +136,7 @@ def _plant_step(plant: Any, state: Any, work: Any, command: Array) -> None:
         motor = plant.gear[i] * (state.q[4] + state.q[5] if i == 5 else state.q[i])
         state.motor_position[i] = np.rint(motor / plant.resolution[i]) * plant.resolution[i]
         predicted = state.observer[i] + step * state.motor_velocity[i]
-        innovation = state.motor_position[i] - predicted
+        innovation = motor - predicted
         state.observer[i] = predicted + plant.observer_position * innovation
         state.motor_velocity[i] += plant.observer_velocity * innovation
 

@@ -13,7 +13,7 @@ from rx90_emulator.loop.setup import Setup
 
 
 class PythonDrives:
-    """Encoders with the velocity observer, from joint positions to what the controller measures."""
+    """Resolvers with their converters, from joint positions to what the controller measures."""
 
     def __init__(self, setup: Setup, position: Sequence[float]) -> None:
         drives, rates = setup.drives, setup.rates
@@ -23,32 +23,33 @@ class PythonDrives:
         self._period = rates.period
         self._position_gain = 1.0 - pole**2
         self._velocity_gain = (1.0 - pole) ** 2 / rates.period
-        self.position = self._read(position)
+        self._observer = self._angles(position)
+        self.position = self._counts(self._observer)
         self.velocity = [0.0] * 6
-        self._observer = list(self.position)
 
     def sample(self, q: Sequence[float]) -> None:
-        """Read the encoders at joint positions, rad, and move the observer on by a tick."""
-        self.position = self._read(q)
+        """Sample the resolvers at joint positions, rad, and move the observer on by a tick."""
+        angles = self._angles(q)
+        self.position = self._counts(angles)
         for i in range(6):
             predicted = self._observer[i] + self._period * self.velocity[i]
-            innovation = self.position[i] - predicted
+            innovation = angles[i] - predicted
             self._observer[i] = predicted + self._position_gain * innovation
             self.velocity[i] += self._velocity_gain * innovation
 
-    def _read(self, q: Sequence[float]) -> list[float]:
+    def _angles(self, q: Sequence[float]) -> list[float]:
         turns = [*q[:5], q[4] + q[5]]
-        return [
-            round(gear * turn / resolution) * resolution
-            for gear, turn, resolution in zip(self._gear, turns, self._resolution, strict=True)
-        ]
+        return [gear * turn for gear, turn in zip(self._gear, turns, strict=True)]
+
+    def _counts(self, angles: Sequence[float]) -> list[float]:
+        return [round(angle / step) * step for angle, step in zip(angles, self._resolution, strict=True)]
 
 
 class PythonLaw:
     """The six servo controllers of section 5, motor side."""
 
     def __init__(self, setup: Setup) -> None:
-        record = setup.controller.record(setup.drives, setup.rates)[0]
+        record = setup.controller.record(setup.robot, setup.drives, setup.rates)[0]
         names = [name for name in record.dtype.names or () if name != "current_gain"]
         self._constants = {name: record[name].tolist() for name in names}
         self._current_gain = float(record["current_gain"])
@@ -74,7 +75,7 @@ class PythonLaw:
             sign = min(1.0, max(-1.0, speed / c["coulomb_velocity"][i]))
             forward = c["inertia"][i] * acceleration + c["coulomb"][i] * sign + c["viscous"][i] * speed
             self._held[i] = c["proportional"][i] * error + self._integrator[i] + forward
-            self._velocity_reference[i] = speed
+            self._velocity_reference[i] = c["velocity_weight"][i] * speed
 
     def velocity_loop(self, velocity: Sequence[float]) -> list[float]:
         """Run D and the current loop for motor velocities, rad/s; return motor torques, Nm."""

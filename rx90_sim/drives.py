@@ -1,4 +1,10 @@
-"""What a drive measures, for one motor or for lanes of them: the encoder's counts and the observed velocity."""
+"""What a drive measures, for one motor or for lanes of them: the position in counts and the observed velocity.
+
+The sensor is a resolver with a tracking converter. Such a converter rounds the position to its counts, but its velocity
+is the analog signal inside the tracking loop (Analog Devices, data sheet of the AD2S83: it replaces a tachogenerator),
+so counts do not appear in it. A velocity made from counts would jump by 1.8 mrad/s for one count of joint 1 or 2, which
+the velocity loop answers with 10 Nm.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +23,12 @@ def encoder_reading(position: Lanes, resolution: Lanes) -> Lanes:
 
 @inlined
 def observe(
-    reading: Lanes, position: Lanes, velocity: Lanes, period: float, position_gain: float, velocity_gain: float
+    angle: Lanes, position: Lanes, velocity: Lanes, period: float, position_gain: float, velocity_gain: float
 ) -> tuple[Lanes, Lanes]:
-    """Advance a critically damped observer of second order, as resolver-to-digital converters have it.
+    """Advance the tracking loop of a resolver-to-digital converter: of second order, critically damped.
 
     Args:
-        reading: the encoder's position, rad.
+        angle: the motor's position, rad, not rounded.
         position: the observer's position before, rad.
         velocity: the observed velocity before, rad/s.
         period: the tick, s.
@@ -33,5 +39,5 @@ def observe(
         The observer's position and velocity now.
     """
     predicted = position + period * velocity
-    innovation = reading - predicted
+    innovation = angle - predicted
     return predicted + position_gain * innovation, velocity + velocity_gain * innovation

@@ -43,9 +43,9 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
         element = i if i < 5 else 6
         state.brake_z[element] = -carried / plant.brake.c0[element]
-    _read_encoders(plant, state)
+    to_motor(plant.gear, state.q, state.observer)
+    store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
-        state.observer[i] = state.motor_position[i]
         state.motor_velocity[i] = 0.0
 
 
@@ -77,9 +77,21 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
 
 @kernel
 def sample_drives(plants: Record, states: Record) -> None:
-    """Read the encoders at the present position and update the velocity observers, once in a tick."""
-    _read_encoders(plants[0], states[0])
-    _observe_velocity(plants[0], states[0])
+    """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
+    plant, state = plants[0], states[0]
+    to_motor(plant.gear, state.q, state.motor_position)
+    angle = load(state.motor_position, 6)
+    position, velocity = observe(
+        angle,
+        load(state.observer, 6),
+        load(state.motor_velocity, 6),
+        plant.period,
+        plant.observer_position,
+        plant.observer_velocity,
+    )
+    store(state.observer, position)
+    store(state.motor_velocity, velocity)
+    store(state.motor_position, encoder_reading(angle, load(plant.resolution, 6)))
 
 
 @kernel
@@ -185,23 +197,3 @@ def _add_stops(plant: Any, state: Any) -> None:
         elif q < plant.lower[i]:
             push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
         state.rhs[i] += push
-
-
-@kernel
-def _read_encoders(plant: Any, state: Any) -> None:
-    to_motor(plant.gear, state.q, state.motor_position)
-    store(state.motor_position, encoder_reading(load(state.motor_position, 6), load(plant.resolution, 6)))
-
-
-@kernel
-def _observe_velocity(plant: Any, state: Any) -> None:
-    position, velocity = observe(
-        load(state.motor_position, 6),
-        load(state.observer, 6),
-        load(state.motor_velocity, 6),
-        plant.period,
-        plant.observer_position,
-        plant.observer_velocity,
-    )
-    store(state.observer, position)
-    store(state.motor_velocity, velocity)

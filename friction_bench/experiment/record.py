@@ -11,6 +11,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error, write_error
+from rx90_common.base.quoting import quoted
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
@@ -108,7 +109,7 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     missing = [name for name in CSV_COLUMNS[:2] if name not in header]
     if missing:
         found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
-        raise RecordError(f"{path}: column '{missing[0]}' is missing, found {found!r}; accepted: {accepted}")
+        raise RecordError(f"{path}: column '{missing[0]}' is missing, found {quoted(found)}; accepted: {accepted}")
     data: dict[str, Array] = {}
     for name in CSV_COLUMNS:
         if name in header:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.topics import FIELDS, quantities
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 
 Int64Array = NDArray[np.int64]
@@ -83,7 +84,7 @@ class JointSeries:
         """
         for name in names:
             if name not in self.names:
-                raise BagError(f"{self.topic}: no joint {name!r}; there are {', '.join(self.names)}")
+                raise BagError(f"{self.topic}: no joint {quoted(name)}; there are {', '.join(self.names)}")
         columns = [self.names.index(name) for name in names]
         return JointSeries(
             self.topic,

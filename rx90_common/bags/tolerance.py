@@ -11,6 +11,7 @@ from typing import Final
 from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import quoted
 
 ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
@@ -29,7 +30,7 @@ class ToleranceRule:
 
     def __post_init__(self) -> None:
         if self.field not in FIELDS:
-            raise BagError(f"tolerance for the field {self.field!r}; accepted: {', '.join(FIELDS)}")
+            raise BagError(f"tolerance for the field {quoted(self.field)}; accepted: {', '.join(FIELDS)}")
         if not (math.isfinite(self.value) and self.value >= 0.0):
             raise BagError(f"tolerance {self.value} for {self.field}; accepted: a finite number >= 0")
 
@@ -95,7 +96,7 @@ def parse_rule(text: str) -> ToleranceRule:
     except ValueError:
         number = math.nan
     if not equals or len(parts) > 3 or not all(parts) or math.isnan(number):
-        raise BagError(f"tolerance {text!r}; accepted: {GRAMMAR}, e.g. joint_states:position=1e-6")
+        raise BagError(f"tolerance {quoted(text)}; accepted: {GRAMMAR}, e.g. joint_states:position=1e-6")
     topic = parts[0] if len(parts) > 1 and parts[0] != ANY else None
     joint = parts[1] if len(parts) == 3 else None
     return ToleranceRule(None if topic is None else absolute(topic), joint, parts[-1], number)

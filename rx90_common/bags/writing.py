@@ -30,6 +30,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -79,7 +80,7 @@ class BagWriter:
     def __init__(self, path: Path | str, storage: str = "mcap") -> None:
         self.path = Path(path)
         if storage not in STORAGES:
-            raise BagError(f"storage is {storage!r}; accepted: {', '.join(STORAGES)}")
+            raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
         self._opened = self._closed = False

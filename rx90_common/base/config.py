@@ -5,14 +5,22 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain, quoted
 
 PROVENANCE = ("published", "derived", "assumed", "identified")
+
+_MOST_BYTES = 16 << 20
+_MOST_VALUES = 1_000_000  # counted as often as aliases repeat them; some 40,000 are read in a second
+_DEEPEST = 64
+_LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
+_LONGEST_REASON = 400
 
 
 class Section:
@@ -50,11 +58,11 @@ class Section:
 
     def where(self, key: str) -> str:
         """Return `file: path.key`, the way every message names a value."""
-        return f"{self.file}: {self.path}{'.' if self.path else ''}{key}"
+        return f"{plain(self.file)}: {plain(self.path)}{'.' if self.path else ''}{plain(key)}"
 
     def refuse(self, key: str, value: object, accepted: str) -> None:
         """Raise a ConfigError that names file, key, value and what is accepted."""
-        raise ConfigError(f"{self.where(key)} is {value!r}; accepted: {accepted}")
+        raise ConfigError(f"{self.where(key)} is {quoted(value)}; accepted: {accepted}")
 
     def __contains__(self, key: str) -> bool:
         return key in self._data
@@ -78,6 +86,14 @@ class Section:
         if not isinstance(value, dict):
             self.refuse(key, value, "a mapping")
         return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
+
+    def sections(self, key: str) -> list[Section]:
+        """Return the mappings in the list under `key`."""
+        values = self._get(key, "a list of mappings")
+        if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+            self.refuse(key, values, "a list of mappings")
+        where = f"{self.path}{'.' if self.path else ''}{key}"
+        return [Section(value, self.file, f"{where}[{i}]") for i, value in enumerate(values)]
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
         """Return a finite number in [low, high], or in (low, high] with `above`."""
@@ -156,7 +172,35 @@ class _Loader(yaml.SafeLoader):
     """Reads YAML 1.2 (core schema) with names as keys, and refuses a key written twice: one value would be lost.
 
     YAML 1.1, which PyYAML follows, reads 1e5 as a text, 1:30 as 90, 010 as 8, yes as true and 2001-01-01 as a date.
+    Depth and number of values are limited, because a few lines of aliases can stand for more than a memory holds.
     """
+
+    def __init__(self, stream: StringIO) -> None:
+        super().__init__(stream)
+        self._depth = 0
+        self._values: dict[yaml.Node, int] = {}  # in each node that is complete, itself included
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node:
+        """Compose the next node, within the limits."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        if self._depth == _DEEPEST:
+            raise _Fault(None, None, f"deeper than {_DEEPEST} levels", event.start_mark)
+        self._depth += 1
+        node: Any = super().compose_node(parent, index)
+        self._depth -= 1
+        if not isinstance(event, yaml.AliasEvent):
+            self._values[node] = 1 + sum(self._values[child] for child in _children(node))
+        elif node not in self._values:
+            raise _Fault(None, None, f"{quoted(event.anchor)} stands for something that contains it", event.start_mark)
+        if self._values[node] > _MOST_VALUES:
+            raise _Fault(None, None, f"more than {_MOST_VALUES:,} values", event.start_mark)
+        return node  # type: ignore[no-any-return]
+
+
+def _children(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return node.value if isinstance(node, yaml.SequenceNode) else []
 
 
 class _Dumper(yaml.SafeDumper):
@@ -176,7 +220,14 @@ _CORE_SCHEMA = (
         "-+.0123456789",
     ),
 )
+_Fault: Any = yaml.constructor.ConstructorError
 _Loader.yaml_implicit_resolvers = {}
+# The tags of the core schema alone. None is for all others, and refuses them.
+_Loader.yaml_constructors = {
+    tag: constructor
+    for tag, constructor in yaml.SafeLoader.yaml_constructors.items()
+    if tag is None or tag.rpartition(":")[2] in {"null", "float", "seq", "str"}
+}
 for _name, _pattern, _first in _CORE_SCHEMA:
     for _class in (_Loader, _Dumper):
         _class.add_implicit_resolver(f"tag:yaml.org,2002:{_name}", re.compile(_pattern), list(_first))
@@ -184,7 +235,14 @@ for _name, _pattern, _first in _CORE_SCHEMA:
 
 def _construct_integer(loader: _Loader, node: yaml.ScalarNode) -> int:
     text = str(loader.construct_scalar(node))
+    if len(text) > _LONGEST_INTEGER:
+        fault = f"an integer of {len(text):,} characters; accepted: up to {_LONGEST_INTEGER}"
+        raise _Fault(None, None, fault, node.start_mark)
     return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+
+
+def _construct_switch(loader: _Loader, node: yaml.ScalarNode) -> bool:
+    return {"true": True, "false": False}[str(loader.construct_scalar(node)).lower()]
 
 
 def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
@@ -192,14 +250,17 @@ def _construct_mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any
     for key_node, value_node in node.value:
         key = loader.construct_object(key_node, deep=True)
         if not isinstance(key, str):
-            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} is not a name", key_node.start_mark)
+            fault = f"the key {quoted(key)} is not a name"
+            raise _Fault(None, None, fault, key_node.start_mark)
         if key in mapping:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
+            fault = f"the key {quoted(key)} stands twice"
+            raise _Fault(None, None, fault, key_node.start_mark)
         mapping[key] = loader.construct_object(value_node, deep=True)
     return mapping
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _construct_integer)
+_Loader.add_constructor("tag:yaml.org,2002:bool", _construct_switch)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
@@ -212,19 +273,29 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
         first: whether to read the first of several documents; otherwise there must be one.
 
     Raises:
-        ConfigError: if the file is missing, unreadable, not YAML or not a mapping.
+        ConfigError: if the file is missing, unreadable, too large, not YAML or not a mapping.
     """
+    text = StringIO(_read(path))
     try:
-        with path.open(encoding="utf-8") as stream:
-            data = next(yaml.load_all(stream, _Loader), None) if first else yaml.load(stream, _Loader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', error)})") from error
-    except (yaml.YAMLError, ValueError, AttributeError, RecursionError) as error:
-        # The last three: PyYAML on an explicit tag its text does not fit, and on very deep nesting.
-        raise ConfigError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from error
+        data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
+        reason = plain(" ".join(str(error).replace('in "<file>", ', "").split()), _LONGEST_REASON)
+        raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}: holds {type(data).__name__}; accepted: {accepted}")
+        raise ConfigError(f"{plain(path)}: holds {type(data).__name__}; accepted: {accepted}")
     return Section(data, path)
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open("rb") as stream:
+            content = stream.read(_MOST_BYTES + 1)
+        if len(content) > _MOST_BYTES:
+            raise ConfigError(f"{plain(path)}: larger than {_MOST_BYTES >> 20} MiB; accepted: up to that")
+        return content.decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
 
 
 def yaml_text(content: Mapping[str, Any]) -> str:

@@ -6,6 +6,8 @@ import errno
 from pathlib import Path
 from typing import ClassVar
 
+from rx90_common.base.quoting import one_line, plain
+
 DONE = 0
 VERDICT_NO = 1
 """Done, and the verdict is no: differs, not confirmed, lost messages."""
@@ -22,6 +24,10 @@ class Rx90Error(Exception):
 
     exit_code: ClassVar[int] = REFUSED
 
+    def __str__(self) -> str:
+        """Return the text; one line of bounded length also where a part came from outside and nobody quoted it."""
+        return one_line(super().__str__())
+
 
 class FailureError(Rx90Error):
     """What was asked for is acceptable and could not be carried out."""
@@ -35,6 +41,10 @@ class ConfigError(Rx90Error):
 
 class DivergenceError(FailureError):
     """The plant's state left the range in which the model means anything."""
+
+
+class SupervisionError(FailureError):
+    """The controller's supervision has cut the power; the text names joint, value, limit and time."""
 
 
 class TrajectoryError(Rx90Error):
@@ -70,7 +80,7 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
         accepted: what would be, if that can be said.
     """
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
-    return kind(f"{path}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
+    return kind(f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -14,6 +14,7 @@ from typing import NoReturn
 import numpy as np
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 
 JOINT_COUNT = 6
 _INERTIA_KEYS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -51,7 +52,7 @@ class _CheckedElements:
 
     def refuse(self, element: str, value: object, accepted: str) -> NoReturn:
         """Raise a ConfigError that names file, element, value and what is accepted."""
-        raise ConfigError(f"{self.file}: {element} is {value!r}; accepted: {accepted}")
+        raise ConfigError(f"{self.file}: {element} is {quoted(value)}; accepted: {accepted}")
 
     def _parse(self) -> ET.Element:
         try:

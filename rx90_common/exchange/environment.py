@@ -6,6 +6,7 @@ import ctypes
 import os
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path
 
 _PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"  # Jazzy's Fast DDS 2.14 does not read FASTDDS_DEFAULT_PROFILES_FILE
@@ -41,7 +42,7 @@ def prepare() -> None:
 def _check_domain() -> None:
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isascii() and domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
-        raise ConfigError(f"ROS_DOMAIN_ID is '{domain}'; accepted: a whole number from 0 to {_LAST_DOMAIN}")
+        raise ConfigError(f"ROS_DOMAIN_ID is {quoted(domain)}; accepted: a whole number from 0 to {_LAST_DOMAIN}")
 
 
 def _is_fast_dds() -> bool:
@@ -52,6 +53,6 @@ def _is_fast_dds() -> bool:
         ctypes.CDLL(f"lib{name}.so")
     except OSError:
         raise ConfigError(
-            f"RMW_IMPLEMENTATION is '{name}', which is not installed here; accepted: {_FAST_DDS}, or unset it"
+            f"RMW_IMPLEMENTATION is {quoted(name)}, which is not installed here; accepted: {_FAST_DDS}, or unset it"
         ) from None
     return False

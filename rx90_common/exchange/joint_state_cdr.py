@@ -17,6 +17,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, STAMP_BYTES
 from rx90_common.exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
@@ -206,6 +207,6 @@ def _check_names(names: tuple[str, ...], frame_id: str) -> None:
         raise ExchangeError("no joint names given; accepted: one or more")
     for name in names:
         if not name or "\0" in name or names.count(name) > 1:
-            raise ExchangeError(f"joint name {name!r}; accepted: a text without NUL, each name once")
+            raise ExchangeError(f"joint name {quoted(name)}; accepted: a text without NUL, each name once")
     if "\0" in frame_id:
-        raise ExchangeError(f"frame_id {frame_id!r}; accepted: a text without NUL")
+        raise ExchangeError(f"frame_id {quoted(frame_id)}; accepted: a text without NUL")

@@ -19,8 +19,8 @@ from typing import NamedTuple
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
-from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
+from rx90_common.exchange.tick_channel import TickChannel
 
 _SLICE = 0.05  # s, the longest blind wait: between slices requests and the graph are looked at
 _PATIENCE = 1.0  # s of silence before it is announced and, with a peer there, the message is sent again
@@ -56,7 +56,7 @@ class LockstepSimulation:
         ignored: commands whose stamp was not the pending one.
     """
 
-    def __init__(self, channel: Channel, announce: Callable[[str], None]) -> None:
+    def __init__(self, channel: TickChannel, announce: Callable[[str], None]) -> None:
         self._channel = channel
         self._announce = announce
         self._wait = _Wait(announce, "the controller answers: time runs on from")
@@ -161,7 +161,7 @@ class LockstepController:
     """
 
     def __init__(
-        self, channel: Channel, messages: MotorMessages, loops: ServoLoops, announce: Callable[[str], None]
+        self, channel: TickChannel, messages: MotorMessages, loops: ServoLoops, announce: Callable[[str], None]
     ) -> None:
         self._channel, self._messages, self._loops = channel, messages, loops
         self._wait = _Wait(announce, "the simulation is there:")

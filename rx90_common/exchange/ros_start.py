@@ -11,6 +11,9 @@ from rclpy.logging import set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain
+
+_REASON = 400  # characters; ROS explains at length where a name is wrong
 
 
 def start_ros(args: Sequence[str], context: Context | None = None) -> None:
@@ -30,10 +33,10 @@ def start_ros(args: Sequence[str], context: Context | None = None) -> None:
 
 def reason(error: Exception) -> str:
     """Return what ROS says, in one line and without the place in its source."""
-    return " ".join(str(error).split(", at /")[0].split())
+    return plain(" ".join(str(error).split(", at /")[0].split()), _REASON)
 
 
 def _refused(args: Sequence[str], error: Exception) -> ConfigError:
     if not args:
         return ConfigError(f"ROS does not start: {reason(error)}")
-    return ConfigError(f"ROS arguments {' '.join(args)}: refused ({reason(error)})")
+    return ConfigError(f"ROS arguments {plain(' '.join(args))}: refused ({reason(error)})")

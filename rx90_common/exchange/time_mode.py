@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.topics import TIME_MODE, TIME_MODES
 
@@ -41,7 +42,8 @@ class TimeMode:
                 return cls(mode, Rates(int(base.partition("=")[2]), int(position.partition("=")[2])))
         except (ValueError, ConfigError):
             pass
-        raise MessageError(f"{TIME_MODE} says {text!r}; accepted: {', '.join(TIME_MODES)} with rates, as in {_EXAMPLE}")
+        accepted = f"{', '.join(TIME_MODES)} with rates, as in {_EXAMPLE}"
+        raise MessageError(f"{TIME_MODE} says {quoted(text)}; accepted: {accepted}")
 
     def check(self, rates: Rates) -> None:
         """Compare the simulation's rates with the controller's.

@@ -9,6 +9,7 @@ from typing import Any
 
 from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.lugre import LuGreElement
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS, legend
@@ -34,7 +35,7 @@ class FrictionFile:
 
     def __post_init__(self) -> None:
         if self.provenance is not None and self.provenance not in PROVENANCE:
-            raise ConfigError(f"provenance is {self.provenance!r}; accepted: one of {', '.join(PROVENANCE)}")
+            raise ConfigError(f"provenance is {quoted(self.provenance)}; accepted: one of {', '.join(PROVENANCE)}")
 
     @classmethod
     def read(cls, path: Path | str) -> FrictionFile:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.friction.lugre import LuGreElement
 
 ELEMENT_COUNT = 7
@@ -44,7 +45,7 @@ class FrictionSet:
             ConfigError: if there is none.
         """
         if name not in self.names:
-            raise ConfigError(f"no friction element {name!r}; accepted: {', '.join(self.names)}")
+            raise ConfigError(f"no friction element {quoted(name)}; accepted: {', '.join(self.names)}")
         return self.elements[self.names.index(name)]
 
     def passivity_warnings(self, max_velocity: Sequence[float]) -> list[str]:

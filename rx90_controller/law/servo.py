@@ -18,6 +18,7 @@ class Gains(NamedTuple):
     integral: Lanes
     integrator_limit: Lanes
     derivative: Lanes
+    velocity_weight: Lanes
     inertia: Lanes
     coulomb: Lanes
     coulomb_velocity: Lanes
@@ -37,8 +38,9 @@ class PositionLoop(NamedTuple):
 
 
 class VelocityLoop(NamedTuple):
-    """What the velocity loop leaves: motor current, torque, and the sign of the amplifier's saturation."""
+    """What the velocity loop leaves: commanded and motor current, torque, the sign of the amplifier's saturation."""
 
+    commanded: Lanes
     current: Lanes
     command: Lanes
     limited: Lanes
@@ -58,6 +60,7 @@ def load_gains(law: Any, width: int) -> Gains:
         load(law.integral, width),
         load(law.integrator_limit, width),
         load(law.derivative, width),
+        load(law.velocity_weight, width),
         load(law.inertia, width),
         load(law.coulomb, width),
         load(law.coulomb_velocity, width),
@@ -100,9 +103,10 @@ def velocity_servo(
     current: Lanes,
 ) -> VelocityLoop:
     """Return D and C of one base tick: damping, amplifier limit, current loop of first order with limited slew."""
-    damping = gains.derivative * (velocity_setpoint - velocity)
+    damping = gains.derivative * (gains.velocity_weight * velocity_setpoint - velocity)
     wanted = (position_torque + feed_forward + damping) / gains.torque_constant
     limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
-    change = current_gain * (clip(wanted, gains.peak_current) - current)
+    commanded = clip(wanted, gains.peak_current)
+    change = current_gain * (commanded - current)
     current = current + clip(change, gains.current_step)
-    return VelocityLoop(current, gains.torque_constant * current, limited)
+    return VelocityLoop(commanded, current, gains.torque_constant * current, limited)

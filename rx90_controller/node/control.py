@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,18 +15,24 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
-from rx90_common.base.rates import Rates
+from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
-from rx90_common.description.robot import load_robot
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.lockstep import LockstepController
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos_overrides import publish
+from rx90_common.exchange.subscribing import subscribe
+from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
+    DETAIL_DECIMATION,
+    DETAILS,
     FREE_RUNNING,
     LATCHED_QOS,
     MOTOR_COMMANDS,
@@ -38,30 +45,57 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
-from rx90_controller.node.free_running import FreeRunningController
+from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.message import check_trajectory_bytes
 
-_WAIT_SLICE = 0.1
-_MODE_PATIENCE = 5.0  # s with a simulation that does not tell its mode
+_TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
-    """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
+    """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
-    def __init__(self, node: Node, channel: Channel, cs7b: CS7B) -> None:
+    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
         self._node, self._cs7b = node, cs7b
+        self._ready = (
+            f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
+            f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
+            f"{node.resolve_topic_name(_TRAJECTORY)}"
+        )
         codec = JointStateCodec(cs7b.joint_names)
         self._encode_reference = codec.encoder(*cs7b.reference())
         self._encode_error = codec.encoder(*cs7b.tracking_error())
-        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
-        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
-        self._all = (self._reference, self._error, channel.publisher)
+        self._reference = publish(node, JointState, "~/reference", STATE_QOS.profile)
+        self._error = publish(node, JointState, "~/tracking_error", STATE_QOS.profile)
+        motors = JointStateCodec(MOTOR_NAMES)
+        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        self._details = [
+            (publish(node, JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
+            for name, names, values in details
+        ]
+        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare(
+            node, "detail_decimation", DETAIL_DECIMATION,
+            f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
+        )  # fmt: skip
+        self._accepted = node.create_publisher(JointTrajectory, "~/trajectory_accepted", LATCHED_QOS.profile)
+        self._report: GuardCondition | None = None
+        self.publishers = (
+            self._reference,
+            self._error,
+            self._accepted,
+            *(publisher for publisher, _ in self._details),
+            channel.publisher,
+        )
         self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
-        node_tools.wait_until_matched(self._node, self._all, _MATCH_ATTEMPTS)
+        node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
+
+    def ready(self) -> None:
+        """Print that the first states have come."""
+        self.info(self._ready)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -72,50 +106,93 @@ class ControllerOutputs:
         if self._error.get_subscription_count():
             self._cs7b.tracking_error()
             self._error.publish(self._encode_error(stamp_ns))
+        if stamp_ns % self._detail_ns == 0:
+            self._publish_details(stamp_ns)
+
+    def _publish_details(self, stamp_ns: int) -> None:
+        self._cs7b.details()
+        for publisher, encode in self._details:
+            if publisher.get_subscription_count():
+                publisher.publish(encode(stamp_ns))
+
+    def report_with(self, report: Callable[[], None]) -> None:
+        """Have `report` called by the node's executor after each `wake`."""
+        self._report = self._node.create_guard_condition(report)
+
+    def wake(self) -> None:
+        """Wake the executor; callable from every thread."""
+        if self._report is not None:
+            self._report.trigger()
+
+    def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
+        """Publish a trajectory as it came, stamped with its start."""
+        taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
+        sec, nanosec = divmod(start_ns, NANOSECONDS)
+        taken.header.stamp = Time(sec=sec, nanosec=nanosec)
+        self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.
 
     def info(self, text: str) -> None:
         """Print what happened."""
-        self._log.info(text)
+        self._log.info(one_line(text))
 
     def error(self, text: str) -> None:
         """Print what went wrong."""
-        self._log.error(text)
+        self._log.error(one_line(text))
 
 
 class Control:
-    """The node and its ticking thread's loop."""
+    """The node and its ticking thread's loop.
 
-    def __init__(self) -> None:
-        self.node = Node("rx90_controller")
+    Args:
+        make_channel: makes the exchange with the simulation.
+        time_mode: how a simulation in this process keeps time; None: as the topic says.
+        own_args: arguments for ROS that concern this node of its process alone.
+
+    Raises:
+        ExchangeError: if that simulation's rates are not this one's.
+
+    Attributes:
+        node: for the executor.
+        publishers: of all that the ticking thread sends.
+    """
+
+    def __init__(
+        self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None, own_args: Sequence[str] = ()
+    ) -> None:
+        self.node = Node("rx90_controller", cli_args=list(own_args))
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
-        self._cs7b = cs7b = self._build(rates)
-        channel = self._channel = Channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = ControllerOutputs(self.node, channel, cs7b)
-        self._loop = ServoLoop(cs7b, outputs)
-        self._messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
+        robot, self._cs7b = self._build(rates)
+        cs7b = self._cs7b
+        channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
+        self.publishers = outputs.publishers
+        about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+        horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+        self._loop = ServoLoop(cs7b, outputs, horizon)
+        outputs.report_with(self._loop.report)
+        messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
-        self._lockstep = LockstepController(channel, self._messages, self._loop, outputs.info)
-        self._free = FreeRunningController(channel, self._messages, self._loop, self._pacer, outputs.info)
-        self._stopped = False
-        self._mode: str | None = None
-        self._mode_known = threading.Event()
-        self._refused: ExchangeError | None = None
+        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
+        self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
-        self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
-        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS.profile)
+        if time_mode is None:
+            subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+        else:
+            self._serving.follow(time_mode)
+        qos = TRAJECTORY_QOS.profile
+        subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = Diagnostics(self.node, self._status)
 
-    def _build(self, rates: Rates) -> CS7B:
+    def _build(self, rates: Rates) -> tuple[RobotModel, CS7B]:
         files = declare_robot_files(self.node, "urdf", "drives", "controller")
-        cs7b = CS7B(load_robot(files.urdf), load_drives(files.drives), load_controller(files.controller), rates)
+        robot = load_robot(files.urdf)
+        cs7b = CS7B(robot, load_drives(files.drives), load_controller(files.controller), rates)
         cs7b.warm_up()
-        return cs7b
-
-    # The ticking thread.
+        return robot, cs7b
 
     def tick_loop(self) -> None:
         """Answer the simulation until `stop`.
@@ -123,50 +200,27 @@ class Control:
         Raises:
             ExchangeError: if the simulation's rates are not this one's.
         """
-        self._wait_for_mode()
-        while not self._stopped:
-            if self._mode == FREE_RUNNING:
-                self._free.serve()
-            else:
-                self._lockstep.serve(_WAIT_SLICE)
-        if self._refused is not None:
-            raise self._refused
+        self._serving.run()
+        node_tools.wait_until_received(self.publishers)
 
-    def _wait_for_mode(self) -> None:
-        """Wait until the simulation has told the mode; one that tells none within some seconds is taken for lock-step.
-
-        Loops that began in the wrong mode would begin again in the right one, and drop the trajectory that they follow.
-        """
-        deadline = time.monotonic() + _MODE_PATIENCE
-        while not self._stopped and self._mode is None and time.monotonic() < deadline:
-            if self._channel.matches().publishers == 0:
-                deadline = time.monotonic() + _MODE_PATIENCE
-                self._lockstep.announce_silence()
-            self._mode_known.wait(_WAIT_SLICE)
+    def hand_over(self) -> Callable[[], None]:
+        """Return what answers one tick in lock-step, to be called by the thread that ticks; `tick_loop` then rests."""
+        return self._serving.hand_over()
 
     def stop(self) -> None:
         """End `tick_loop` soon."""
-        self._stopped = True
-        self._mode_known.set()
-        self._channel.wake()
+        self._serving.stop()
+        self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
 
     def _on_mode(self, message: String) -> None:
         try:
-            time_mode = TimeMode.parse(message.data)
-            time_mode.check(self._cs7b.rates)
+            self._serving.follow(TimeMode.parse(message.data))
         except MessageError as error:
-            self._log.error(f"{error}; ignored")
-        except ExchangeError as error:
-            self._refused = error
-            self.stop()
-        else:
-            # In this order: the ticking thread acts on the mode as soon as it is there.
-            self._messages.same_rates = True
-            self._mode = time_mode.mode
-            self._mode_known.set()
-            self._channel.wake()
+            self._complaints.say("mode", f"{error}; ignored")
+        except ExchangeError:
+            pass  # ends `tick_loop`
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._loop.enable(request.data)
@@ -179,19 +233,22 @@ class Control:
         cs7b, counts = self._cs7b, self._pacer.take()
         rates = cs7b.rates
         values = {
-            "time mode": self._mode or "unknown: no simulation yet",
+            "time mode": self._serving.mode or "unknown: no simulation yet",
             "controller time, s": f"{cs7b.tick * rates.period:.3f}",
             "rate, Hz": f"{self._rate():.1f}",
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
             "rejected trajectories": str(self._loop.rejected),
             "enabled": "true" if self._loop.enabled else "false",
         }
-        if self._mode == FREE_RUNNING:
+        if self._serving.mode == FREE_RUNNING:
             values |= {
                 "worst period, ms": f"{counts.worst * 1e3:.3f}",
                 "late ticks": str(counts.late),
                 "dropped ticks": str(counts.dropped),
             }
+        fault = self._loop.fault
+        if fault is not None:
+            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
         if not self._loop.running:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)
@@ -210,4 +267,4 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or a simulation that does not fit.
     """
-    node_tools.spin(Control, args)
+    node_tools.spin(lambda: [Control()], args)

@@ -10,10 +10,10 @@ from collections.abc import Callable
 
 from rx90_common.base.errors import MessageError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates, ServoLoops
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import TickChannel
 
 _LEAD = 0.005  # s that the loops run ahead of the newest states; further ahead, time stands still and they rest
 _LAG = 0.25  # s behind the states that are caught up; further behind, time is skipped and the motion comes later
@@ -39,7 +39,7 @@ class FreeRunningController:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: TickChannel,
         messages: MotorMessages,
         loops: ServoLoops,
         pacer: Pacer,

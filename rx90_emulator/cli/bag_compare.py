@@ -14,6 +14,7 @@ from pathlib import Path
 from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 
 HELP = "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"
@@ -73,4 +74,4 @@ def _nanoseconds(option: str, text: str | None) -> int | None:
     try:
         return int(Decimal(text) * NANOSECONDS)
     except (InvalidOperation, ValueError, OverflowError) as error:
-        raise BagError(f"{option} is {text!r}; accepted: a time in s, e.g. 1.25") from error
+        raise BagError(f"{option} is {quoted(text)}; accepted: a time in s, e.g. 1.25") from error

@@ -12,6 +12,7 @@ from importlib import import_module
 from types import SimpleNamespace
 
 from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error
+from rx90_common.base.quoting import one_line, plain
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
     keep_exit_code,
@@ -87,7 +88,7 @@ def run(program: str, words: Sequence[str]) -> int:
     except OSError as error:  # of a file's name: one too long, or below a folder that may not be read
         if error.filename is None:
             raise
-        _say(f"{program}: {error.filename}: {error.strerror}")
+        _say(f"{program}: {plain(error.filename)}: {error.strerror}")
         return FAILED if error.errno in DISK_ERRORS else REFUSED
     except ModuleNotFoundError as error:
         missing = str(error.name).partition(".")[0]
@@ -98,8 +99,9 @@ def run(program: str, words: Sequence[str]) -> int:
         return FAILED
     except KeyboardInterrupt:
         note = getattr(options, "interrupted", "").format(**vars(options))
-        # On a terminal ^C stands in the line.
-        _say(f"{chr(10) * sys.stderr.isatty()}{program}: interrupted{'; ' * bool(note)}{note}")
+        if sys.stderr.isatty():  # ^C stands in the line
+            print(file=sys.stderr)
+        _say(f"{program}: interrupted{'; ' * bool(note)}{note}")
         return INTERRUPTED
 
 
@@ -128,4 +130,4 @@ def _source_of(module: str) -> str | None:
 
 
 def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
+    print(one_line(line), file=sys.stderr, flush=True)

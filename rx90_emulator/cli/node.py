@@ -1,4 +1,4 @@
-"""A ROS 2 node: its parameters stand in README.md, and `ros2 param describe` shows them while it runs."""
+"""A ROS 2 node, or both of the arm in one process: parameters stand in README.md and in `ros2 param describe`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 NODES = {
     "rx90_sim": "rx90_sim.node.simulation",
     "rx90_controller": "rx90_controller.node.control",
+    "rx90_cell": "rx90_emulator.cell.composition",
     "friction_bench": "friction_bench.node.bench_node",
 }
-"""The executables that are nodes, and the module whose `spin(ros_args)` runs each."""
+"""The executables that are nodes, or two of them, and the module whose `spin(ros_args)` runs each."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

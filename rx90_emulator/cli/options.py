@@ -6,7 +6,9 @@ import argparse
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NoReturn
 
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.description.robot_files import SHIPPED
 
 _EXIT_CODES = """
@@ -23,6 +25,10 @@ class CommandParser(argparse.ArgumentParser):
     def format_help(self) -> str:
         """Return the help."""
         return super().format_help() + _EXIT_CODES
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the command line; words of it are quoted in the message as they are."""
+        super().error(one_line(message))
 
 
 def split_ros_args(words: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -54,7 +60,7 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and good(value)):
-            raise argparse.ArgumentTypeError(f"{text!r}; accepted: {accepted}")
+            raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: {accepted}")
         return value
 
     return parse

@@ -37,7 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
     )
     parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
-    parser.add_argument("--no-feed-forward", action="store_true", help="switch the feed-forward block off")
+    forward = parser.add_mutually_exclusive_group()
+    forward.add_argument(
+        "--no-feed-forward",
+        action="store_true",
+        help="switch all feed-forward off, the velocity set-point in D included",
+    )
+    forward.add_argument(
+        "--no-velocity-feed-forward",
+        action="store_true",
+        help="D from the measured velocity alone, as the paper draws it",
+    )
     parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
     parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
@@ -65,6 +75,8 @@ def main(options: argparse.Namespace) -> None:
     setup = Setup.load(RobotFiles.of_options(options), Rates(options.base_rate, options.position_rate))
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
+    if options.no_velocity_feed_forward:
+        setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
     for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
         print(f"rx90_run: warning: {line}", file=sys.stderr)
     result = _simulate(setup, options)

@@ -12,7 +12,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(required=True, metavar="VERB")
     run = verbs.add_parser("run", help="run a plan", description="Run a plan of closed-loop runs.")
     run.add_argument(
-        "plan", metavar="PLAN", help="plan file, of your own or shipped, such as sweep/friction_and_feed_forward.yaml"
+        "plan",
+        metavar="PLAN",
+        help="plan file of your own (docs/sweep.md), or the name of a shipped one: "
+        "sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, sweep/reference_1000.yaml",
     )
     run.add_argument("--output", type=Path, metavar="FILE", required=True, help="Parquet file to write")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")

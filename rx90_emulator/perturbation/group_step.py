@@ -116,6 +116,7 @@ def _run(
             if k % ratio == 0:
                 _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
                 _position_loops(servos[group], tables.reference[row], state, lanes)
+                _supervise(servos[group], plant.gear, state, lanes)
                 _mark_divergence(plant.speed_limit, state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
             _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
@@ -126,10 +127,11 @@ def _run(
 
 @inlined
 def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Let encoders and observers start where the arm is."""
-    _read_encoders(plant, nominal, state, lanes)
+    """Let counts and observers start where the arm is."""
     for i in range(6):
-        store(state.observer[i], load(state.motor_position[i], lanes))
+        angle = _motor_angle(plant, nominal, state, i, lanes)
+        store(state.observer[i], angle)
+        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
 
 
 @inlined
@@ -151,6 +153,7 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 
 @inlined
 def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
+    """Run PI and FF; leave the position errors in `rhs`."""
     for i in range(6):
         loop = position_servo(
             load_gains(servos[i], lanes),
@@ -164,6 +167,23 @@ def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) ->
         store(state.integrator[i], loop.integrator)
         store(state.position_torque[i], loop.position_torque)
         store(state.feed_forward[i], loop.feed_forward)
+        store(state.rhs[i], loop.error)
+
+
+@inlined
+def _supervise(servos: Record, gear: Array, state: Any, lanes: int) -> None:
+    """Mark runs beyond a limit of `rx90_controller.law.supervision`; the position errors are in `rhs`."""
+    tripped = load(state.tripped[0], lanes)
+    for i in range(6):
+        error, speed = load(state.rhs[i], lanes), load(state.motor_velocity[i], lanes)
+        if i == 5:  # motor 6 turns with joints 5 and 6 together
+            share = gear[5] / gear[4]
+            error = error - share * load(state.rhs[4], lanes)
+            speed = speed - share * load(state.motor_velocity[4], lanes)
+        # The comparisons are false for NaN too.
+        tripped = select(absolute(error) <= load(servos[i].following_error, lanes), tripped, 1.0)
+        tripped = select(absolute(speed) <= load(servos[i].over_speed, lanes), tripped, 1.0)
+    store(state.tripped[0], tripped)
 
 
 @inlined
@@ -272,11 +292,11 @@ def _mark_divergence(speed_limit: Array, state: Any, lanes: int) -> None:
 
 @inlined
 def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    """Read the encoders and update the velocity observers."""
-    _read_encoders(plant, nominal, state, lanes)
+    """Sample the resolvers: counts, and the converters' velocity."""
     for i in range(6):
+        angle = _motor_angle(plant, nominal, state, i, lanes)
         position, velocity = observe(
-            load(state.motor_position[i], lanes),
+            angle,
             load(state.observer[i], lanes),
             load(state.motor_velocity[i], lanes),
             plant.period,
@@ -285,12 +305,12 @@ def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
         )
         store(state.observer[i], position)
         store(state.motor_velocity[i], velocity)
+        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
 
 
 @inlined
-def _read_encoders(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
-    for i in range(6):
-        q = nominal[i] + load(state.q[i], lanes)
-        if i == 5:  # motor 6 turns with joints 5 and 6 together
-            q = q + (nominal[4] + load(state.q[4], lanes))
-        store(state.motor_position[i], encoder_reading(plant.gear[i] * q, plant.resolution[i]))
+def _motor_angle(plant: Any, nominal: Array, state: Any, i: int, lanes: int) -> Any:
+    q = nominal[i] + load(state.q[i], lanes)
+    if i == 5:  # motor 6 turns with joints 5 and 6 together
+        q = q + (nominal[4] + load(state.q[4], lanes))
+    return plant.gear[i] * q

@@ -9,6 +9,7 @@ import logging
 import multiprocessing as mp
 import os
 import pickle
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +26,7 @@ import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
+from rx90_common.base.quoting import quoted
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
@@ -32,6 +34,7 @@ MOST_WORKERS = 1024
 _CHUNKS_EACH = 32
 _QUEUED_EACH = 3
 _CONNECT_TIMEOUT = 10.0
+_ADDRESS = re.compile(r"\w+://\S+")  # without a protocol, Dask looks for a file
 _CHATTY = ("distributed", "distributed.client", "tornado.application")
 _KEPT = "what is done is kept, go on with resume (--resume)"
 
@@ -225,9 +228,11 @@ def dask_pool(sweep: Sweep, address: str) -> Iterator[Pool]:
     """Offer the workers of a Dask cluster.
 
     Raises:
-        SweepError: if the cluster cannot be reached, has no workers, or loses them.
+        SweepError: if the address is none, or the cluster cannot be reached, has no workers, or loses them.
         FailureError: if Dask is not installed.
     """
+    if not _ADDRESS.fullmatch(address):
+        raise SweepError(f"the scheduler is {quoted(address)}; accepted: an address such as tcp://host:8786")
     distributed = _import("distributed")
     with _quiet_loggers():
         yield from _cluster(sweep, address, distributed)

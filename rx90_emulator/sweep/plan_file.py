@@ -1,23 +1,4 @@
-"""Read a sweep's plan from a YAML file.
-
-seed: 1                          of all random draws; 0 if left out
-base:                            what every run starts from; the shipped files if left out
-  task: task/reference_line.yaml     also urdf, tool (or none), drives, friction, controller: a file
-                                     beside the plan, from the working folder, or shipped
-  base_rate: 4000                    also position_rate, substeps
-blocks:                          their runs follow each other
-  any_name:
-    grid:                        all combinations, and each with all the draws
-      friction.*.c0:                 a path of rx90_emulator.loop.catalogue, or a name with paths: [...]
-        factor: [0.5, 1.0, 2.0]          factor times the file's number, or value instead of it; also
-                                         {linspace: [start, stop, count]}, {geomspace: ...}
-    random:
-      drives.rotor_inertia[*]:
-        factor: {uniform: [0.9, 1.1]}    also {loguniform: [low, high]} and
-                                         {normal: {mean: x, deviation: x, low: x, high: x}}
-        each: true                       each place of the * is drawn on its own
-    draws: 100
-"""
+"""Read a sweep's plan from a YAML file; docs/sweep.md shows the format."""
 
 from __future__ import annotations
 

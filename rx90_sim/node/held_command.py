@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.stamps import cdr_stamp_ns
-from rx90_common.exchange.channel import Channel
+from rx90_common.exchange.tick_channel import TickChannel
 
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
@@ -28,7 +28,7 @@ class HeldCommand:
 
     def __init__(
         self,
-        channel: Channel,
+        channel: TickChannel,
         decode: Callable[[bytes], Array | None],
         timeout_ticks: int,
         announce: Callable[[str], None],

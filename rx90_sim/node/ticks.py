@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.listeners import Listeners
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
+from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TICK_QOS
+from rx90_sim.node.heartbeat import Heartbeat
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
@@ -23,7 +24,6 @@ from rx90_sim.node.run_control import RunControl, Turn
 from rx90_sim.plant import Plant
 
 _WAIT_SLICE = 0.1  # s
-_FLUSH_SLICES = 40  # of 50 ms
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
@@ -34,21 +34,25 @@ class Ticks:
         node: the node whose topics are published.
         plant: at rest in tick 0.
         parameters: of the node.
+        make_channel: makes the exchange with the controller.
 
     Attributes:
         control: takes requests from other threads.
         pacer: the clock.
+        listeners: who is waited for in a run that is not paced.
         held: commands in free-running time.
         lockstep: exchange in lock-step.
     """
 
-    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters) -> None:
+    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters, make_channel: MakeChannel) -> None:
         self._node, self._plant, self._parameters = node, plant, parameters
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
+        self._unpaced = parameters.real_time_factor == 0.0
+        self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
+        self._heartbeat = Heartbeat(self._publications.repeat)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
         self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
@@ -57,6 +61,8 @@ class Ticks:
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self.lockstep = LockstepSimulation(self._channel, log.info)
+        ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
+        self.listeners = Listeners(self._publishers, ticks, self.control.interrupting)
         timeout = round(parameters.command_timeout * rates.base_hz)
         self.held = HeldCommand(self._channel, self._torques, timeout, log.info)
 
@@ -86,19 +92,28 @@ class Ticks:
                     self.pacer.restart()
                 if advance():
                     self.control.step_done()
+            else:
+                self._heartbeat.beat(self._plant.tick)
             moving = turn is Turn.STEP
-        self._flush()
+        node_tools.wait_until_received(self._publishers)
 
     def _step_in_lock_step(self) -> bool:
         plant = self._plant
         stamp = plant.tick * self._period_ns
         states = self._encode_states(stamp)
-        raw = self.lockstep.exchange(stamp, states, self.control.interrupting, self._publish_due)
+        raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
         if raw is None:
             return False
         plant.step(self._torques(raw))
+        if self._unpaced:
+            self.listeners.tick_done()
         self.pacer.wait()
         return True
+
+    def _interrupted(self) -> bool:
+        """Return whether the exchange should come back; asked now and then while there is no command."""
+        self._heartbeat.beat(self._plant.tick)
+        return self.control.interrupting()
 
     def _step_free_running(self) -> bool:
         plant = self._plant
@@ -128,10 +143,3 @@ class Ticks:
         self.held.forget()
         self.control.reset_done()
         self.pacer.restart()
-
-    def _flush(self) -> None:
-        """Let the last messages reach a recorder."""
-        for publisher in self._publishers:
-            for _ in range(_FLUSH_SLICES):
-                if publisher.wait_for_all_acked(Duration(nanoseconds=50_000_000)):
-                    break

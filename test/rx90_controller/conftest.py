@@ -65,10 +65,13 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
             "coulomb": 0.0 * six,
             "coulomb_velocity": 0.01,
             "viscous": 0.0 * six,
-            "feed_forward": FeedForward.off(),
+            "feed_forward": dataclasses.replace(FeedForward.off(), velocity=True),
             "current_bandwidth": 800.0,
             "current_slew": FREE * six,
+            "following_error": FREE * six,
+            "over_speed": FREE,
             "start_tolerance": 10.0,
+            "max_acceleration": FREE * six,
         }
         controller = CS7B(
             dataclasses.replace(shipped.robot, lower=-100 * six, upper=100 * six, max_velocity=1000 * six),

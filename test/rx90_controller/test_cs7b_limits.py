@@ -112,9 +112,9 @@ def test_the_integrator_has_a_limit(servo: MakeServo) -> None:
 
 PARTS = {
     "none": FeedForward.off(),
-    "acceleration": FeedForward(acceleration=True, coulomb=False, viscous=False),
-    "coulomb": FeedForward(acceleration=False, coulomb=True, viscous=False),
-    "viscous": FeedForward(acceleration=False, coulomb=False, viscous=True),
+    "acceleration": dataclasses.replace(FeedForward.off(), acceleration=True),
+    "coulomb": dataclasses.replace(FeedForward.off(), coulomb=True),
+    "viscous": dataclasses.replace(FeedForward.off(), viscous=True),
     "all": FeedForward(),
 }
 

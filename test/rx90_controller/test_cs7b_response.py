@@ -35,11 +35,9 @@ def step_to(servo: Any, target: Array) -> None:
 
 def ramp(servo: Any, speed: Array, seconds: float) -> None:
     """Give a set-point that runs at constant speed."""
-    servo.controller.trajectory.accept(
-        TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [[0.0] * 6, speed * seconds], [[], []], [[], []]),
-        0,
-        None,
-    )
+    times, end = [0.0, seconds, seconds + 0.1], speed * seconds
+    rows, rates = [[0.0] * 6, end, end + 0.05 * speed], [speed, speed, [0.0] * 6]
+    servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)
 
 
 def sampled_loop(reference: Callable[[int], tuple[float, float]], ticks: int, ratio: int, period: float) -> Array:
@@ -104,6 +102,16 @@ def test_ramp_response(servo: MakeServo) -> None:
     assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
     error = loop.controller.state["error"][0]
     assert np.abs(error).max() < 1e-3 * 0.5 / 40  # without the integrator of the loop: dq_r / kp
+
+
+def test_without_the_velocity_set_point_d_damps_the_motion_itself(servo: MakeServo) -> None:
+    """With D on the measured velocity alone a ramp is answered as the sampled loop with no velocity input does."""
+    loop = servo(inertia=INERTIA, feed_forward=FeedForward.off())
+    speed = np.array([0.5, -0.4, 0.3, 0.2, 0.0, 0.1])
+    ramp(loop, speed, 2.0)
+    got, _ = loop.run(4000)
+    unit = sampled_loop(lambda row: (row * 1e-3, 0.0), 4000, 4, 250e-6)
+    assert got == pytest.approx(np.outer(unit, speed), abs=1e-12)
 
 
 def test_the_integrator_takes_a_constant_load(servo: MakeServo) -> None:

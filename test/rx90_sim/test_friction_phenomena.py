@@ -185,3 +185,23 @@ def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm
     assert 1e-5 < np.abs(settled - pose).max() < 5e-3
     assert hold(plant.constants, plant.state, motor, 300 * 4000) == -1
     assert np.array_equal(plant.joint_states()[0], settled)
+
+
+def test_lugre_drifts_under_an_oscillating_load_below_break_away(masses: Masses, paper_element: LuGreElement) -> None:
+    """A load of 0.25 +- 0.125 of break-away moves a sticking mass, each cycle by what equation 17 integrates to.
+
+    Slowly, c0 z is the load. Equation 17 over the way x gives dx = dz / (1 - z/z_s) on the way up and dz / (1 + z/z_s)
+    on the way back, z_s = tau_s / c0; a cycle between z_1 and z_2 leaves z_s ln[(1 - z_1^2/z_s^2) / (1 - z_2^2/z_s^2)].
+    """
+    frequency, cycles = 5.0, 6
+    plant = masses([paper_element])
+    ticks = round(4000 / frequency)
+    ends = []
+    for k in range((cycles + 1) * ticks):
+        load = paper_element.tau_s_positive * (0.25 - 0.125 * np.cos(2 * np.pi * (k + 0.5) / ticks))
+        plant.step(np.array([load, 0, 0, 0, 0, 0]))
+        if (k + 1) % ticks == 0:
+            ends.append(plant.joint_states()[0][0])
+    way = paper_element.tau_s_positive / paper_element.c0
+    want = way * np.log((1 - 0.125**2) / (1 - 0.375**2))
+    assert np.diff(ends) == pytest.approx(np.full(cycles, want), rel=0.02)

@@ -14,9 +14,10 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
-from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.bags.topics import CLOCK, JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import quoted
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
@@ -41,7 +42,7 @@ class Streams:
             try:
                 name = node.resolve_topic_name(topic)
             except RuntimeError as error:
-                raise BagError(f"topic {topic!r}: no name that ROS accepts ({reason(error)})") from error
+                raise BagError(f"topic {quoted(topic)}: no name that ROS accepts ({reason(error)})") from error
             if name in self._found:
                 raise BagError(f"topic {name} stands twice; accepted: each topic once")
             self._found[name] = None
@@ -85,6 +86,9 @@ class Stream:
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
 
+    Attributes:
+        repeated: messages that were the one before them once more.
+
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
     """
@@ -117,6 +121,19 @@ class Stream:
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
         self._incompatible = self._event(kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=transient_local)
+        self.repeated = 0
+        self._dated = self.msgtype in (JOINT_STATE, CLOCK)
+        self._newest = b""
+
+    def repeats(self, cdr: bytes) -> bool:
+        """Count a message that is the one before it once more, to the bit, stamp included.
+
+        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+        """
+        again = self._dated and cdr == self._newest
+        self._newest = cdr
+        self.repeated += again
+        return again
 
     @property
     def needs_publisher(self) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import quoted
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_controller.trajectory import TrajectoryPoints
@@ -161,7 +162,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
     names = [direction.name for direction in known]
     for name in chosen.groups:
         if name not in names:
-            raise IdentificationError(f"unknown group {name!r}; accepted: {', '.join(names)}")
+            raise IdentificationError(f"unknown group {quoted(name)}; accepted: {', '.join(names)}")
     picked = [direction for direction in known if not chosen.groups or direction.name in chosen.groups]
     plan = [_sliding(robot, drives, chosen, direction) for direction in picked]
     plan += [_presliding(robot, chosen, direction) for direction in picked if "together" not in direction.name]

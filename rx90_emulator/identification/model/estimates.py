@@ -10,6 +10,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import plain, quoted
 from rx90_emulator.identification.records.record import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
@@ -78,7 +79,8 @@ class ElementEstimate:
     def __post_init__(self) -> None:
         unknown = [name for name in self.parameters if name not in PARAMETERS]
         if unknown:
-            raise IdentificationError(f"{self.element}: parameter {unknown[0]!r}; accepted: {', '.join(PARAMETERS)}")
+            found = f"{plain(self.element)}: parameter {quoted(unknown[0])}"
+            raise IdentificationError(f"{found}; accepted: {', '.join(PARAMETERS)}")
         shape = (len(self.parameters), len(self.parameters))
         if self.correlation.shape != shape:
             raise IdentificationError(

@@ -14,6 +14,7 @@ from typing import Any
 import pinocchio as pin
 
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import listed, plain, quoted
 
 _TURNING = ("revolute", "continuous")
 _STDERR = 2
@@ -35,12 +36,10 @@ def joint_model(urdf: Path, joints: Sequence[str] | None) -> Any:
     wanted = there if joints is None else list(joints)
     for name in wanted:
         if name not in there:
-            raise IdentificationError(f"{urdf}: no movable joint {name!r}; there are {', '.join(there) or 'none'}")
+            raise IdentificationError(f"{urdf}: no movable joint {quoted(name)}; there are {listed(there) or 'none'}")
     in_order = [name for name in there if name in wanted]
     if wanted != in_order:
-        raise IdentificationError(
-            f"{urdf}: joints {', '.join(wanted)}; accepted: from base to tip, {', '.join(in_order)}"
-        )
+        raise IdentificationError(f"{urdf}: joints {listed(wanted)}; accepted: from base to tip, {listed(in_order)}")
     if not wanted:
         raise IdentificationError(f"{urdf}: no movable joint; accepted: one or more")
     _check_turning(urdf, root, wanted, there)
@@ -92,8 +91,8 @@ def _check_turning(urdf: Path, root: ET.Element, wanted: Sequence[str], there: S
         if name in bad:
             good = ", ".join(other for other in there if other not in bad)
             raise IdentificationError(
-                f"{urdf}: joint {name!r} {bad[name]}; accepted: revolute and continuous joints with a drive of their "
-                f"own, --joints {good.replace(',', '') or '(there are none)'}"
+                f"{urdf}: joint {quoted(name)} {plain(bad[name])}; accepted: revolute and continuous joints with a "
+                f"drive of their own, --joints {good.replace(',', '') or '(there are none)'}"
             )
 
 
@@ -103,5 +102,6 @@ def _check_mass(urdf: Path, model: Any) -> None:
     for joint, name in list(enumerate(model.names))[1:]:
         if not data.mass[joint] > 0.0:
             raise IdentificationError(
-                f"{urdf}: joint {str(name)!r} moves a mass of {data.mass[joint]:g} kg; accepted: links with <inertial>"
+                f"{urdf}: joint {quoted(str(name))} moves a mass of {data.mass[joint]:g} kg; "
+                "accepted: links with <inertial>"
             )

@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import quoted
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
@@ -45,7 +46,8 @@ class BagLayout:
             raise IdentificationError(f"{len(self.messages)} names in the messages for {n} joints; accepted: one each")
         twice = [name for name in self.messages if self.messages.count(name) > 1]
         if twice:
-            raise IdentificationError(f"name {twice[0]!r} in the messages for two joints; accepted: each name once")
+            found = f"name {quoted(twice[0])} in the messages for two joints"
+            raise IdentificationError(f"{found}; accepted: each name once")
         for field, shape in (("turns", (n, n)), ("torque_constant", (n,))):
             values = getattr(self, field)
             if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):

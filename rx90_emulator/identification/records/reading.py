@@ -17,6 +17,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.record import JointRecord, spikes
@@ -154,8 +155,8 @@ def _check_velocity(path: Path, layout: BagLayout, time: Array, position: Array,
         factor = float(distance[:, k] @ integral[:, k] / power[k])
         if not 1.0 / _FACTOR < factor < _FACTOR:
             raise IdentificationError(
-                f"{path}: {layout.topic}: the velocity of {layout.messages[k]!r} is {factor:.3g} times the change of "
-                "its position; accepted: rad and rad/s, of the same sign"
+                f"{path}: {layout.topic}: the velocity of {quoted(layout.messages[k])} is {factor:.3g} times the "
+                "change of its position; accepted: rad and rad/s, of the same sign"
             )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import quoted
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
@@ -90,7 +91,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
             )
     for name in required:
         if name not in arm.element_names:
-            raise IdentificationError(f"element {name!r}; accepted: {', '.join(arm.element_names)}")
+            raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(arm.element_names)}")
     blocks = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
     for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:

@@ -35,9 +35,13 @@ def refusal(call: Callable[[], Any], path: Path) -> str:
     text = str(caught.value)
     assert str(path) in text
     assert "\n" not in text
+    assert len(text) < 1000
     assert isinstance(caught.value, Rx90Error)
     return text
 
+
+# Ten lines, each ten times the one before: ten to the power of ten values.
+BOMB = "a0: &a0 [" + "1," * 10 + "]\n" + "".join(f"a{i}: &a{i} [{f'*a{i - 1},' * 10}]\n" for i in range(1, 10))
 
 BROKEN: list[tuple[str | bytes, str]] = [
     ("", "holds NoneType; accepted: a mapping"),
@@ -55,15 +59,26 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("? [a]\n: 1", "the key ['a'] is not a name"),
     ("? ~\n: 1", "the key None is not a name"),
     ("a: " + "1" * 5000, "not valid YAML"),
+    ('"\\Uffffffff": 1', "not valid YAML"),
     ("a: !!int foo", "not valid YAML"),
     ("a: !!float foo", "not valid YAML"),
     ("a: !!timestamp foo", "not valid YAML"),
-    ("a: " + "[" * 5000, "not valid YAML"),
+    ("a: !!bool foo", "not valid YAML"),
+    ('a: !!float ""', "not valid YAML"),
+    ("a: !!map [1]", "not valid YAML"),
+    ("a: !!seq {b: 1}", "not valid YAML"),
+    ("a: !!set {b}", "could not determine a constructor for the tag"),
+    ("a: " + "[" * 5000, "deeper than 64 levels"),
+    ("a: &x {b: *x}", "'x' stands for something that contains it"),
+    ("a: 0x" + "f" * 100_000, "an integer of 100,002 characters; accepted: up to 400"),
+    (BOMB, "more than 1,000,000 values"),
+    ("a: !" + "x" * 100_000 + " 1", "could not determine a constructor for the tag '!xxx"),
+    ("a" * (1 << 24) + "b", "larger than 16 MiB"),
     ("provenance: guessed", "provenance is 'guessed'; accepted: one of published, derived"),
 ]
 
 
-@pytest.mark.parametrize(("text", "words"), BROKEN)
+@pytest.mark.parametrize(("text", "words"), BROKEN, ids=range(len(BROKEN)))
 def test_a_file_that_is_no_mapping_is_refused(write: Write, text: str | bytes, words: str) -> None:
     """What is not UTF-8, not YAML, not one mapping or says a key twice is refused in one line."""
     path = write(text)

@@ -36,7 +36,7 @@ class Stub:
 
 def spin(args):
     print("importing done", flush=True)
-    node_tools.spin(Stub, args)
+    node_tools.spin(lambda: [Stub()], args)
 """
 RUN = """
 import sys

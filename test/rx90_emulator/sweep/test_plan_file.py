@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,13 @@ import pytest
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.plan import plan_hash
 from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.spaces import LogUniform, Normal, Uniform, Values
 from rx90_emulator.sweep.sweep import Sweep
+
+ROOT = Path(__file__).resolve().parents[3]
 
 FULL = """
 seed: 5
@@ -78,6 +82,29 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
 def test_shipped_plans_fit(name: str) -> None:
     """Every shipped plan is readable and names what there is."""
     assert len(Sweep(load_sweep_plan(config_path(f"sweep/{name}")))) > 0
+
+
+def test_the_documented_plan_has_the_runs_that_the_page_says(tmp_path: Path) -> None:
+    """The plan in docs/sweep.md is read as it stands, and has as many runs as the page counts."""
+    page = (ROOT / "docs/sweep.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(text, encoding="utf-8")
+    said = re.search(r"This plan has .* = (\d+) runs", page)
+    assert said is not None
+    assert len(Sweep(load_sweep_plan(plan))) == int(said[1]) == 29
+
+
+def test_help_names_plans_that_can_be_run_from_anywhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each plan that --help names is found from any folder, and every shipped one is named."""
+    monkeypatch.chdir(tmp_path)
+    assert run("rx90_sweep", ["run", "--help"]) == 0
+    named = set(re.findall(r"sweep/\w+\.yaml", capsys.readouterr().out))
+    assert named == {f"sweep/{path.name}" for path in config_path("sweep").glob("*.yaml")}
+    for name in named:
+        load_sweep_plan(name)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,93 @@
+"""Text from outside in a message: one line without control characters, of bounded length, its own length told.
+
+Names, values, paths and lines come from files, messages and command lines. One with a line break in it would forge a
+line of a log, one with a bidirectional override would show something else than it is, and a long one would fill the
+screen.
+"""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from collections.abc import Iterable
+from typing import Any, Final
+
+LIMIT: Final = 120
+"""Characters of a quoted value, as far as the caller gives no other limit."""
+LINE_LIMIT: Final = 2000
+"""Characters of a whole message."""
+
+_ELLIPSIS = "…"
+_MOST_NAMES = 20
+_LONGEST_INTEGER = 400  # decimal digits; Python itself refuses to write more than 4300
+
+
+def quoted(value: object, limit: int = LIMIT) -> str:
+    """Return a value as Python writes it, in one line; a text or bytes in quotation marks.
+
+    Args:
+        value: anything; of a large object only the beginning is looked at.
+        limit: a text with more characters, and a `repr` with more of them, is shortened; its length is told.
+    """
+    if isinstance(value, str | bytes | bytearray):
+        text = value if isinstance(value, str) else bytes(value)
+        unit = "characters" if isinstance(text, str) else "bytes"
+        if len(text) <= limit:
+            return repr(text)
+        head, tail = _ends(limit)
+        return f"{text[:head]!r}{_ELLIPSIS}{text[len(text) - tail :]!r} ({len(text):,} {unit})"
+    return plain(_Repr(limit).repr(value), limit)
+
+
+def plain(text: object, limit: int = LIMIT) -> str:
+    """Return a name or a path without quotation marks: in one line, shortened with its length told if it is longer."""
+    whole = str(text)
+    if len(whole) <= limit:
+        return _escaped(whole)
+    head, tail = _ends(limit)
+    return f"{_escaped(whole[:head])}{_ELLIPSIS}{_escaped(whole[len(whole) - tail :])} ({len(whole):,} characters)"
+
+
+def listed(given: Iterable[object], most: int = _MOST_NAMES) -> str:
+    """Return names with commas between them; of more than `most`, the first ones and how many others there are."""
+    every = list(given)
+    shown = ", ".join(plain(name) for name in every[:most])
+    return f"{shown} and {len(every) - most:,} more" if len(every) > most else shown
+
+
+def one_line(text: object, limit: int = LINE_LIMIT) -> str:
+    """Return a whole message as one line of bounded length: what `quoted` and `plain` returned stays as it is."""
+    return plain(text, limit)
+
+
+def _ends(limit: int) -> tuple[int, int]:
+    """Return how many characters of a long text are shown at its beginning and at its end."""
+    tail = limit // 4
+    return limit - tail, tail
+
+
+def _escaped(text: str) -> str:
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in text)
+
+
+class _Repr(reprlib.Repr):
+    """Looks at no more of an object than is shown; a long integer, which Python does not write, is told by its size."""
+
+    def __init__(self, limit: int) -> None:
+        super().__init__()
+        self.maxlevel = 4
+        self.maxtuple = self.maxlist = self.maxarray = self.maxset = self.maxfrozenset = self.maxdeque = 12
+        self.maxdict = 8
+        self.maxstring = self.maxother = limit
+
+    def repr_int(self, x: int, level: int) -> str:  # noqa: ARG002 - the interface of Repr
+        digits = int(abs(x).bit_length() * math.log10(2.0)) + 1
+        return repr(x) if digits <= _LONGEST_INTEGER else f"an integer of some {digits:,} digits"
+
+    def repr_str(self, x: str, level: int) -> str:  # noqa: ARG002
+        return quoted(x, self.maxstring)
+
+    def repr_bytes(self, x: Any, level: int) -> str:  # noqa: ARG002
+        return quoted(x, self.maxstring)

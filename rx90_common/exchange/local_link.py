@@ -1,0 +1,137 @@
+"""The exchange within one process: the same bytes as over DDS, handed over in memory.
+
+What is sent is also published while somebody listens, so that recorders and plots see no difference. Nothing is taken
+from DDS: who else publishes on these topics is not heard, and is announced.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.publisher_lock import lock_publisher
+
+_LOOK = 1.0  # s between two looks at the graph
+_LOOKS = 8  # that others must be seen in a row: a process that was killed stays in the graph for 5 s
+
+
+class LocalChannel:
+    """One end, with the interface of `Channel`; made by `LocalLink.end`.
+
+    Attributes:
+        subscribe_topic: resolved name of the topic that is received.
+    """
+
+    def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
+        self._node = node
+        self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
+        self._publisher = node.create_publisher(JointState, publish_topic, qos)
+        self.subscribe_topic = node.resolve_topic_name(subscribe_topic)
+        # Looked up once, as in `Channel`.
+        self._publish_raw = self._publisher.handle.publish_raw
+        self._listeners = self._publisher.handle.get_subscription_count
+        self._inbox: deque[bytes] = deque(maxlen=qos.depth)
+        self._arrived = threading.Event()
+        self._waiting = False
+        self._peer = self
+        self._serve: Callable[[], None] | None = None
+        self._others_seen = 0
+        self._timer = node.create_timer(_LOOK, self.look_for_others)
+
+    @property
+    def publisher(self) -> Publisher:
+        """The publisher, to look at what it is matched with and what has been acknowledged."""
+        return self._publisher
+
+    def connect(self, peer: LocalChannel) -> None:
+        """Send to `peer` from now on.
+
+        Raises:
+            ConfigError: if it receives another topic.
+        """
+        if self._publisher.topic_name != peer.subscribe_topic:
+            raise ConfigError(
+                f"{self._node.get_name()} publishes {self._publisher.topic_name}, {peer._node.get_name()} receives "
+                f"{peer.subscribe_topic}; accepted: the same topic, with remaps and namespaces alike for both nodes"
+            )
+        self._peer = peer
+
+    def serve_with(self, serve: Callable[[], None]) -> None:
+        """Let `serve` answer, on the thread that receives, when there is nothing to receive."""
+        self._serve = serve
+
+    def publish(self, raw: bytes) -> None:
+        """Hand a serialised JointState over, and publish it if somebody listens."""
+        # A message costs more than a tick's mathematics. Who is matched gets all that is sent from then on.
+        if self._listeners():
+            self._publish_raw(raw)
+        peer = self._peer
+        peer._inbox.append(raw)
+        if peer._waiting:
+            peer._arrived.set()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return the next message in the order of sending, or None after `timeout_s` or a `wake`."""
+        inbox = self._inbox
+        if not inbox and self._serve is not None:
+            self._serve()
+        if not inbox and timeout_s > 0.0:
+            # In this order: what comes in between is found, or announced.
+            self._waiting = True
+            if not inbox:
+                self._arrived.wait(timeout_s)
+            self._waiting = False
+            self._arrived.clear()
+        return inbox.popleft() if inbox else None
+
+    def wake(self) -> None:
+        """Make the current or the next `receive` that waits return at once; callable from every thread."""
+        self._arrived.set()
+
+    def matches(self) -> Matches:
+        """Return one of each: the peer is always there, and nobody else is heard."""
+        return Matches(1, 1)
+
+    def look_for_others(self) -> None:
+        """Announce, once for each time that they come, others that publish what only the peer is heard on."""
+        others = self._node.count_publishers(self.subscribe_topic) - 1
+        self._others_seen = self._others_seen + 1 if others > 0 else 0
+        if self._others_seen == _LOOKS:
+            self._node.get_logger().warning(
+                f"{others} other{'s publish' if others > 1 else ' publishes'} on {self.subscribe_topic}: not heard, "
+                f"because {self._peer._node.get_name()} runs in this process"
+            )
+
+
+class LocalLink:
+    """Two ends that are connected as soon as both are there."""
+
+    def __init__(self) -> None:
+        self._ends: list[LocalChannel] = []
+
+    def end(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> LocalChannel:
+        """Make an end, as the constructor of `Channel` does.
+
+        Raises:
+            ExchangeError: if another process on this machine publishes `publish_topic`.
+            ConfigError: if the two ends do not fit each other.
+        """
+        channel = LocalChannel(node, publish_topic, subscribe_topic, qos)
+        self._ends.append(channel)
+        if len(self._ends) == 2:
+            first, second = self._ends
+            first.connect(second)
+            second.connect(first)
+        return channel
+
+    def serve_with(self, serve: Callable[[], None]) -> None:
+        """Let `serve` run on the first end's thread when that end waits; it is to receive and publish at the second."""
+        self._ends[0].serve_with(serve)

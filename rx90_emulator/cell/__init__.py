@@ -1,0 +1,3 @@
+"""Simulation and controller in one process: both nodes, their ticks exchanged in memory."""
+
+__all__ = ["composition"]
