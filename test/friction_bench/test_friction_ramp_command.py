@@ -154,9 +154,7 @@ def test_existing_folder_is_refused_before_the_rig_moves(
 
 
 def test_source_figure_from_its_kind_of_velocity(tmp_path: Path) -> None:
-    """Velocities a t - b of the source's no-load ramp at each tick give its 0.1464 Nm read as instantaneous, and
-    m tick / 2 less, 0.1403 Nm, read as means of a tick, which is the default.
-    """
+    """Velocities a t - b give the source's 0.1464 Nm as instantaneous, 0.1403 Nm (m tick / 2 less) as tick means."""
     time = 0.02 * np.arange(1, 150)
     path = tmp_path / "source.txt"
     np.savetxt(path, np.maximum(949.5407 * time - 227.8898, 0.0))

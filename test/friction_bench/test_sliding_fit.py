@@ -81,9 +81,7 @@ def test_quick_ramps_are_those_of_the_rig_with_its_firmware(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["Coulomb-viscous", "LuGre"])
 def test_intervals_hold_whatever_the_release(kind: str) -> None:
-    """On random rigs, with friction that falls after break-away by up to 60 % too, the true f_c, f_v and J lie in most
-    95 % intervals and within 4.5 standard uncertainties.
-    """
+    """On random rigs the true f_c, f_v and J lie in most 95 % intervals and within 4.5 standard uncertainties."""
     deviations = []
     for number in range(6):
         rig = random_rig(1, number, kind)
@@ -138,9 +136,7 @@ def first_ramp(rig: Rig) -> RampRecord:
     [((0.03, 6.4e-4, 1.3e-5), True), ((0.10, 6e-4, 1.5e-4), False), ((0.11, 1e-3, 2e-5), False)],
 )
 def test_plan_gives_each_ramp_time_enough_to_slide(friction: tuple[float, float, float], kept: bool, rig: Rig) -> None:
-    """Slopes that suit the rig are kept; else the fastest planned ramp slides for 8 time constants and 1.4 s, none
-    turns the shaft beyond its travel, and the slopes differ enough to tell inertia from friction.
-    """
+    """Slopes that suit the rig are kept; else planned ramps slide for 8 time constants and 1.4 s, within the travel."""
     coulomb, viscous, inertia = friction
     changed = own(rig, *friction)
     plan = plan_from(first_ramp(changed), changed.ramps, changed)
