@@ -148,6 +148,8 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -
             close()
             if readings.samples:
                 write_joint_states(out / "bag", readings.series())
+            elif not records:
+                out.rmdir()  # nothing was measured, and the next try may take the same name
     kind = "emulated rig" if options.port == "emulated" else f"rig at {options.port}"
     return records, f"{len(records)} ramps on the {kind}"
 
