@@ -27,10 +27,11 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -63,6 +64,12 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
+class _Writer(Writer):
+    """The writer of rosbags, with checksums in mcap files."""
+
+    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChecksummedMcapWriter}  # noqa: RUF012 - its own
+
+
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
@@ -85,7 +92,7 @@ class BagWriter:
         self._checkpoint_ns = 0
         self._opened = self._closed = False
         with self._failures():
-            self._writer = Writer(
+            self._writer = _Writer(
                 self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()
@@ -176,11 +183,13 @@ class BagWriter:
 
     def _explained(self, error: Exception) -> BagError:
         if isinstance(error, WriterError):
-            return BagError(str(error))
+            return BagError(plain(error, 1000))
         reason = error.strerror if isinstance(error, OSError) else str(error)
         # What is refused before anything is written is the user's to mend: another folder, another name.
         failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-        return (BagWriteError if failed else BagError)(f"{self.path}: cannot be written ({reason})")
+        half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
+        kind = BagWriteError if failed else BagError
+        return kind(f"{plain(self.path)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)
