@@ -17,7 +17,7 @@ from scipy import stats
 from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
-from friction_bench.experiment.sliding_fit import SlidingFit, fit_sliding
+from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
 from friction_bench.experiment.window import SlidingWindow, break_away, sliding_window
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
@@ -206,7 +206,7 @@ def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentificatio
     return RampIdentification(tuple(ramps), source, None, None, 1.0, None, tuple(unused))
 
 
-def _bent(records: Sequence[RampRecord], fit: SlidingFit) -> dict[str, str]:
+def _bent(records: Sequence[RampRecord], fit: RampsFit) -> dict[str, str]:
     """Return by label why the velocity of a ramp follows no straight asymptote, of the ramps long enough to tell."""
     reasons = {}
     for record in records:
@@ -217,7 +217,7 @@ def _bent(records: Sequence[RampRecord], fit: SlidingFit) -> dict[str, str]:
     return reasons
 
 
-def _asymptote(record: RampRecord, fit: SlidingFit) -> RampFit | None:
+def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
     """Return the asymptote by the source's method, with T of all ramps; None where the ramp is too short for it."""
     _, viscous, inertia = fit.values
     try:
@@ -227,7 +227,7 @@ def _asymptote(record: RampRecord, fit: SlidingFit) -> RampFit | None:
 
 
 def _from_fit(
-    windows: Sequence[SlidingWindow], fit: SlidingFit, scale: float, unused: tuple[str, ...]
+    windows: Sequence[SlidingWindow], fit: RampsFit, scale: float, unused: tuple[str, ...]
 ) -> RampIdentification:
     coulomb, viscous, inertia = (float(value) for value in fit.values)
     if not (viscous > 0.0 and inertia > 0.0):
@@ -276,7 +276,7 @@ def _friction(values: Array, covariance: Array, freedom: float, scale: float) ->
     return RampFriction(estimates[0], estimates[1], estimates[2], covariance, freedom)
 
 
-def _by_repeats(fit: SlidingFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
+def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
     """Identify each repeat by itself and take the intervals from their scatter, without a model of the noise.
 
     A slope that was run once, as the first ramp of a measurement may be, belongs to no repeat.

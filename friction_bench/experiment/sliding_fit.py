@@ -112,7 +112,7 @@ class _Cell:
 
 
 @dataclass(frozen=True)
-class SlidingFit:
+class RampsFit:
     """What all ramps of one load say.
 
     Attributes:
@@ -154,7 +154,7 @@ def to_friction(shared: Array) -> Array:
     return np.array([beta / alpha, 1.0 / alpha, T / alpha])
 
 
-def fit_sliding(windows: Sequence[SlidingWindow]) -> SlidingFit:
+def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     """Fit all ramps of one load.
 
     Args:
@@ -178,7 +178,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> SlidingFit:
     best = cells[int(np.argmax(weights))]
     grams = np.array([part.gram for part in fit.parts(best.point, best.stribeck, noise)])
     likely = 1.0 - float(weights[0])
-    return SlidingFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
+    return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
 
 
 class _Fit:
