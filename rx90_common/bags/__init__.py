@@ -1,3 +1,14 @@
 """Bags: recorded from the running nodes, written from arrays, read back, summarised and compared."""
 
-__all__ = ["comparison", "joint_series", "ordering", "reading", "summary", "tables", "tolerance", "topics", "writing"]
+__all__ = [
+    "batch",
+    "comparison",
+    "joint_series",
+    "ordering",
+    "reading",
+    "summary",
+    "tables",
+    "tolerance",
+    "topics",
+    "writing",
+]

@@ -14,14 +14,17 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
+from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
 from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
+from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _HEADER = "std_msgs/msg/Header"
+_PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
 
 
 class Streams:
@@ -37,6 +40,7 @@ class Streams:
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
+        self._gathering = Gathering(_PAUSE)
         self._found: dict[str, Stream | None] = {}
         for topic in topics:
             try:
@@ -59,7 +63,7 @@ class Streams:
                 endpoints = self._node.get_publishers_info_by_topic(topic)
                 endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
-                    found = self._found[topic] = Stream(self._node, topic, index, endpoints)
+                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self._gathering)
                     on_found(found)
         return not self.missing()
 
@@ -85,24 +89,28 @@ class Stream:
         topic: absolute name.
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
+        gathering: of all topics of the node.
+
+    Attributes:
+        in_bulk: whether messages are taken many at a time.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
     """
 
-    def __init__(self, node: Node, topic: str, index: int, endpoints: Sequence[Any]) -> None:
+    def __init__(self, node: Node, topic: str, index: int, endpoints: Sequence[Any], gathering: Gathering) -> None:
         self.topic = topic
         self.index = index
         self.msgtype = _one_type(topic, endpoints)
         self.time_source = time_source(self.msgtype)
-        self.message_class = _message_class(topic, self.msgtype)
+        message_class = _message_class(topic, self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
         reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
         transient_local = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
         self._latched = transient_local
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=transient_local)
         self.subscription = node.create_subscription(
-            self.message_class,
+            message_class,
             topic,
             _never_called,
             QoSProfile(
@@ -113,6 +121,10 @@ class Stream:
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
+        gathering.include(self.subscription)
+        bulk = bulk_taker(self.subscription, topic)
+        self.in_bulk = bulk is not None
+        self._taker: Taker = bulk or SingleTaker(self.subscription, message_class)
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
@@ -123,6 +135,16 @@ class Stream:
     def needs_publisher(self) -> bool:
         """Return whether the topic is the steady output of a node, not a command that somebody sends at times."""
         return self.time_source is TimeSource.CLOCK or self._latched
+
+    def take(self) -> Taken:
+        """Return messages that have come, counted, not more than some hundred; none if there are none.
+
+        Raises:
+            BagError: if the middleware refuses.
+        """
+        taken = self._taker.take()
+        self.counter.add_many(taken.numbers)
+        return taken
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
