@@ -1,7 +1,7 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
-    python -m benchmarks [closed_loop] [control_law] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [sweep]
-                         [friction_ramp] [identification] [identification_presliding] [identification_time]
+    python -m benchmarks [closed_loop] [control_law] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [composition]
+                         [sweep] [friction_ramp] [identification] [identification_presliding] [identification_time]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
 """
@@ -22,6 +22,7 @@ NAMES = (
     "mujoco_lugre",
     "perturbation",
     "lockstep",
+    "composition",
     "sweep",
     "friction_ramp",
     "identification",

@@ -12,7 +12,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 from benchmarks.ping_pong import measure as measure_ping_pong
@@ -75,17 +75,17 @@ def _ticks_per_second(simulated: float) -> float:
     parameters = (f"duration:={simulated}", "real_time_factor:=0.0", "clock_rate:=10")
     with _node("rx90_controller"), _node("rx90_sim", *parameters) as simulation:
         stamps = _clock_until(lambda _now: simulation.poll() is not None)
-    return _slope(stamps) * Rates().base_hz
+    return slope(stamps) * Rates().base_hz
 
 
 def _free_running_rate(seconds: float) -> float:
     """Return the ticks per second of wall time in free-running time."""
     with _node("rx90_controller"), _node("rx90_sim", "time_mode:=free_running"):
         stamps = _clock_until(lambda now: now > seconds)
-    return _slope(stamps) * Rates().base_hz
+    return slope(stamps) * Rates().base_hz
 
 
-def _slope(stamps: list[tuple[float, float]]) -> float:
+def slope(stamps: Sequence[tuple[float, float]]) -> float:
     """Return simulated time per wall time, the beginning left out: there the graph is still being discovered."""
     tail = stamps[len(stamps) // 10 :]
     return (tail[-1][1] - tail[0][1]) / (tail[-1][0] - tail[0][0])

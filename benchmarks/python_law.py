@@ -49,7 +49,7 @@ class PythonLaw:
     """The six servo controllers of section 5, motor side."""
 
     def __init__(self, setup: Setup) -> None:
-        record = setup.controller.record(setup.drives, setup.rates)[0]
+        record = setup.controller.record(setup.robot, setup.drives, setup.rates)[0]
         names = [name for name in record.dtype.names or () if name != "current_gain"]
         self._constants = {name: record[name].tolist() for name in names}
         self._current_gain = float(record["current_gain"])

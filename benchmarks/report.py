@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import statistics
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -17,6 +18,11 @@ def print_table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for row in table:
         cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True))]
         print("  ".join(cells).rstrip())
+
+
+def spread(key: str, values: Sequence[float]) -> dict[str, float]:
+    """Return the median of several runs, the lowest and the highest of them, as figures."""
+    return {key: statistics.median(values), f"{key}_lowest": min(values), f"{key}_highest": max(values)}
 
 
 def merge(figures: Mapping[str, float], file: Path = BENCH_FILE) -> None:

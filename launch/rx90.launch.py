@@ -1,8 +1,8 @@
-"""Start the simulation and the controller and, when asked, robot_state_publisher and RViz."""
+"""Start simulation and controller, in a process each or in one, and, when asked, robot_state_publisher and RViz."""
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import LaunchConfiguration, OrSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -12,10 +12,13 @@ from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED
 
 PACKAGE = "rx90_emulator"
 FILES = ("tool", "drives", "friction", "controller")
+OF_SIMULATION = ("time_mode", "tool", "drives", "friction")
+OF_CONTROLLER = ("drives", "controller")
 ARGUMENTS = (
     ("time_mode", "lock_step", "lock_step or free_running"),
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
     *((name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in FILES),
+    ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
 )
@@ -28,17 +31,32 @@ def generate_launch_description() -> LaunchDescription:
         return {name: ParameterValue(LaunchConfiguration(name), value_type=str) for name in names}
 
     factor = ParameterValue(LaunchConfiguration("real_time_factor"), value_type=float)
+    apart = UnlessCondition(LaunchConfiguration("composed"))
     simulation = Node(
         package=PACKAGE,
         executable="rx90_sim",
         output="screen",
-        parameters=[given("time_mode", "tool", "drives", "friction") | {"real_time_factor": factor}],
+        parameters=[given(*OF_SIMULATION) | {"real_time_factor": factor}],
+        condition=apart,
     )
     controller = Node(
         package=PACKAGE,
         executable="rx90_controller",
         output="screen",
-        parameters=[given("drives", "controller")],
+        parameters=[given(*OF_CONTROLLER)],
+        condition=apart,
+    )
+    # Parameters of a launch file's node would go to both nodes of the process.
+    of_both = [("rx90_sim", name) for name in (*OF_SIMULATION, "real_time_factor")]
+    of_both += [("rx90_controller", name) for name in OF_CONTROLLER]
+    cell = Node(
+        package=PACKAGE,
+        executable="rx90_cell",
+        output="screen",
+        ros_arguments=[
+            word for node, name in of_both for word in ("-p", [f"{node}:{name}:=", LaunchConfiguration(name)])
+        ],
+        condition=IfCondition(LaunchConfiguration("composed")),
     )
     wanted = OrSubstitution(LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz"))
     transforms = Node(
@@ -58,4 +76,4 @@ def generate_launch_description() -> LaunchDescription:
     )
     declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
     # A missing package ends the launch: what may be missing comes first, so that no node is left behind then.
-    return LaunchDescription([*declared, transforms, rviz, simulation, controller])
+    return LaunchDescription([*declared, transforms, rviz, simulation, controller, cell])

@@ -11,13 +11,12 @@ import numpy as np
 
 from rx90_common.bags.alignment import Alignment, Side, align
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.reading import read_joint_series
-from rx90_common.bags.storage import BagReader
+from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.bags.topics import FIELDS, JOINT_STATE, absolute
+from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
 
@@ -83,12 +82,21 @@ class TopicComparison:
 
 @dataclass(frozen=True)
 class BagComparison:
-    """The comparison of two bags; `skipped` names the topics that are no JointState."""
+    """The comparison of two bags.
+
+    Attributes:
+        path_a: the first one.
+        path_b: the second one.
+        topics: the comparison of each topic.
+        skipped: names of the topics that are no JointState.
+        notes: what was read otherwise than a bag says.
+    """
 
     path_a: Path
     path_b: Path
     topics: tuple[TopicComparison, ...]
     skipped: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -153,17 +161,14 @@ def compare_bags(
     tolerances, scope = tolerances or Tolerances(), scope or Scope()
     check_type(tolerances=(tolerances, Tolerances), scope=(scope, Scope))
     paths = (Path(path_a), Path(path_b))
-    topics_a, skipped_a = _joint_state_topics(paths[0])
-    topics_b, skipped_b = _joint_state_topics(paths[1])
-    both = topics_a | topics_b
-    if not both:
-        raise BagError(f"neither {paths[0]} nor {paths[1]} holds a JointState topic")
-    wanted = sorted(both) if scope.topics is None else [absolute(topic) for topic in scope.topics]
+    chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
+    bag_a, bag_b = (read_joint_bag(path, chosen) for path in paths)
+    both = _joint_state_topics(bag_a) | _joint_state_topics(bag_b)
+    wanted = sorted(both) if chosen is None else chosen
     for topic in wanted:
         if topic not in both:
-            raise BagError(f"topic {topic} is in neither bag; JointState topics: {', '.join(sorted(both))}")
-    series_a = read_joint_series(paths[0], [topic for topic in wanted if topic in topics_a])
-    series_b = read_joint_series(paths[1], [topic for topic in wanted if topic in topics_b])
+            raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
+    series_a, series_b = bag_a.series, bag_b.series
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
         for topic in wanted
@@ -173,20 +178,22 @@ def compare_bags(
     for topic in wanted:
         results += _compare_topic(topic, series_a.get(topic), series_b.get(topic), tolerances, scope)
     if not results:
-        raise BagError(f"neither {paths[0]} nor {paths[1]} has a JointState message in the time window")
-    return BagComparison(*paths, tuple(results), tuple(sorted(skipped_a | skipped_b)))
+        there = " nor ".join(plain(path) for path in paths)
+        raise BagError(f"neither {there} has a JointState message in the time window")
+    skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.is_joint_state}
+    notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
+    return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes)
 
 
-def _joint_state_topics(path: Path) -> tuple[set[str], set[str]]:
-    """Return the bag's JointState topics and its other topics."""
-    with BagReader(path) as bag:
-        ours = {topic.name for topic in bag.topics if topic.msgtype == JOINT_STATE}
-        others = {topic.name for topic in bag.topics} - ours
-        if not any(topic.count for topic in bag.topics):
-            raise BagError(f"{path}: holds no messages")
-        if not ours:
-            raise BagError(f"{path}: holds no JointState topic, only {', '.join(sorted(others))}")
-    return ours, others
+def _joint_state_topics(bag: JointBag) -> set[str]:
+    """Return the names of a bag's JointState topics."""
+    ours = {topic.name for topic in bag.topics if topic.is_joint_state}
+    if not any(topic.count for topic in bag.topics):
+        raise BagError(f"{plain(bag.path)}: holds no messages")
+    if not ours:
+        others = listed(sorted({topic.name for topic in bag.topics}))
+        raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {others}")
+    return ours
 
 
 def _compare_topic(
@@ -209,7 +216,7 @@ def _compare_topic(
     for series_a, series_b in _pair_up(cut_a, cut_b):
         if series_a is None or series_b is None:
             there, where = (series_a, "first") if series_a is not None else (series_b, "second")
-            names = ", ".join(there.names) if there is not None else ""
+            names = listed(there.names) if there is not None else ""
             results.append(_incomparable(topic, f"only the {where} bag has messages of {names}"))
         else:
             results.append(compare_series(series_a, series_b, tolerances, scope))
@@ -248,7 +255,7 @@ def compare_series(
     a, b = scope.cut(a), scope.cut(b)
     joints = tuple(name for name in a.names if name in b.names)
     if not joints:
-        return _incomparable(a.topic, f"no joint in common: {', '.join(a.names)} against {', '.join(b.names)}")
+        return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
     alignment = align(a, b)
     if not len(alignment.stamp_ns):
         return _incomparable(a.topic, f"no stamp in common: {_span(a)} against {_span(b)}")
@@ -309,7 +316,7 @@ def _other_reasons(a: JointSeries, b: JointSeries) -> list[str]:
     for one, other, where in ((a, b, "first"), (b, a, "second")):
         names = [name for name in one.names if name not in other.names]
         if names:
-            reasons.append(f"only the {where} bag has {', '.join(names)}")
+            reasons.append(f"only the {where} bag has {listed(names)}")
         fields = [field for field in one.fields if field not in other.fields]
         if fields:
             reasons.append(f"only the {where} bag has {', '.join(fields)}")

@@ -6,17 +6,36 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.topics import JOINT_STATE, absolute
+from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_series", "read_joint_states"]
+
+
+@dataclass(frozen=True, eq=False)
+class JointBag:
+    """What was read of a bag.
+
+    Attributes:
+        path: of the bag.
+        topics: all topics that it holds.
+        series: by absolute topic name, as `read_joint_series` gives them.
+        notes: lines for the user about what was read otherwise than the bag says.
+    """
+
+    path: Path
+    topics: Sequence[BagTopic]
+    series: dict[str, list[JointSeries]]
+    notes: Sequence[str]
 
 
 def read_joint_states(
@@ -95,28 +114,46 @@ def read_joint_series(
         BagError: if the bag cannot be read or a topic is not there as JointState.
     """
     with BagReader(path) as bag:
-        there = {topic.name: topic for topic in bag.topics if topic.msgtype == JOINT_STATE}
-        wanted = there if topics is None else _pick(Path(path), bag.topics, topics)
-        builders = {
-            topic: SeriesBuilder(topic.name, partial(bag.deserialize, topic), cdr=not bag.is_ros1)
-            for topic in wanted.values()
-        }
-        try:
-            for topic, log_ns, data in bag.messages(list(wanted.values())):
-                builders[topic].add(data, log_ns if record_time else None)
-            return {topic.name: builder.build() for topic, builder in builders.items()}
-        except BagError as error:
-            text = str(error)
-            raise error if text.startswith(str(bag.path)) else BagError(f"{bag.path}: {text}") from error
+        wanted = [topic for topic in bag.topics if topic.is_joint_state]
+        if topics is not None:
+            wanted = _pick(Path(path), bag.topics, topics)
+        return _read(bag, wanted, record_time)
 
 
-def _pick(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> dict[str, BagTopic]:
-    by_name = {topic.name: topic for topic in there if topic.msgtype == JOINT_STATE}
-    picked = {}
-    for name in map(absolute, topics):
+def read_joint_bag(path: Path | str, topics: Collection[str] | None = None) -> JointBag:
+    """Read those of the topics that a bag holds, with a list of all it holds.
+
+    Args:
+        path: as `read_joint_states`.
+        topics: absolute topic names; by default all JointState topics of the bag.
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    with BagReader(path) as bag:
+        wanted = [topic for topic in bag.topics if topic.is_joint_state and (topics is None or topic.name in topics)]
+        return JointBag(Path(path), bag.topics, _read(bag, wanted, record_time=False), bag.notes)
+
+
+def _read(bag: BagReader, topics: Sequence[BagTopic], record_time: bool) -> dict[str, list[JointSeries]]:
+    builders = {
+        topic: SeriesBuilder(topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1) for topic in topics
+    }
+    try:
+        for topic, log_ns, data in bag.messages(topics):
+            builders[topic].add(data, log_ns if record_time else None)
+        return {topic.name: builder.build() for topic, builder in builders.items()}
+    except BagError as error:
+        text, path = str(error), plain(bag.path)
+        raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
+
+
+def _pick(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
+    by_name = {topic.name: topic for topic in there if topic.is_joint_state}
+    wanted = dict.fromkeys(map(absolute, topics))
+    for name in wanted:
         if name not in by_name:
-            others = [topic.msgtype for topic in there if topic.name == name]
-            what = f"{name} is {others[0]}" if others else f"no topic {name}"
-            raise BagError(f"{path}: {what}; JointState topics: {', '.join(by_name) or 'none'}")
-        picked[name] = by_name[name]
-    return picked
+            others = [topic.description for topic in there if topic.name == name]
+            what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
+            raise BagError(f"{plain(path)}: {what}; JointState topics: {listed(by_name) or 'none'}")
+    return [by_name[name] for name in wanted]

@@ -1,38 +1,71 @@
-"""Open any bag that rosbags can read; whatever is wrong with it becomes one BagError."""
+"""Open a bag, a folder or a file of its own; whatever is wrong with it becomes one BagError."""
 
 from __future__ import annotations
 
+import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2.reader import DirectoryReader, Reader
 from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.damage import explain, unfinished
+from rx90_common.bags.files.contents import DamagedError, StorageFile
+from rx90_common.bags.files.opening import ACCEPTED, open_file
+from rx90_common.bags.metadata import FILE, BagMetadata, check_counts, read_metadata
+from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import plain
+
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_CDR, _ROS1 = "cdr", "ros1"
 
 
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic as a bag lists it."""
+    """A topic as a bag lists it; `encoding` is that of its messages, such as cdr."""
 
     name: str
     msgtype: str
     count: int
+    encoding: str = _CDR
+
+    @property
+    def is_joint_state(self) -> bool:
+        """Return whether its messages can be read as joint states."""
+        return self.msgtype == JOINT_STATE and self.encoding in (_CDR, _ROS1)
+
+    @property
+    def description(self) -> str:
+        """Return its type in one line, with the encoding of its messages where that is not ROS 2's."""
+        kind = plain(self.msgtype) or "without a type"
+        return kind if self.encoding in (_CDR, _ROS1) else f"{kind} in {plain(self.encoding) or 'no encoding'}"
+
+    @property
+    def is_ros1(self) -> bool:
+        """Return whether its messages are serialised as ROS 1 does it."""
+        return self.encoding == _ROS1
 
 
 class BagReader:
     """A bag that is open for reading: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
 
-    Use it as a context manager. rosbags meets damaged files with many kinds of exceptions (its own,
-    struct.error, apsw errors, KeyError, ...); each leaves this class as a BagError of one line.
+    Use it as a context manager. Each storage file is held against its own index, counts and checksums, and all of them
+    against metadata.yaml where there is one; a folder without is read as its files are. What it says of quality of
+    service is not looked at, nor are the definitions of types that come with a bag.
 
     Args:
         path: the folder or file.
+
+    Attributes:
+        path: as given.
+        files: the storage files.
+        notes: lines for the user about what was read otherwise than the bag says.
 
     Raises:
         BagError: if the bag is missing, foreign, damaged, or its metadata disagree with what it holds.
@@ -41,111 +74,126 @@ class BagReader:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.exists():
-            raise BagError(f"{self.path}: no such bag")
-        self._reader: AnyReader | None = None
+            raise BagError(f"{plain(path)}: no such bag")
+        self.files: list[Path] = []
+        self.notes: list[str] = []
+        self._storages: list[StorageFile] = []
+        self._stack = ExitStack()
 
     def __enter__(self) -> BagReader:
-        reason = unfinished(self.path)
-        if reason is not None:
-            raise BagError(reason)
-        try:
-            reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-            reader.open()
-        except Exception as error:
-            raise BagError(explain(self.path, error)) from error
-        self._reader = reader
-        try:
-            self._check_metadata()
-        except BagError:
-            reader.close()
-            raise
+        with ExitStack() as stack:
+            metadata = self._find_files()
+            self._storages = [self._open_file(file, stack) for file in self.files]
+            if metadata is not None:
+                held = Counter[tuple[str, str]]()
+                for topic in self.topics:
+                    held[topic.name, topic.msgtype] += topic.count
+                check_counts(self.path, metadata, +held)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._reader is not None:
-            self._reader.close()
-            self._reader = None
+        self._storages = []
+        self._stack.close()
 
     @property
-    def is_ros1(self) -> bool:
-        """Return whether the messages are serialised as ROS 1 does it, not as CDR."""
-        return not self._open.is2
+    def storage(self) -> str:
+        """Return the kind of its files: mcap, db3 or bag."""
+        return ", ".join(sorted({storage.kind for storage in self._storages}))
+
+    @property
+    def compression(self) -> str:
+        """Return what is compressed in it, such as `zstd chunks`; known when it has been read."""
+        return ", ".join(sorted({storage.compression for storage in self._storages} - {""}))
 
     @property
     def topics(self) -> list[BagTopic]:
-        """Return the bag's topics by name; one that holds two types stands twice."""
-        counts: Counter[tuple[str, str]] = Counter()
-        for connection in self._open.connections:
-            counts[connection.topic, connection.msgtype] += connection.msgcount
-        return [BagTopic(name, msgtype, count) for (name, msgtype), count in sorted(counts.items())]
+        """Return the bag's topics by name; one that holds two types or two encodings stands twice."""
+        counts: Counter[tuple[str, str, str]] = Counter()
+        for storage in self._storages:
+            for topic in storage.topics:
+                counts[topic.name, topic.msgtype, topic.encoding] += topic.count
+        return [BagTopic(name, kind, count, encoding) for (name, kind, encoding), count in sorted(counts.items())]
 
     def messages(self, topics: Collection[BagTopic]) -> Iterator[tuple[BagTopic, int, bytes]]:
         """Yield (topic, log time in ns, serialised message) in the order of log time.
 
         Raises:
-            BagError: if the bag is damaged, or does not hold as many messages as it lists.
+            BagError: if the bag is damaged.
         """
-        wanted = {(topic.name, topic.msgtype): topic for topic in topics}
-        connections = [c for c in self._open.connections if (c.topic, c.msgtype) in wanted]
-        if not connections:
-            return
-        read: Counter[BagTopic] = Counter()
-        try:
-            for connection, log_ns, data in self._open.messages(connections):
-                topic = wanted[connection.topic, connection.msgtype]
-                read[topic] += 1
-                yield topic, log_ns, data
-        except Exception as error:
-            raise BagError(explain(self.path, error)) from error
-        for topic in wanted.values():
-            if read[topic] != topic.count:
-                raise BagError(
-                    f"{self.path}: damaged: {topic.name} should hold {topic.count} messages, {read[topic]} can be read"
-                )
+        wanted = {(topic.name, topic.msgtype, topic.encoding): topic for topic in topics}
+        parts = [
+            self._messages(file, storage, wanted) for file, storage in zip(self.files, self._storages, strict=True)
+        ]
+        yield from parts[0] if len(parts) == 1 else heapq.merge(*parts, key=itemgetter(1))
 
     def deserialize(self, topic: BagTopic, data: bytes) -> Any:
         """Return the message as rosbags builds it.
 
         Raises:
-            BagError: if the bytes are no message of the topic's type.
+            BagError: if the type is none of ROS's common interfaces, or the bytes are no message of it.
         """
+        store = _typestore(Stores.ROS1_NOETIC if topic.is_ros1 else Stores.ROS2_JAZZY)
+        if topic.msgtype not in store.fielddefs or topic.encoding not in (_CDR, _ROS1):
+            raise BagError(f"{plain(self.path)}: {plain(topic.name)} is {topic.description}, which is not known here")
         try:
-            return self._open.deserialize(data, topic.msgtype)
-        except Exception as error:
+            return (store.deserialize_ros1 if topic.is_ros1 else store.deserialize_cdr)(data, topic.msgtype)
+        except Exception as error:  # rosbags has no error of its own for bytes that do not fit
             raise BagError(
-                f"{self.path}: damaged: a message of {topic.name} is no {topic.msgtype} ({type(error).__name__})"
+                f"{plain(self.path)}: damaged: a message of {plain(topic.name)} is no {plain(topic.msgtype)} "
+                f"({type(error).__name__})"
             ) from error
 
-    @property
-    def _open(self) -> AnyReader:
-        if self._reader is None:
-            raise BagError(f"{self.path}: not open")
-        return self._reader
+    def _find_files(self) -> BagMetadata | None:
+        """Find the storage files; return the metadata if there are any."""
+        if not self.path.is_dir():
+            self.files = [self.path]
+            return None
+        there = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))
+        if (self.path / FILE).exists():
+            metadata = read_metadata(self.path)
+            self.files = [self.path / name for name in metadata.files]
+            missing = [file.name for file in self.files if not file.is_file()]
+            if missing:
+                raise BagError(f"{plain(self.path)}: {plain(missing[0])} is missing, which {FILE} names")
+            if self.files:
+                return metadata
+        if not there:
+            raise BagError(
+                f"{plain(self.path)}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}"
+            )
+        self.files = there
+        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in there))}")
+        return None
 
-    def _check_metadata(self) -> None:
-        """Compare the counts in metadata.yaml with those in the storage files."""
-        for reader in self._open.readers:
-            if not isinstance(reader, Reader) or not isinstance(reader.storage, DirectoryReader):
-                continue
-            listed = _counts(reader.connections)
-            held = _counts(c for storage in reader.storage.storages for c in storage.connections)
-            for key in sorted(listed.keys() | held.keys()):
-                if listed[key] != held[key]:
-                    topic, msgtype = key
-                    raise BagError(
-                        f"{self.path}: metadata.yaml says {listed[key]} messages of {topic} ({msgtype}), "
-                        f"the storage holds {held[key]}; 'ros2 bag reindex' writes it anew"
-                    )
-            if reader.message_count != listed.total():
-                raise BagError(
-                    f"{self.path}: metadata.yaml says {reader.message_count} messages in all, "
-                    f"its topics add up to {listed.total()}; 'ros2 bag reindex' writes it anew"
-                )
+    def _open_file(self, file: Path, stack: ExitStack) -> StorageFile:
+        try:
+            return open_file(file, stack)
+        except (DamagedError, BagError) as error:
+            raise self._refusal(file, error) from error
+        except OSError as error:
+            raise BagError(f"{plain(file)}: cannot be read ({error.strerror})") from error
+
+    def _messages(
+        self, file: Path, storage: StorageFile, wanted: dict[tuple[str, str, str], BagTopic]
+    ) -> Iterator[tuple[BagTopic, int, bytes]]:
+        topics = {t.key: topic for t in storage.topics if (topic := wanted.get((t.name, t.msgtype, t.encoding)))}
+        read = 0
+        try:
+            for key, log_ns, data in storage.messages(topics):
+                read += 1
+                yield topics[key], log_ns, data
+        except DamagedError as error:
+            raise self._refusal(file, error) from error
+        listed = sum(topic.count for topic in storage.topics if topic.key in topics)
+        if read != listed:
+            raise self._refusal(file, DamagedError(f"{listed:,} messages should be there, {read:,} can be read"))
+
+    def _refusal(self, file: Path, error: Exception) -> BagError:
+        what = "is damaged: " if isinstance(error, DamagedError) else ""
+        return BagError(f"{plain(self.path)}: {plain(file.name)} {what}{error}")
 
 
-def _counts(connections: Any) -> Counter[tuple[str, str]]:
-    counts: Counter[tuple[str, str]] = Counter()
-    for connection in connections:
-        if connection.msgcount:
-            counts[connection.topic, connection.msgtype] += connection.msgcount
-    return counts
+@cache
+def _typestore(name: Stores) -> Typestore:
+    return get_typestore(name)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.topics import JOINT_STATE
 from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 
@@ -25,6 +25,7 @@ class TopicSummary:
     Attributes:
         topic: topic name.
         msgtype: message type.
+        encoding: of its messages: cdr, or ros1, or another one.
         count: number of messages.
         time: "stamp" when the following count header.stamp, "log" when they count log time.
         first_ns: earliest time, None without messages.
@@ -39,6 +40,7 @@ class TopicSummary:
 
     topic: str
     msgtype: str
+    encoding: str
     count: int
     time: str
     first_ns: int | None
@@ -53,12 +55,23 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class BagSummary:
-    """What a bag holds; `size` is that of its files in bytes, `storage` the kind of its files."""
+    """What a bag holds.
+
+    Attributes:
+        path: of the bag.
+        storage: the kind of its files: mcap, db3 or bag.
+        compression: what is compressed in it: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
+        size: of its files in bytes.
+        topics: by name.
+        notes: what was read otherwise than the bag says.
+    """
 
     path: Path
     storage: str
+    compression: str
     size: int
     topics: tuple[TopicSummary, ...]
+    notes: tuple[str, ...]
 
     @property
     def count(self) -> int:
@@ -75,18 +88,18 @@ def summarise(path: Path | str) -> BagSummary:
     with BagReader(path) as bag:
         topics = bag.topics
         if not topics:
-            raise BagError(f"{bag.path}: holds no topics")
+            raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
         for topic, log_ns, data in bag.messages(topics):
-            times[topic].append(_joint_state_stamp(bag, topic, data) if topic.msgtype == JOINT_STATE else log_ns)
+            times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
-        storage = ", ".join(sorted({f.suffix[1:] for f in files if f.suffix in {".mcap", ".db3", ".bag"}}))
         summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
-        return BagSummary(bag.path, storage, sum(f.stat().st_size for f in files), summaries)
+        size = sum(file.stat().st_size for file in files)
+        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(bag.notes))
 
 
 def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
-    if not bag.is_ros1:
+    if not topic.is_ros1:
         return max(0, cdr_stamp_ns(data))
     return message_time_ns(bag.deserialize(topic, data).header.stamp)
 
@@ -105,8 +118,9 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
     return TopicSummary(
         topic=topic.name,
         msgtype=topic.msgtype,
+        encoding=topic.encoding,
         count=topic.count,
-        time="stamp" if topic.msgtype == JOINT_STATE else "log",
+        time="stamp" if topic.is_joint_state else "log",
         first_ns=first,
         last_ns=last,
         rate=rate,

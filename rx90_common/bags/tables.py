@@ -11,7 +11,8 @@ from typing import Any
 from rx90_common.bags.alignment import Side
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
-from rx90_common.bags.topics import UNITS
+from rx90_common.bags.topics import unit
+from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {
@@ -27,8 +28,9 @@ def comparison_text(comparison: BagComparison) -> str:
     """Return a table of the differences, topic by topic, and the verdict in the last line."""
     blocks = [_topic_text(topic) for topic in comparison.topics]
     if comparison.skipped:
-        blocks.append(f"not compared, as they are no JointState: {', '.join(comparison.skipped)}")
-    blocks.append(f"{comparison.path_a} against {comparison.path_b}: {_WORDS[comparison.verdict]}")
+        blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
+    blocks += comparison.notes
+    blocks.append(f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}")
     return "\n\n".join(blocks)
 
 
@@ -41,6 +43,7 @@ def comparison_json(comparison: BagComparison) -> str:
         "exit_code": int(comparison.verdict),
         "topics": [_topic_dict(topic) for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
+        "notes": list(comparison.notes),
     }
     return json.dumps(content, indent=2, allow_nan=False)
 
@@ -49,12 +52,12 @@ def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
     content = asdict(topic)
     content["verdict"] = topic.verdict.name.lower()
     for value in content["values"]:
-        value["unit"] = UNITS[value["field"]]
+        value["unit"] = unit(topic.topic, value["field"])
     return content
 
 
 def _topic_text(topic: TopicComparison) -> str:
-    lines = [f"{topic.topic}: {_WORDS[topic.verdict]}"]
+    lines = [f"{plain(topic.topic)}: {_WORDS[topic.verdict]}"]
     if topic.range_ns is not None:
         low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
         lines[0] += f", {topic.pairs} messages compared, t = {low} to {high} s"
@@ -62,7 +65,9 @@ def _topic_text(topic: TopicComparison) -> str:
     for side, where in ((topic.a, "first"), (topic.b, "second")):
         if side is not None and (note := _side_note(side)):
             lines.append(f"  {where} bag: {note}")
-    rows = [row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(list(values))]
+    rows = [
+        row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(topic.topic, list(values))
+    ]
     if rows:
         lines.append(_table(_COMPARED, rows, indent=2))
     return "\n".join(lines)
@@ -77,27 +82,27 @@ def _side_note(side: Side) -> str:
     return "; ".join(f"{count} {what}" for count, what in parts if count)
 
 
-def _field_rows(values: list[ValueDifference]) -> list[tuple[str, ...]]:
+def _field_rows(topic: str, values: list[ValueDifference]) -> list[tuple[str, ...]]:
     """Return one row per joint; one for all when none of them differs at all."""
     first = values[0]
     if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):
         tolerances = {v.tolerance for v in values}
         tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
-        return [(first.field, f"all {len(values)}", "0", "", "0", UNITS[first.field], tolerance, "")]
-    return [_value_row(value) for value in values]
+        return [(first.field, f"all {len(values)}", "0", "", "0", unit(topic, first.field), tolerance, "")]
+    return [_value_row(topic, value) for value in values]
 
 
-def _value_row(value: ValueDifference) -> tuple[str, ...]:
+def _value_row(topic: str, value: ValueDifference) -> tuple[str, ...]:
     beyond = f"{value.beyond}" if value.beyond else ""
     if value.not_finite:
         beyond += f" ({value.not_finite} not finite)"
     return (
         value.field,
-        value.joint,
+        plain(value.joint),
         f"{value.maximum:.3e}" if value.maximum else "0",
         "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
         f"{value.rms:.3e}" if value.rms else "0",
-        UNITS[value.field],
+        unit(topic, value.field),
         f"{value.tolerance:g}",
         beyond,
     )
@@ -111,14 +116,17 @@ def summary_json(summary: BagSummary) -> str:
 
 def summary_text(summary: BagSummary) -> str:
     """Return a table of the topics below one line about the whole bag."""
-    head = f"{summary.path}: {summary.storage}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
-    return f"{head}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
+    compression = f" ({summary.compression})" if summary.compression else ""
+    kind = f"{summary.storage}{compression}"
+    head = f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
+    notes = "".join(f"\n{note}" for note in summary.notes)
+    return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:
     return (
-        topic.topic,
-        topic.msgtype,
+        plain(topic.topic),
+        plain(topic.msgtype),
         f"{topic.count}",
         "" if topic.rate is None else f"{topic.rate:.3f}",
         _seconds(topic.first_ns),
@@ -137,6 +145,8 @@ def _remarks(topic: TopicSummary) -> str:
         remarks.append(f"time goes back {topic.backward} times")
     if topic.repeated:
         remarks.append(f"{topic.repeated} repeated times")
+    if topic.encoding not in ("cdr", "ros1"):
+        remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")
     if topic.time == "log" and topic.count:
         remarks.append("by log time")
     return "; ".join(remarks)

@@ -8,7 +8,7 @@ JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 STRING: Final = "std_msgs/msg/String"
 
 FIELDS: Final = ("position", "velocity", "effort")
-UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+_USUAL: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 
 SUITE_TOPICS: Final = (
     "joint_states",
@@ -16,19 +16,42 @@ SUITE_TOPICS: Final = (
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",
+    "rx90_controller/trajectory_accepted",
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
+    "rx90_controller/reference_acceleration",
+    "rx90_controller/commanded_current",
+    "rx90_controller/motor_current",
     "robot_description",
 )
 
-_QUANTITIES: Final = {"friction_states": ("bristle deflection", "input velocity", "friction torque")}
+_QUANTITIES: Final = {
+    "friction_states": {
+        "position": ("bristle deflection", "rad"),
+        "velocity": ("input velocity", "rad/s"),
+        "effort": ("friction torque", "Nm"),
+    },
+    # JointState has no field for these.
+    "reference_acceleration": {"effort": ("acceleration", "rad/s^2")},
+    "commanded_current": {"effort": ("current", "A")},
+    "motor_current": {"effort": ("current", "A")},
+}
 """What the fields of a topic's messages hold where it is not what they are called."""
 
 
 def quantities(topic: str) -> dict[str, str]:
     """Return what each field of a topic's messages holds, with its unit, such as `position [rad]`."""
-    names = _QUANTITIES.get(topic.rpartition("/")[2], FIELDS)
-    return {field: f"{name} [{UNITS[field]}]" for field, name in zip(FIELDS, names, strict=True)}
+    return {field: f"{name} [{unit}]" for field, (name, unit) in _fields(topic).items()}
+
+
+def unit(topic: str, field: str) -> str:
+    """Return the unit of a field of a topic's messages."""
+    return _fields(topic)[field][1]
+
+
+def _fields(topic: str) -> dict[str, tuple[str, str]]:
+    own = _QUANTITIES.get(topic.rpartition("/")[2], {})
+    return {field: own.get(field, (field, _USUAL[field])) for field in FIELDS}
 
 
 def absolute(topic: str) -> str:

@@ -87,6 +87,14 @@ class Section:
             self.refuse(key, value, "a mapping")
         return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
 
+    def sections(self, key: str) -> list[Section]:
+        """Return the mappings in the list under `key`."""
+        values = self._get(key, "a list of mappings")
+        if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+            self.refuse(key, values, "a list of mappings")
+        where = f"{self.path}{'.' if self.path else ''}{key}"
+        return [Section(value, self.file, f"{where}[{i}]") for i, value in enumerate(values)]
+
     def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
         """Return a finite number in [low, high], or in (low, high] with `above`."""
         accepted = _range_text(low, high, above)
@@ -270,8 +278,8 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
     text = StringIO(_read(path))
     try:
         data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, RecursionError) as error:
-        # All but the first: PyYAML on an explicit tag that its text does not fit, and on deep nesting while it scans.
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
         reason = plain(" ".join(str(error).replace('in "<file>", ', "").split()), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):

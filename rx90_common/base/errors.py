@@ -43,6 +43,10 @@ class DivergenceError(FailureError):
     """The plant's state left the range in which the model means anything."""
 
 
+class SupervisionError(FailureError):
+    """The controller's supervision has cut the power; the text names joint, value, limit and time."""
+
+
 class TrajectoryError(Rx90Error):
     """A trajectory is refused; the text names joint, index and reason."""
 

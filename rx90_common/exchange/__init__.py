@@ -6,6 +6,7 @@ __all__ = [
     "client_node",
     "environment",
     "joint_state_cdr",
+    "listeners",
     "local_link",
     "lockstep",
     "motor_messages",

@@ -10,6 +10,13 @@ if TYPE_CHECKING:
 MOTOR_NAMES: Final = tuple(f"motor_{i}" for i in range(1, 7))
 MOTOR_STATES: Final = "motor_states"
 MOTOR_COMMANDS: Final = "motor_commands"
+REFERENCE_ACCELERATION: Final = "reference_acceleration"
+COMMANDED_CURRENT: Final = "commanded_current"
+MOTOR_CURRENT: Final = "motor_current"
+DETAILS: Final = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
+"""Private topics of the controller: what the paper's block diagram has and the other topics do not."""
+DETAIL_DECIMATION: Final = 10
+"""Ticks of the position loop for each message of these."""
 TIME_MODE: Final = "time_mode"
 """Latched by the simulation: how time is kept; the controller follows it."""
 LOCK_STEP: Final = "lock_step"

@@ -14,7 +14,8 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
 from rx90_controller.law.parameters import CS7BParameters
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.law.supervision import DriveFault
+from rx90_controller.trajectory import TrajectoryGenerator
 
 _LOOKAHEAD = 64  # set-points that are sampled at once
 
@@ -29,18 +30,16 @@ class CS7B:
         law: compiled constants, shape (1,), CONTROLLER_DTYPE.
         state: compiled state, shape (1,), LAW_STATE_DTYPE.
         command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
+        fault: what the supervision has found since the last reset, if anything; who drives motors switches them off.
     """
 
     def __init__(self, robot: RobotModel, drives: DriveParameters, parameters: CS7BParameters, rates: Rates) -> None:
         self.joint_names = robot.joint_names
         self.rates = rates
-        self.law = parameters.record(drives, rates)
+        self.law = parameters.record(robot, drives, rates)
         self.state: np.ndarray[Any, Any] = np.zeros(1, LAW_STATE_DTYPE)
         self._gear = drives.gear
-        limits = JointLimits(
-            robot.joint_names, robot.lower, robot.upper, robot.max_velocity, parameters.start_tolerance
-        )
-        self.trajectory = TrajectoryGenerator(limits, rates.position_period, np.zeros(6))
+        self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(6))
         self.tick = 0
         self._lookahead = np.zeros((0, 3, 6))
         self._first = 0  # position tick of the first set-point in it
@@ -48,11 +47,14 @@ class CS7B:
         # Fixed memory: what is sent in every tick is read from there.
         self._reference = np.zeros((3, 6))
         self._error = np.zeros((3, 6))
+        self._details = np.zeros((3, 6))
         self.command: Array = self.state["command"][0]
+        self.fault: DriveFault | None = None
 
     def reset(self, position: Array, tick: int = 0) -> None:
         """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
         law_reset(self.state)
+        self.fault = None
         hold = np.empty(6)
         to_joint(self._gear, np.ascontiguousarray(position), hold)
         self.trajectory.reset(hold)
@@ -71,6 +73,7 @@ class CS7B:
             self.step(rest, rest)
         self.reference()
         self.tracking_error()
+        self.details()
         self.reset(rest)
 
     @property
@@ -95,10 +98,17 @@ class CS7B:
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
-            position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
+            tripped = position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
+            if tripped:
+                self.note_fault()
         velocity_loop(self.law, self.state, velocity)
         self.tick += 1
         return self.command
+
+    def note_fault(self) -> None:
+        """Keep the first fault, found by the supervision in the present tick."""
+        if self.fault is None:
+            self.fault = DriveFault.of(self.joint_names, self.law, self.state, self.tick * self.rates.period)
 
     def _setpoint(self, tick: int) -> Array:
         """Return the set-point of a position tick, from a block: sampling one alone takes longer than the law."""
@@ -108,7 +118,7 @@ class CS7B:
             self._first, row = tick, 0
             self._revision = self.trajectory.revision
         setpoint: Array = self._lookahead[row]
-        self._reference[:2] = setpoint[:2]
+        self._reference[:2], self._details[0] = setpoint[:2], setpoint[2]
         return setpoint
 
     @property
@@ -136,3 +146,12 @@ class CS7B:
         to_joint(self._gear, state["velocity_error"][0], velocity)
         to_joint_torque(self._gear, state["command"][0], torque)
         return position, velocity, torque
+
+    def details(self) -> tuple[Array, Array, Array]:
+        """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (6,).
+
+        Always the same arrays, brought up to date by this call.
+        """
+        acceleration, commanded, current = self._details
+        commanded[:], current[:] = self.state["commanded"][0], self.state["current"][0]
+        return acceleration, commanded, current

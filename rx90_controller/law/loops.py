@@ -14,6 +14,7 @@ from rx90_common.description.wrist import to_motor
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
+from rx90_controller.law.supervision import beyond_limits
 
 LAW_STATE_DTYPE = np.dtype(
     [
@@ -23,6 +24,7 @@ LAW_STATE_DTYPE = np.dtype(
         ("integrator", np.float64, 6),
         ("position_torque", np.float64, 6),  # PI block, held between position ticks
         ("feed_forward", np.float64, 6),  # FF block, held between position ticks
+        ("commanded", np.float64, 6),  # current that the amplifier is asked for, within its limit, A
         ("current", np.float64, 6),
         ("command", np.float64, 6),  # torque constant times current
         ("limited", np.float64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
@@ -39,22 +41,26 @@ def law_reset(states: Record) -> None:
     for i in range(6):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
         state.error[i] = state.velocity_error[i] = 0.0
-        state.current[i] = state.command[i] = 0.0
+        state.commanded[i] = state.current[i] = state.command[i] = 0.0
         state.limited[i] = state.saturated[i] = 0
         for k in range(3):
             state.reference[k, i] = 0.0
 
 
 @kernel
-def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> None:
-    """Run PI and FF for one position tick.
+def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
+    """Run PI, FF and the supervision for one position tick.
 
     Args:
         laws: constants, shape (1,), CONTROLLER_DTYPE.
         states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
         setpoint: joint position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
         position: motor positions by the encoders, rad, shape (6,).
-        velocity: measured motor velocities, rad/s, shape (6,); for the velocity error that is published.
+        velocity: measured motor velocities, rad/s, shape (6,); for the supervision and the velocity error that is
+            published.
+
+    Returns:
+        Whether the following error or the speed of a joint is beyond its limit: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
     for k in range(3):
@@ -69,10 +75,12 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         load(state.limited, 6),
     )
     store(state.error, loop.error)
-    store(state.velocity_error, load(state.reference[1], 6) - load(velocity, 6))
+    measured = load(velocity, 6)
+    store(state.velocity_error, load(state.reference[1], 6) - measured)
     store(state.integrator, loop.integrator)
     store(state.position_torque, loop.position_torque)
     store(state.feed_forward, loop.feed_forward)
+    return beyond_limits(law, loop.error, measured)
 
 
 @kernel
@@ -94,6 +102,7 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> None:
         load(velocity, 6),
         load(state.current, 6),
     )
+    store(state.commanded, loop.commanded)
     store(state.current, loop.current)
     store(state.command, loop.command)
     store(state.limited, loop.limited)

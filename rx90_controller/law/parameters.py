@@ -13,6 +13,8 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.robot import RobotModel
+from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
     [
@@ -30,6 +32,8 @@ CONTROLLER_DTYPE = np.dtype(
         ("peak_current", np.float64, 6),
         ("current_step", np.float64, 6),  # what the amplifier can change in a tick, A
         ("current_gain", np.float64),  # of the current loop per tick
+        ("following_error", np.float64, 6),  # supervised, motor side, rad
+        ("over_speed", np.float64, 6),  # supervised, motor side, rad/s
     ],
     align=True,
 )
@@ -77,7 +81,10 @@ class CS7BParameters:
         feed_forward: switches of all feed-forward parts.
         current_bandwidth: bandwidth of the current loop, Hz.
         current_slew: the amplifier's fastest change of current, A/s.
+        following_error: from where on the supervision cuts the power, joint by joint, rad.
+        over_speed: likewise, as a multiple of the joint's nominal speed.
         start_tolerance: how far a trajectory may start from the held set-point, rad.
+        max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
     """
 
     inertia: Array
@@ -91,7 +98,10 @@ class CS7BParameters:
     feed_forward: FeedForward
     current_bandwidth: float
     current_slew: Array
+    following_error: Array
+    over_speed: float
     start_tolerance: float
+    max_acceleration: Array
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -100,12 +110,31 @@ class CS7BParameters:
             value = np.asarray(getattr(self, field.name), dtype=np.float64)
             if not np.all(np.isfinite(value)) or np.any(value < 0):
                 raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
-        for name in ("inertia", "coulomb_velocity", "current_bandwidth", "current_slew"):
+        for name in (
+            "inertia",
+            "coulomb_velocity",
+            "current_bandwidth",
+            "current_slew",
+            "following_error",
+            "over_speed",
+            "max_acceleration",
+        ):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
 
-    def record(self, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
-        """Return the law's constants on the motor side, shape (1,), dtype CONTROLLER_DTYPE."""
+    def limits(self, robot: RobotModel) -> JointLimits:
+        """Return the limits that the set-points of an arm must keep."""
+        return JointLimits(
+            robot.joint_names,
+            robot.lower,
+            robot.upper,
+            robot.max_velocity,
+            self.max_acceleration,
+            self.start_tolerance,
+        )
+
+    def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
+        """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
         record = np.zeros(1, CONTROLLER_DTYPE)
         law = record[0]
         gear = drives.gear
@@ -124,6 +153,8 @@ class CS7BParameters:
         law["peak_current"] = drives.peak_current
         law["current_step"] = self.current_slew * rates.period
         law["current_gain"] = -np.expm1(-2.0 * np.pi * self.current_bandwidth * rates.period)
+        law["following_error"] = self.following_error * gear
+        law["over_speed"] = self.over_speed * robot.max_velocity * gear
         return record
 
 
@@ -134,8 +165,8 @@ def load_controller(path: Path) -> CS7BParameters:
         ConfigError: naming file, key, value and accepted range.
     """
     root = load_yaml(path)
-    names = ("servo", "feed_forward", "current_loop", "trajectory")
-    servo, forward, current, trajectory = (root.section(name) for name in names)
+    names = ("servo", "feed_forward", "current_loop", "supervision", "trajectory")
+    servo, forward, current, supervision, trajectory = (root.section(name) for name in names)
     parameters = CS7BParameters(
         inertia=np.array(servo.numbers("inertia", 6, 0.0, above=True)),
         kp=np.array(servo.numbers("kp", 6, 0.0)),
@@ -153,8 +184,11 @@ def load_controller(path: Path) -> CS7BParameters:
         ),
         current_bandwidth=current.number("bandwidth", 0.0, above=True),
         current_slew=np.array(current.numbers("slew_rate", 6, 0.0, above=True)),
+        following_error=np.array(supervision.numbers("following_error", 6, 0.0, above=True)),
+        over_speed=supervision.number("over_speed", 0.0, above=True),
         start_tolerance=trajectory.number("start_tolerance", 0.0),
+        max_acceleration=np.array(trajectory.numbers("max_acceleration", 6, 0.0, above=True)),
     )
-    for section in (servo, forward, current, trajectory, root):
+    for section in (servo, forward, current, supervision, trajectory, root):
         section.finish()
     return parameters

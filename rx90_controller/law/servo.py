@@ -38,8 +38,9 @@ class PositionLoop(NamedTuple):
 
 
 class VelocityLoop(NamedTuple):
-    """What the velocity loop leaves: motor current, torque, and the sign of the amplifier's saturation."""
+    """What the velocity loop leaves: commanded and motor current, torque, the sign of the amplifier's saturation."""
 
+    commanded: Lanes
     current: Lanes
     command: Lanes
     limited: Lanes
@@ -105,6 +106,7 @@ def velocity_servo(
     damping = gains.derivative * (gains.velocity_weight * velocity_setpoint - velocity)
     wanted = (position_torque + feed_forward + damping) / gains.torque_constant
     limited = select(wanted > gains.peak_current, 1.0, select(wanted < -gains.peak_current, -1.0, 0.0 * wanted))
-    change = current_gain * (clip(wanted, gains.peak_current) - current)
+    commanded = clip(wanted, gains.peak_current)
+    change = current_gain * (commanded - current)
     current = current + clip(change, gains.current_step)
-    return VelocityLoop(current, gains.torque_constant * current, limited)
+    return VelocityLoop(commanded, current, gains.torque_constant * current, limited)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -14,18 +16,20 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.quoting import one_line
-from rx90_common.base.rates import Rates
+from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare_rates, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
+    DETAIL_DECIMATION,
+    DETAILS,
     FREE_RUNNING,
     LATCHED_QOS,
     MOTOR_COMMANDS,
@@ -45,7 +49,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
-    """The topics ~/reference and ~/tracking_error, and lines for the user; called by the ticking thread."""
+    """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
     def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B) -> None:
         self._node, self._cs7b = node, cs7b
@@ -54,16 +58,30 @@ class ControllerOutputs:
         self._encode_error = codec.encoder(*cs7b.tracking_error())
         self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
         self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
-        self._all = (self._reference, self._error, channel.publisher)
+        motors = JointStateCodec(MOTOR_NAMES)
+        details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
+        self._details = [
+            (node.create_publisher(JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
+            for name, names, values in details
+        ]
+        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare(
+            node, "detail_decimation", DETAIL_DECIMATION,
+            f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
+        )  # fmt: skip
+        self._accepted = node.create_publisher(JointTrajectory, "~/trajectory_accepted", LATCHED_QOS.profile)
+        self._report: GuardCondition | None = None
+        self.publishers = (
+            self._reference,
+            self._error,
+            self._accepted,
+            *(publisher for publisher, _ in self._details),
+            channel.publisher,
+        )
         self._log = node.get_logger()
 
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
-        node_tools.wait_until_matched(self._node, self._all, _MATCH_ATTEMPTS)
-
-    def wait_until_received(self) -> None:
-        """Let the last messages reach who listens."""
-        node_tools.wait_until_received(self._all)
+        node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -74,6 +92,30 @@ class ControllerOutputs:
         if self._error.get_subscription_count():
             self._cs7b.tracking_error()
             self._error.publish(self._encode_error(stamp_ns))
+        if stamp_ns % self._detail_ns == 0:
+            self._publish_details(stamp_ns)
+
+    def _publish_details(self, stamp_ns: int) -> None:
+        self._cs7b.details()
+        for publisher, encode in self._details:
+            if publisher.get_subscription_count():
+                publisher.publish(encode(stamp_ns))
+
+    def report_with(self, report: Callable[[], None]) -> None:
+        """Have `report` called by the node's executor after each `wake`."""
+        self._report = self._node.create_guard_condition(report)
+
+    def wake(self) -> None:
+        """Wake the executor; callable from every thread."""
+        if self._report is not None:
+            self._report.trigger()
+
+    def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
+        """Publish a trajectory as it came, stamped with its start."""
+        taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
+        sec, nanosec = divmod(start_ns, NANOSECONDS)
+        taken.header.stamp = Time(sec=sec, nanosec=nanosec)
+        self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.
 
@@ -92,22 +134,30 @@ class Control:
     Args:
         make_channel: makes the exchange with the simulation.
         time_mode: how a simulation in this process keeps time; None: as the topic says.
+        own_args: arguments for ROS that concern this node of its process alone.
 
     Raises:
         ExchangeError: if that simulation's rates are not this one's.
 
     Attributes:
         node: for the executor.
+        publishers: of all that the ticking thread sends.
     """
 
-    def __init__(self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None) -> None:
-        self.node = Node("rx90_controller")
+    def __init__(
+        self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None, own_args: Sequence[str] = ()
+    ) -> None:
+        self.node = Node("rx90_controller", cli_args=list(own_args))
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
         self._cs7b = cs7b = self._build(rates)
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = self._outputs = ControllerOutputs(self.node, channel, cs7b)
-        self._loop = ServoLoop(cs7b, outputs)
+        outputs = ControllerOutputs(self.node, channel, cs7b)
+        self.publishers = outputs.publishers
+        about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+        horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+        self._loop = ServoLoop(cs7b, outputs, horizon)
+        outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
@@ -133,7 +183,7 @@ class Control:
             ExchangeError: if the simulation's rates are not this one's.
         """
         self._serving.run()
-        self._outputs.wait_until_received()
+        node_tools.wait_until_received(self.publishers)
 
     def hand_over(self) -> Callable[[], None]:
         """Return what answers one tick in lock-step, to be called by the thread that ticks; `tick_loop` then rests."""
@@ -142,6 +192,7 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+        self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
 
@@ -177,6 +228,9 @@ class Control:
                 "late ticks": str(counts.late),
                 "dropped ticks": str(counts.dropped),
             }
+        fault = self._loop.fault
+        if fault is not None:
+            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
         if not self._loop.running:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)

@@ -5,26 +5,20 @@ from __future__ import annotations
 import threading
 from typing import Any, Protocol
 
-from rx90_common.base.errors import TrajectoryError
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.trajectory.message import points_from_message, start_tick
+from rx90_controller.law.supervision import DriveFault
+from rx90_controller.node.requests import Log, Requests
 
 
-class Outputs(Protocol):
-    """Where set-points, tracking errors and lines for the user go."""
+class Outputs(Log, Protocol):
+    """Where set-points, tracking errors, accepted trajectories and lines for the user go."""
 
     def wait_for_subscribers(self) -> None:
         """Wait, not without end, until those who listen will get the first message."""
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
-
-    def info(self, text: str) -> None:
-        """Print what happened."""
-
-    def error(self, text: str) -> None:
-        """Print what went wrong."""
 
 
 class ServoLoop:
@@ -33,21 +27,23 @@ class ServoLoop:
     Args:
         cs7b: the control law, warmed up.
         outputs: get what it does, and what became of a trajectory.
+        horizon: how far ahead of its own time, s, a trajectory may start.
 
     Attributes:
         command: see `CS7B`.
         enabled: whether the motors get torque.
+        fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
-        rejected: number of trajectories that were refused.
     """
 
-    def __init__(self, cs7b: CS7B, outputs: Outputs) -> None:
+    def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float) -> None:
         self._cs7b, self._outputs = cs7b, outputs
+        self._requests = Requests(cs7b, outputs, horizon)
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.enabled = True
+        self.fault: DriveFault | None = None
         self.running = False
-        self.rejected = 0
         self._waiting: Any = None
 
     # The ticking thread.
@@ -63,7 +59,7 @@ class ServoLoop:
             self.running = True
             waiting, self._waiting = self._waiting, None
             if waiting is not None:
-                self._accept(waiting)
+                self._requests.take(waiting, enabled=self.enabled)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -73,10 +69,21 @@ class ServoLoop:
                 cs7b.reset(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
             slow = cs7b.on_position_tick
+            if slow:
+                self._requests.note_end()
             cs7b.step(states.position, states.velocity)
             if slow:
                 self._outputs.publish(stamp_ns)
-            return True
+            if cs7b.fault is None:
+                return True
+            self._trip(cs7b.fault)
+            cs7b.reset(states.position, cs7b.tick)
+            return False
+
+    def _trip(self, fault: DriveFault) -> None:
+        self.enabled, self.fault = False, fault
+        text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
+        self._requests.note(text, wrong=True)
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
@@ -89,29 +96,28 @@ class ServoLoop:
         """Switch the torque on or off; off, the brakes hold the arm."""
         with self._lock:
             self.enabled = on
+            if on:
+                self.fault = None
+
+    # The executor's thread.
+
+    @property
+    def rejected(self) -> int:
+        """Return how many trajectories were refused."""
+        return self._requests.rejected
 
     def offer(self, trajectory: Any) -> None:
-        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not."""
+        """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
+
+        One without points stops the arm.
+        """
         with self._lock:
             if self.running:
-                self._accept(trajectory)
+                self._requests.take(trajectory, enabled=self.enabled)
             else:
                 self._waiting = trajectory
-                self._outputs.info("a trajectory waits for the simulation's first tick")
+                self._requests.note("a trajectory waits for the simulation's first tick")
 
-    def _accept(self, trajectory: Any) -> None:
-        cs7b = self._cs7b
-        try:
-            if not self.enabled:
-                raise TrajectoryError("the controller is disabled; accepted: after a call of ~/enable with true")
-            points = points_from_message(cs7b.joint_names, trajectory)
-            start = start_tick(trajectory, cs7b.rates.position_hz)
-            begin = cs7b.trajectory.accept(points, cs7b.position_tick, start)
-        except TrajectoryError as error:
-            self.rejected += 1
-            self._outputs.error(f"trajectory rejected: {error}")
-            return
-        period = cs7b.rates.position_period
-        self._outputs.info(
-            f"trajectory accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin * period:.3f} s"
-        )
+    def report(self) -> None:
+        """Print and publish what there is to say; called after each `Outputs.wake`."""
+        self._requests.report()

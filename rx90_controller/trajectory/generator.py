@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,9 +12,42 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
+from rx90_controller.trajectory.ramps import stop, straight
 from rx90_controller.trajectory.spline import Spline, interpolate
 
 _CHECK_BLOCK = 4096
+
+
+class Schedule(NamedTuple):
+    """When an accepted trajectory runs, in position ticks, and by how much it misses its points at most, rad."""
+
+    begin: int
+    end: int
+    miss: float
+
+
+@dataclass
+class _Motion:
+    """A spline that begins at position tick `start`; `open` until its end has been told."""
+
+    start: int
+    spline: Spline
+    period: float
+    open: bool = True
+
+    @property
+    def end(self) -> int:
+        """Return the first position tick at which it rests."""
+        return self.start + _ticks(self.spline, self.period)
+
+    def setpoints(self, tick: int, count: int) -> Array:
+        """Return the set-points of `count` ticks from `tick` on, shape (count, 3, 6)."""
+        ticks = np.arange(tick - self.start, tick - self.start + count)
+        return self.spline.sample(np.asarray(ticks * self.period, dtype=np.float64))
+
+    def runs(self, tick: int) -> bool:
+        """Return whether it is not at its end at a tick."""
+        return (tick - self.start) * self.period < self.spline.duration
 
 
 class TrajectoryGenerator:
@@ -34,9 +69,8 @@ class TrajectoryGenerator:
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
-        self._current = _resting(np.array(hold, dtype=np.float64))
-        self._start = 0
-        self._next: tuple[int, Spline] | None = None
+        self._current = _Motion(0, _resting(np.array(hold, dtype=np.float64)), self.period, open=False)
+        self._next: _Motion | None = None
         self.revision += 1
 
     def delay(self, count: int, now: int) -> None:
@@ -46,12 +80,19 @@ class TrajectoryGenerator:
         the arm rests, it keeps its start tick, or starts now if that has passed.
         """
         self._promote(now - count)
-        resting = (now - count - self._start) * self.period >= self._current.duration
-        self._start += count
+        resting = not self._current.runs(now - count)
+        self._current.start += count
         if self._next is not None:
-            start, spline = self._next
-            self._next = max(start, now) if resting else start + count, spline
+            self._next.start = max(self._next.start, now) if resting else self._next.start + count
         self.revision += 1
+
+    def refined(self, ratio: int) -> TrajectoryGenerator:
+        """Return a generator of the same motions whose ticks are `ratio` times as frequent."""
+        period = self.period / ratio
+        finer = TrajectoryGenerator(self.limits, period, self._current.spline.final)
+        finer._current = replace(self._current, start=self._current.start * ratio, period=period)
+        finer._next = self._next and replace(self._next, start=self._next.start * ratio, period=period)
+        return finer
 
     def setpoints(self, tick: int, count: int = 1) -> Array:
         """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
@@ -59,19 +100,29 @@ class TrajectoryGenerator:
         Ticks must not go back to before the last `accept`.
         """
         if self._next is None:
-            return self._sample(self._current, self._start, tick, count)
-        start, spline = self._next
-        head = min(max(start - tick, 0), count)
-        before = self._sample(self._current, self._start, tick, head)
-        return np.concatenate([before, self._sample(spline, start, tick + head, count - head)])
+            return self._current.setpoints(tick, count)
+        head = min(max(self._next.start - tick, 0), count)
+        before = self._current.setpoints(tick, head)
+        return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
 
     def moving(self, tick: int) -> bool:
         """Return whether a trajectory runs or waits for its start at position tick `tick`."""
-        start, spline = self._next or (self._start, self._current)
-        return (tick - start) * self.period < spline.duration
+        return (self._next or self._current).runs(tick)
 
-    def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> int:
-        """Take a trajectory; return the position tick at which it starts.
+    def ended(self, tick: int) -> int | None:
+        """Return the position tick at which a trajectory has come to its end, once for each that does.
+
+        To be called in every position tick. A trajectory that another one has replaced has no end.
+        """
+        self._promote(tick)
+        motion = self._current
+        if not motion.open or tick < motion.end:
+            return None
+        motion.open = False
+        return motion.end
+
+    def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
+        """Take a trajectory; return when it runs.
 
         Args:
             points: the checked points.
@@ -81,6 +132,28 @@ class TrajectoryGenerator:
         Raises:
             TrajectoryError: if it lies in the past, starts elsewhere than the arm is, or breaks a limit.
         """
+        begin = self._begin(now, start)
+        held = self._current.setpoints(begin, 1)[0]
+        outside = self.limits.outside(held[0])
+        # An arm that was pushed beyond a limit may come back: from there on only inwards.
+        allowed = np.where(outside > 0.0, outside + self.limits.start_tolerance, 0.0)
+        self.limits.check_points((points.position, points.velocity, points.acceleration), allowed)
+        spline = _connect(points, held, self.limits)
+        self.limits.check_start(held, spline.sample(np.zeros(1))[0], self.period)
+        _check(spline, self.period, points.times, self.limits, allowed)
+        return self._follow(begin, spline)
+
+    def stop(self, now: int, start: int | None) -> Schedule:
+        """Brake every joint to rest from tick `start` on, `now` for None, and hold; return when that happens.
+
+        Raises:
+            TrajectoryError: if it lies in the past.
+        """
+        begin = self._begin(now, start)
+        position, velocity, _ = self._current.setpoints(begin, 1)[0]
+        return self._follow(begin, stop(position, velocity, self.limits.acceleration))
+
+    def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
         if begin < now:
             late = (now - begin) * self.period
@@ -88,54 +161,54 @@ class TrajectoryGenerator:
                 f"start time {begin * self.period:.6g} s is {late:.6g} s in the past; accepted: now or later"
             )
         self._promote(now)
-        spline = self._connect(points, begin)
-        self._check(spline, points.times, self._sample(self._current, self._start, begin, 1)[0, 0])
-        self._next = (begin, spline)
-        self.revision += 1
         return begin
+
+    def _follow(self, begin: int, spline: Spline) -> Schedule:
+        self._next = _Motion(begin, spline, self.period)
+        self.revision += 1
+        return Schedule(begin, self._next.end, spline.miss)
 
     def _promote(self, tick: int) -> None:
         """Make a trajectory that began before position tick `tick` the running one."""
-        if self._next is not None and self._next[0] < tick:
-            (self._start, self._current), self._next = self._next, None
+        if self._next is not None and self._next.start < tick:
+            self._current, self._next = self._next, None
 
-    def _sample(self, spline: Spline, start: int, tick: int, count: int) -> Array:
-        ticks = np.arange(tick - start, tick - start + count)
-        return spline.sample(np.asarray(ticks * self.period, dtype=np.float64))
 
-    def _check(self, spline: Spline, knots: Array, held: Array) -> None:
-        """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own.
+def _check(spline: Spline, period: float, knots: Array, limits: JointLimits, allowed: Array) -> None:
+    """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+    last = _ticks(spline, period)
+    for first in range(0, last, _CHECK_BLOCK):
+        # The blocks share a set-point, so that the step from one to the next is checked, too.
+        ticks = np.arange(first, min(first + _CHECK_BLOCK, last) + 1)
+        times = np.asarray(ticks * period, dtype=np.float64)
+        allowed = limits.check(spline.sample(times), times, knots, allowed)
 
-        An arm that was pushed beyond a limit, to `held`, may come back: from there on only inwards.
-        """
-        outside = self.limits.outside(held)
-        allowed = np.where(outside > 0.0, outside + self.limits.start_tolerance, 0.0)
-        last = math.ceil(spline.duration / self.period)
-        for first in range(0, last, _CHECK_BLOCK):
-            # The blocks share a set-point, so that the step from one to the next is checked, too.
-            ticks = np.arange(first, min(first + _CHECK_BLOCK, last) + 1)
-            times = np.asarray(ticks * self.period, dtype=np.float64)
-            allowed = self.limits.check(spline.sample(times), times, knots, allowed)
 
-    def _connect(self, points: TrajectoryPoints, begin: int) -> Spline:
-        """Return the spline through the points, begun at the set-point the arm will have at tick `begin`."""
-        held = self._sample(self._current, self._start, begin, 1)[0]
-        if points.times[0] > 0:
-            return interpolate(
-                np.concatenate([[0.0], points.times]),
-                np.vstack([held[0], points.position]),
-                None if points.velocity is None else np.vstack([held[1], points.velocity]),
-                None if points.acceleration is None else np.vstack([held[2], points.acceleration]),
-            )
-        gap = points.position[0] - held[0]
-        joint = int(np.argmax(np.abs(gap)))
-        if abs(gap[joint]) > self.limits.start_tolerance:
-            raise TrajectoryError(
-                f"point 0: {self.limits.names[joint]} starts at {points.position[0, joint]:.6g} rad, the "
-                f"set-point there is {held[0, joint]:.6g} rad; accepted: within "
-                f"{self.limits.start_tolerance:g} rad, or a first point later than the start"
-            )
-        return interpolate(points.times, points.position, points.velocity, points.acceleration)
+def _connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
+    """Return the spline through the points, begun at the set-point that the arm then has, shape (3, 6)."""
+    times, position, velocity, acceleration = points.times, points.position, points.velocity, points.acceleration
+    later = times[0] > 0
+    if later:
+        times = np.concatenate([[0.0], times])
+        position = np.vstack([held[0], position])
+        velocity = None if velocity is None else np.vstack([held[1], velocity])
+        acceleration = None if acceleration is None else np.vstack([held[2], acceleration])
+    gap = position[0] - held[0]
+    joint = int(np.argmax(np.abs(gap)))
+    if abs(gap[joint]) > limits.start_tolerance:
+        raise TrajectoryError(
+            f"point 0: {limits.names[joint]} starts at {position[0, joint]:.6g} rad, the "
+            f"set-point there is {held[0, joint]:.6g} rad; accepted: within "
+            f"{limits.start_tolerance:g} rad, or a first point later than the start"
+        )
+    if velocity is None:
+        return straight(times, position, held[1], limits, first=-1 if later else 0)
+    return interpolate(times, position, velocity, acceleration)
+
+
+def _ticks(spline: Spline, period: float) -> int:
+    """Return how many position ticks a spline takes; the rounding of a duration makes no tick more."""
+    return math.ceil(spline.duration / period - 1e-6)
 
 
 def _resting(position: Array) -> Spline:

@@ -9,6 +9,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.points import joint_order
 
 
 def points_from_message(robot_joints: Sequence[str], message: Any) -> TrajectoryPoints:
@@ -28,6 +29,15 @@ def points_from_message(robot_joints: Sequence[str], message: Any) -> Trajectory
         [point.velocities for point in message.points],
         [point.accelerations for point in message.points],
     )
+
+
+def check_joint_names(robot_joints: Sequence[str], message: Any) -> None:
+    """Check that a JointTrajectory names the robot's joints, each once, in any order.
+
+    Raises:
+        TrajectoryError: naming the joint that does not fit.
+    """
+    joint_order(robot_joints, list(message.joint_names))
 
 
 def start_tick(message: Any, position_hz: int) -> int | None:

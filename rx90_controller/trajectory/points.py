@@ -13,6 +13,7 @@ from rx90_common.base.quoting import quoted
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
+_SHORTEST_STEP = 0.5e-9  # s; messages have whole nanoseconds
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class TrajectoryPoints:
             TrajectoryError: naming joint, index of the point and reason.
         """
         robot_joints, joint_names, times = list(robot_joints), list(joint_names), list(times)
-        order = _joint_order(robot_joints, joint_names)
+        order = joint_order(robot_joints, joint_names)
         _check_times(times)
         named = [joint_names[i] for i in order]
         tables = {
@@ -71,7 +72,12 @@ class TrajectoryPoints:
         )
 
 
-def _joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list[int]:
+def joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list[int]:
+    """Return where each of the robot's joints stands among the names.
+
+    Raises:
+        TrajectoryError: for a name that is unknown, stands twice or is missing.
+    """
     for name in joint_names:
         if name not in robot_joints:
             raise TrajectoryError(f"unknown joint {quoted(name)}; accepted: {', '.join(robot_joints)}")
@@ -91,10 +97,13 @@ def _check_times(times: Sequence[float]) -> None:
             raise TrajectoryError(f"point {i}: time_from_start {time:g} s; accepted: a number up to {LONGEST:g} s")
     if times[0] < 0:
         raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: >= 0")
+    if 0.0 < times[0] < _SHORTEST_STEP:
+        raise TrajectoryError(f"point 0: time_from_start {times[0]:g} s; accepted: 0, or a nanosecond and more")
     for i in range(1, len(times)):
-        if not times[i] > times[i - 1]:
+        if not times[i] - times[i - 1] > _SHORTEST_STEP:
             raise TrajectoryError(
-                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: increasing times"
+                f"point {i}: time_from_start {times[i]:g} s after {times[i - 1]:g} s; accepted: increasing times, a "
+                "nanosecond or more apart"
             )
     if len(times) == 1 and times[0] == 0:
         raise TrajectoryError("one point at time_from_start 0; accepted: a point later than the start")

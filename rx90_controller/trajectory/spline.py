@@ -1,4 +1,4 @@
-"""Piecewise polynomials through trajectory points: linear, cubic or quintic by what the points carry."""
+"""Piecewise polynomials through trajectory points: cubic or quintic by what the points carry."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ class Spline:
         times: knots, s, shape (n,), increasing.
         coefficients: of powers 0 to 5 of the time since the knot, shape (n - 1, 6 powers, 6 joints).
         final: position after the last knot, rad, shape (6,).
+        miss: by how much it misses the points that it is to pass, at most, rad.
     """
 
     times: Array
     coefficients: Array
     final: Array
+    miss: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -58,10 +60,8 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
             setpoints[m, 2, j] = 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
 
 
-def interpolate(times: Array, position: Array, velocity: Array | None, acceleration: Array | None) -> Spline:
-    """Return the spline through the points.
-
-    Linear for positions alone, cubic with velocities, quintic with velocities and accelerations.
+def interpolate(times: Array, position: Array, velocity: Array, acceleration: Array | None) -> Spline:
+    """Return the spline through the points: cubic with velocities, quintic with velocities and accelerations.
 
     Args:
         times: s, shape (n,), increasing, n >= 2.
@@ -73,9 +73,7 @@ def interpolate(times: Array, position: Array, velocity: Array | None, accelerat
     coefficients = np.zeros((times.size - 1, 6, 6))
     p0, rise = position[:-1], np.diff(position, axis=0)
     coefficients[:, 0] = p0
-    if velocity is None:
-        coefficients[:, 1] = rise / h
-    elif acceleration is None:
+    if acceleration is None:
         v0, v1 = velocity[:-1], velocity[1:]
         coefficients[:, 1] = v0
         coefficients[:, 2] = (3 * rise / h - 2 * v0 - v1) / h

@@ -6,15 +6,22 @@ the ticking thread that it has in a process of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import pairwise
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.local_link import LocalLink
 from rx90_common.exchange.node_tools import TickingNode
 from rx90_common.exchange.topics import LOCK_STEP
 from rx90_controller.node.control import Control
 from rx90_sim.node.simulation import Simulation
+
+SIMULATION, CONTROLLER = "rx90_sim", "rx90_controller"
+_PARAMETER = re.compile(r"(?P<node>[^:]*):(?P<assignment>[^:]+:=.*)", re.DOTALL)
 
 
 def spin(args: Sequence[str]) -> None:
@@ -23,21 +30,40 @@ def spin(args: Sequence[str]) -> None:
     Raises:
         Rx90Error: for parameters that are refused, or what ends the ticks.
     """
-    node_tools.spin(compose, args)
+    node_tools.spin(partial(compose, own_parameters(args)), args)
 
 
-def compose() -> list[TickingNode]:
-    """Make both nodes and connect them.
+def own_parameters(args: Sequence[str]) -> dict[str, list[str]]:
+    """Return the arguments for each node alone, from `-p NODE:NAME:=VALUE`.
+
+    ROS takes NODE for a node in the root namespace, and says nothing where there is none of that name.
+
+    Raises:
+        ConfigError: for another node's name.
+    """
+    own: dict[str, list[str]] = {SIMULATION: [], CONTROLLER: []}
+    for option, word in pairwise(args):
+        match = _PARAMETER.fullmatch(word) if option in {"-p", "--param"} else None
+        if match is not None:
+            if match["node"] not in own:
+                raise ConfigError(f"-p {quoted(word)}: no such node here; accepted: {', '.join(own)}")
+            own[match["node"]] += ["-p", match["assignment"]]
+    return {node: ["--ros-args", *words] if words else [] for node, words in own.items()}
+
+
+def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
+    """Make both nodes, each with arguments for ROS of its own, and connect them.
 
     Raises:
         Rx90Error: for parameters, names and remaps that are refused.
     """
     link = LocalLink()
-    simulation = Simulation(link.end)
-    control = Control(link.end, simulation.time_mode)
+    simulation = Simulation(link.end, own[SIMULATION])
+    control = Control(link.end, simulation.time_mode, own[CONTROLLER])
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():
-        raise ConfigError(f"both nodes are named {name}; accepted: -r rx90_sim:__node:=... for one node alone")
+        raise ConfigError(f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone")
+    simulation.wait_also_for(control.publishers)
     if simulation.time_mode.mode == LOCK_STEP:
         link.serve_with(control.hand_over())
     return [simulation, control]

@@ -1,4 +1,4 @@
-"""Run the reference task with four processes over DDS, compare, and report."""
+"""Run the reference task with real nodes over DDS, compare, and report."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
+    parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
     parser.set_defaults(interrupted="every process has ended")
 
 
@@ -38,7 +39,7 @@ def main(options: argparse.Namespace) -> int:
     # Here, because a wrong option must not wait for them.
     from rx90_emulator.demo.demonstration import Demonstration
 
-    demonstration = Demonstration(resolve_config(options.task), real_time_factor=0.0 if options.short else 1.0)
+    demonstration = Demonstration(resolve_config(options.task), 0.0 if options.short else 1.0, options.composed)
     return 0 if demonstration.run(_folder(options.output)) else 1
 
 

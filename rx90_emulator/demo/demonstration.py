@@ -1,4 +1,4 @@
-"""The demonstration: four processes run the reference task; bags are compared, a report is written."""
+"""The demonstration: nodes in processes run the reference task; bags are compared, a report is written."""
 
 from __future__ import annotations
 
@@ -26,14 +26,19 @@ stands still until every process is there."""
 class Demonstration:
     """One run of the reference task in a folder of its own."""
 
-    def __init__(self, task_file: Path, real_time_factor: float) -> None:
-        """Read and plan the task; `real_time_factor` 0 is as fast as it goes.
+    def __init__(self, task_file: Path, real_time_factor: float, composed: bool = False) -> None:
+        """Read and plan the task.
+
+        Args:
+            task_file: the task.
+            real_time_factor: pace; 0 is as fast as it goes.
+            composed: simulation and controller share a process.
 
         Raises:
             Rx90Error: if the task cannot be read or travelled.
         """
         self._task_file = task_file
-        self._factor = real_time_factor
+        self._factor, self._composed = real_time_factor, composed
         self._setup = Setup.load()
         self._task = load_task(task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
@@ -65,7 +70,7 @@ class Demonstration:
             group.start("closed_loop", executable("rx90_run", *task, "--output", bag)).expect_success()
 
     def _run_processes(self, plan: LinePlan, bag: Path) -> float:
-        """Run the four processes to the end of the task; return the real-time factor."""
+        """Run the processes to the end of the task; return the real-time factor."""
         duration = START_TIME + plan.duration
         pose = ", ".join(repr(float(angle)) for angle in plan.start_pose)
         print("starting simulation, controller, trajectory and recorder ...", flush=True)
@@ -77,8 +82,11 @@ class Demonstration:
                 real_time_factor=repr(self._factor),
                 paused="true",
             )
-            simulation = group.start("simulation", executable("rx90_sim", *parameters))
-            group.start("controller", executable("rx90_controller"))
+            simulation = group.start(
+                "simulation", executable("rx90_cell" if self._composed else "rx90_sim", *parameters)
+            )
+            if not self._composed:
+                group.start("controller", executable("rx90_controller"))
             task = ("--from-file", self._task_file, "--start-time", START_TIME)
             line = group.start("trajectory", executable("rx90_line", *task))
             recorder.wait_for("ready: all")
@@ -95,7 +103,7 @@ class Demonstration:
         page = self._folder / "report.html"
         run = analyse(recorded, self._setup, self._task, START_TIME)
         messages = {topic.topic: topic.count for topic in summarise(recorded).topics}
-        facts = RunFacts(factor, self._factor, messages, recorded, baseline)
+        facts = RunFacts(factor, self._factor, self._composed, messages, recorded, baseline)
         write_report(page, self._setup, self._task, run, comparison, facts)
         within = run.path.worst <= PATH_LIMIT
         print(
@@ -111,5 +119,5 @@ class Demonstration:
 def _parameters(**values: str) -> list[str]:
     arguments = ["--ros-args"]
     for name, value in values.items():
-        arguments += ["-p", f"{name}:={value}"]
+        arguments += ["-p", f"rx90_sim:{name}:={value}"]
     return arguments

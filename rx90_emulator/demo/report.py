@@ -26,6 +26,7 @@ class RunFacts:
     Attributes:
         real_time_factor: simulated time over wall time.
         paced: the real-time factor that was asked for; 0 for none.
+        composed: whether simulation and controller shared a process.
         messages: recorded messages by topic.
         bag: the recorded bag.
         baseline: the bag it was compared with.
@@ -33,6 +34,7 @@ class RunFacts:
 
     real_time_factor: float
     paced: float
+    composed: bool
     messages: dict[str, int]
     bag: Path
     baseline: Path

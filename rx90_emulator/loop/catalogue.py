@@ -50,7 +50,10 @@ CONTROLLER_UNITS = {
     "viscous": "Nm s/rad",
     "current_bandwidth": "Hz",
     "current_slew": "A/s",
+    "following_error": "rad",
+    "over_speed": "1",
     "start_tolerance": "rad",
+    "max_acceleration": "rad/s^2",
 }
 FEED_FORWARD_UNITS = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous"), SWITCH)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Record
-from rx90_common.base.errors import check_type
+from rx90_common.base.errors import SupervisionError, check_type
 from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
@@ -15,6 +15,9 @@ from rx90_emulator.loop.result import FastSeries, RunResult, SlowSeries, empty_s
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
+
+TRIPPED = -2
+"""How a run ends in which the controller's supervision cuts the power."""
 
 
 @kernel
@@ -45,7 +48,8 @@ def run_ticks(
         slow: series to write.
 
     Returns:
-        How many ticks were run, and -1 or the joint that diverged in the last of them.
+        How many ticks were run, and -1; or the joint that diverged in the last of them; or TRIPPED, if the
+        controller's supervision cut the power in the tick after them.
     """
     state, law = plant_states[0], law_states[0]
     gear = laws[0].gear
@@ -58,7 +62,9 @@ def run_ticks(
             slow.joint_states[row, 2] = state.drive_torque
             slow.friction_states[row, 0] = state.z
             friction_states(plants, plant_states, slow.friction_states[row, 1], slow.friction_states[row, 2])
-            position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
+            tripped = position_loop(laws, law_states, setpoints[row], state.motor_position, state.motor_velocity)
+            if tripped:
+                return k - first, TRIPPED
         velocity_loop(laws, law_states, state.motor_velocity)
         if slow_tick:
             slow.reference[row, 0] = setpoints[row, 0]
@@ -67,6 +73,9 @@ def run_ticks(
             to_joint(gear, law.error, slow.tracking_error[row, 0])
             to_joint(gear, law.velocity_error, slow.tracking_error[row, 1])
             to_joint_torque(gear, law.command, slow.tracking_error[row, 2])
+            slow.details[row, 0] = setpoints[row, 2]
+            slow.details[row, 1] = law.commanded
+            slow.details[row, 2] = law.current
         if fast.motor_commands.shape[0] > 0:
             fast.motor_states[k, 0] = state.motor_position
             fast.motor_states[k, 1] = state.motor_velocity
@@ -102,6 +111,7 @@ def simulate(
         ConfigError: if the duration is shorter than a tick, or a time is not finite.
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
     rates = setup.rates
@@ -112,16 +122,27 @@ def simulate(
     controller.reset(plant.motor_states()[0])
     controller.trajectory.accept(points, 0, start)
     fast, slow = empty_series(ticks, rates.ratio, record_fast)
-    _run(plant, controller, ticks, fast, slow)
+    setpoints = controller.trajectory.setpoints(0, len(slow.joint_states))
+    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated)
 
 
-def _run(plant: Plant, controller: CS7B, ticks: int, fast: FastSeries, slow: SlowSeries) -> None:
+def run_setpoints(
+    plant: Plant, controller: CS7B, setpoints: Array, ticks: int, fast: FastSeries, slow: SlowSeries
+) -> None:
+    """Run `ticks` base ticks from tick 0 along set-points, one for each position tick, shape (m, 3, 6).
+
+    Raises:
+        DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
+    """
     ratio = controller.rates.ratio
-    setpoints = controller.trajectory.setpoints(0, len(slow.joint_states))
-    done, joint = run_ticks(
+    done, end = run_ticks(
         plant.constants, plant.state, controller.law, controller.state, setpoints, ratio, 0, ticks, fast, slow
     )
     plant.tick = controller.tick = done
-    if joint >= 0:
-        plant.raise_divergence(joint)
+    if end >= 0:
+        plant.raise_divergence(end)
+    if end == TRIPPED:
+        controller.note_fault()
+        raise SupervisionError(f"{controller.fault}; the controller's supervision has cut the power")

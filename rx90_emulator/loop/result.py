@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
-from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.loop.setup import Setup
 
 _ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
@@ -34,12 +34,14 @@ class SlowSeries(NamedTuple):
         friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
         reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
         tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
+        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, 6).
     """
 
     joint_states: Array
     friction_states: Array
     reference: Array
     tracking_error: Array
+    details: Array
 
 
 def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
@@ -52,7 +54,7 @@ def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries,
     fast_rows = ticks if record_fast else 0
     try:
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-        slow = SlowSeries(*(np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6)))
+        slow = SlowSeries(*(np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6)))
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -92,6 +94,11 @@ class RunResult:
             _series("/rx90_controller/reference", joints, slow.reference, position_period),
             _series("/rx90_controller/tracking_error", joints, slow.tracking_error, position_period),
         ]
+        for k, (name, names) in enumerate(zip(DETAILS, (joints, MOTOR_NAMES, MOTOR_NAMES), strict=True)):
+            values = np.ascontiguousarray(slow.details[:, k])
+            series.append(
+                JointSeries(f"/rx90_controller/{name}", names, _stamps(values, position_period), effort=values)
+            )
         if self.fast is not None:
             series.append(_series(f"/{MOTOR_STATES}", MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
             commands = self.fast.motor_commands
@@ -116,7 +123,8 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         run: the run.
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        decimation: keep every n-th message of the topics on position ticks.
+        decimation: keep every n-th message of the topics on position ticks, as the nodes publish them: those that the
+            controller publishes in every tenth position tick only are decimated from there.
 
     Raises:
         BagError: if the folder exists or cannot be written.
@@ -128,8 +136,10 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     description = string_message("/robot_description", run.setup.robot.urdf)
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
-    kept = slice(None, None, decimation)
-    series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
+    series = []
+    for topic, one in run.series.items():
+        every = decimation * (DETAIL_DECIMATION if topic.rpartition("/")[2] in DETAILS else 1)
+        series.append(one if topic in _ON_BASE_TICKS else one.take(slice(None, None, every)))
     write_joint_states(path, series, storage=storage, messages=[description])
 
 

@@ -31,6 +31,7 @@ _STATE_ROWS = {
     "current": 6,
     "limited": 6,
     "saturated": 6,
+    "tripped": 1,  # 1 where the supervision would have cut the power
     "diverged": 1,  # 1 where a joint exceeded its speed limit, or is not a number
     # Workspace of a step.
     "q_mid": 6,

@@ -116,6 +116,7 @@ def _run(
             if k % ratio == 0:
                 _record(tables.jacobian[row], state, group * lanes, row, series, lanes)
                 _position_loops(servos[group], tables.reference[row], state, lanes)
+                _supervise(servos[group], plant.gear, state, lanes)
                 _mark_divergence(plant.speed_limit, state, lanes)
             _interpolate(tables.coefficients, k, spacing, state)
             _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
@@ -152,6 +153,7 @@ def _record(jacobian: Array, state: Any, first: int, row: int, series: Series, l
 
 @inlined
 def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) -> None:
+    """Run PI and FF; leave the position errors in `rhs`."""
     for i in range(6):
         loop = position_servo(
             load_gains(servos[i], lanes),
@@ -165,6 +167,23 @@ def _position_loops(servos: Record, reference: Array, state: Any, lanes: int) ->
         store(state.integrator[i], loop.integrator)
         store(state.position_torque[i], loop.position_torque)
         store(state.feed_forward[i], loop.feed_forward)
+        store(state.rhs[i], loop.error)
+
+
+@inlined
+def _supervise(servos: Record, gear: Array, state: Any, lanes: int) -> None:
+    """Mark runs beyond a limit of `rx90_controller.law.supervision`; the position errors are in `rhs`."""
+    tripped = load(state.tripped[0], lanes)
+    for i in range(6):
+        error, speed = load(state.rhs[i], lanes), load(state.motor_velocity[i], lanes)
+        if i == 5:  # motor 6 turns with joints 5 and 6 together
+            share = gear[5] / gear[4]
+            error = error - share * load(state.rhs[4], lanes)
+            speed = speed - share * load(state.motor_velocity[4], lanes)
+        # The comparisons are false for NaN too.
+        tripped = select(absolute(error) <= load(servos[i].following_error, lanes), tripped, 1.0)
+        tripped = select(absolute(speed) <= load(servos[i].over_speed, lanes), tripped, 1.0)
+    store(state.tripped[0], tripped)
 
 
 @inlined

@@ -34,6 +34,8 @@ class PerturbationResult:
         bristles: deflections of the seven friction elements, rad, shape (runs, m, 7).
         tip_deviation: J(q0) dq, m, shape (runs, m, 3).
         saturated: ticks in which each amplifier was at its limit, shape (runs, 6).
+        tripped: whether a joint went beyond a limit of the controller's supervision, which would have cut the power;
+            the series go on without it. Shape (runs,).
         diverged: whether a joint exceeded its speed limit tenfold; such a run's series mean nothing. Shape (runs,).
     """
 
@@ -42,6 +44,7 @@ class PerturbationResult:
     bristles: Array
     tip_deviation: Array
     saturated: NDArray[np.int64]
+    tripped: NDArray[np.bool_]
     diverged: NDArray[np.bool_]
 
     def joint_position(self, run: int) -> Array:
@@ -122,14 +125,14 @@ class PerturbationModel:
         run(self.plants, self.tables, self.spacing, ratio, *groups, series)
         # A diverged run may have counted into NaN.
         saturated = np.nan_to_num(np.moveaxis(states["saturated"], 2, 1).reshape(-1, 6)[:runs])
-        diverged = states["diverged"].reshape(-1)[:runs]
-        return PerturbationResult(self, *series, saturated.astype(np.int64), diverged.astype(np.bool_))
+        tripped, diverged = (states[name].reshape(-1)[:runs].astype(np.bool_) for name in ("tripped", "diverged"))
+        return PerturbationResult(self, *series, saturated.astype(np.int64), tripped, diverged)
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
-        drives, rates = self.setup.drives, self.setup.rates
+        robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
         if controllers is None:
-            return [self.setup.controller.record(drives, rates)] * runs
-        return [controller.record(drives, rates) for controller in controllers]
+            return [self.setup.controller.record(robot, drives, rates)] * runs
+        return [controller.record(robot, drives, rates) for controller in controllers]
 
 
 def prepare(
@@ -163,10 +166,9 @@ def prepare(
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
     controller.reset(encoders)
-    hold = controller.trajectory.setpoints(0)[0, 0]
     controller.trajectory.accept(points, 0, start)
     setpoints = controller.trajectory.setpoints(0, -(-ticks // rates.ratio))
-    motion = nominal_motion(points, hold, start * rates.ratio, ticks, rates)
+    motion = nominal_motion(controller.trajectory, ticks, rates)
     slow = motion.position[: -1 : rates.ratio]
     apart = max(1, round(spacing * rates.base_hz))
     tables = Tables(

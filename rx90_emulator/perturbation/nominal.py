@@ -12,7 +12,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.kernels.compiled import kernel
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_sim.manipulator import mass_and_bias
 
 
@@ -36,21 +36,15 @@ class NominalMotion(NamedTuple):
     slip: Array
 
 
-def nominal_motion(points: TrajectoryPoints, hold: Array, start: int, ticks: int, rates: Rates) -> NominalMotion:
+def nominal_motion(trajectory: TrajectoryGenerator, ticks: int, rates: Rates) -> NominalMotion:
     """Return the motion of the set-points on base ticks.
 
     Args:
-        points: the trajectory, which the controller has accepted.
-        hold: position before it starts, rad, shape (6,).
-        start: base tick at which it starts.
+        trajectory: the generator that has accepted the motion, on ticks of the position loop.
         ticks: length of the motion in base ticks.
         rates: rates of the loops.
     """
-    everywhere = np.full(6, np.inf)
-    # The controller has checked the trajectory; between its ticks no limits apply.
-    limits = JointLimits(("",) * 6, -everywhere, everywhere, everywhere, start_tolerance=np.inf)
-    generator = TrajectoryGenerator(limits, rates.period, hold)
-    generator.accept(points, 0, start)
+    generator = trajectory.refined(rates.ratio)
     position, velocity, _ = np.moveaxis(generator.setpoints(0, ticks + 1), 1, 0)
     step = rates.period
     acceleration = np.diff(velocity, axis=0) / step

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -26,14 +27,15 @@ class Simulation:
 
     Args:
         make_channel: makes the exchange with the controller.
+        own_args: arguments for ROS that concern this node of its process alone.
 
     Attributes:
         node: for the executor.
         time_mode: how time is kept.
     """
 
-    def __init__(self, make_channel: MakeChannel = Channel) -> None:
-        self.node = node = Node("rx90_sim")
+    def __init__(self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = ()) -> None:
+        self.node = node = Node("rx90_sim", cli_args=list(own_args))
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
         self._ticks = Ticks(node, self._plant, self._parameters, make_channel)
@@ -55,6 +57,10 @@ class Simulation:
             DivergenceError: naming joint and tick.
         """
         self._ticks.run()
+
+    def wait_also_for(self, publishers: Sequence[Publisher]) -> None:
+        """Let what these have sent arrive, too, before a run that is not paced goes on."""
+        self._ticks.listeners.add(publishers)
 
     def stop(self) -> None:
         """End `tick_loop` soon."""

@@ -10,6 +10,7 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.listeners import Listeners
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
@@ -37,6 +38,7 @@ class Ticks:
     Attributes:
         control: takes requests from other threads.
         pacer: the clock.
+        listeners: who is waited for in a run that is not paced.
         held: commands in free-running time.
         lockstep: exchange in lock-step.
     """
@@ -46,6 +48,7 @@ class Ticks:
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
+        self._unpaced = parameters.real_time_factor == 0.0
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
@@ -56,6 +59,8 @@ class Ticks:
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self.lockstep = LockstepSimulation(self._channel, log.info)
+        ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
+        self.listeners = Listeners(self._publishers, ticks, self.control.interrupting)
         timeout = round(parameters.command_timeout * rates.base_hz)
         self.held = HeldCommand(self._channel, self._torques, timeout, log.info)
 
@@ -96,6 +101,8 @@ class Ticks:
         if raw is None:
             return False
         plant.step(self._torques(raw))
+        if self._unpaced:
+            self.listeners.tick_done()
         self.pacer.wait()
         return True
 

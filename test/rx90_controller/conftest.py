@@ -68,7 +68,10 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
             "feed_forward": dataclasses.replace(FeedForward.off(), velocity=True),
             "current_bandwidth": 800.0,
             "current_slew": FREE * six,
+            "following_error": FREE * six,
+            "over_speed": FREE,
             "start_tolerance": 10.0,
+            "max_acceleration": FREE * six,
         }
         controller = CS7B(
             dataclasses.replace(shipped.robot, lower=-100 * six, upper=100 * six, max_velocity=1000 * six),

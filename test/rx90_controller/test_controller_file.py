@@ -19,7 +19,12 @@ from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
-POSITIVE_SIX = [("servo", "inertia"), ("current_loop", "slew_rate")]
+POSITIVE_SIX = [
+    ("servo", "inertia"),
+    ("current_loop", "slew_rate"),
+    ("supervision", "following_error"),
+    ("trajectory", "max_acceleration"),
+]
 SIX = [
     *POSITIVE_SIX,
     ("servo", "kp"),
@@ -29,7 +34,7 @@ SIX = [
     ("feed_forward", "coulomb_torque"),
     ("feed_forward", "viscous_friction"),
 ]
-POSITIVE_ONE = [("feed_forward", "coulomb_velocity"), ("current_loop", "bandwidth")]
+POSITIVE_ONE = [("feed_forward", "coulomb_velocity"), ("current_loop", "bandwidth"), ("supervision", "over_speed")]
 ONE = [*POSITIVE_ONE, ("trajectory", "start_tolerance")]
 SWITCHES = [("feed_forward", key) for key in ("velocity", "acceleration", "coulomb", "viscous")]
 
@@ -100,7 +105,7 @@ def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, 
     assert f"{'.'.join(place)} is missing" in said
 
 
-@pytest.mark.parametrize("block", ["servo", "feed_forward", "current_loop", "trajectory"])
+@pytest.mark.parametrize("block", ["servo", "feed_forward", "current_loop", "supervision", "trajectory"])
 def test_a_block_is_checked(shipped_files: RobotFiles, edited_yaml: Edit, block: str) -> None:
     """A missing block, a block that is no mapping and an unknown key in it are refused by name."""
     source = shipped_files.controller
@@ -130,6 +135,6 @@ def test_parameters_built_in_python_are_checked(shipped: Setup, name: str, bad: 
 def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles) -> None:
     """The blocks with values carry their provenance; none of them is called published."""
     data = yaml.safe_load(shipped_files.controller.read_text())
-    for block in ("servo", "feed_forward", "current_loop"):
+    for block in ("servo", "feed_forward", "current_loop", "supervision", "trajectory"):
         assert data[block]["provenance"] == "assumed"
     assert np.all(load_controller(shipped_files.controller).inertia > 0)

@@ -35,11 +35,9 @@ def step_to(servo: Any, target: Array) -> None:
 
 def ramp(servo: Any, speed: Array, seconds: float) -> None:
     """Give a set-point that runs at constant speed."""
-    servo.controller.trajectory.accept(
-        TrajectoryPoints.create(NAMES, NAMES, [0.0, seconds], [[0.0] * 6, speed * seconds], [[], []], [[], []]),
-        0,
-        None,
-    )
+    times, end = [0.0, seconds, seconds + 0.1], speed * seconds
+    rows, rates = [[0.0] * 6, end, end + 0.05 * speed], [speed, speed, [0.0] * 6]
+    servo.controller.trajectory.accept(TrajectoryPoints.create(NAMES, NAMES, times, rows, rates, [[]] * 3), 0, None)
 
 
 def sampled_loop(reference: Callable[[int], tuple[float, float]], ticks: int, ratio: int, period: float) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, Traject
 
 Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
-LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), 1e-3)
+LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 60.0), 1e-3)
 PERIOD = 1e-3
 HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
 ZERO = np.zeros(6)
@@ -52,7 +54,7 @@ def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
     generator: TrajectoryGenerator,
 ) -> None:
     """A single point with velocity is a cubic from the held set-point, then its position is held."""
-    assert generator.accept(move(0.4, 0.5), now=10, start=None) == 10
+    assert generator.accept(move(0.4, 0.5), now=10, start=None) == (10, 510, 0.0)
     assert generator.moving(10)
     got = generator.setpoints(10, 800)
     times = np.arange(800) * PERIOD
@@ -66,7 +68,7 @@ def test_a_first_point_later_than_the_start_is_reached_from_the_held_position(
 
 def test_a_start_in_the_future_waits_at_the_held_position(generator: TrajectoryGenerator) -> None:
     """Until its start tick the old set-point is held, bit for bit; from it on the motion runs."""
-    assert generator.accept(move(0.4, 0.5), now=0, start=300) == 300
+    assert generator.accept(move(0.4, 0.5), now=0, start=300) == (300, 800, 0.0)
     assert generator.moving(0)
     got = generator.setpoints(0, 1000)
     assert np.all(got[:301, 0] == HOME)
@@ -165,12 +167,11 @@ def test_a_start_within_the_tolerance_is_taken(generator: TrajectoryGenerator) -
 
 
 def test_a_point_beyond_a_limit_is_refused(generator: TrajectoryGenerator) -> None:
-    """A point beyond a joint limit is refused by point, joint, value, time and limits."""
+    """A point beyond a joint limit is refused by point, joint, value and limits."""
     far = HOME.copy()
     far[1] = 2.1
     said = refused(generator, lambda: points([1.0, 3.0, 5.0], [HOME, far, HOME], [ZERO] * 3), 600, None)
-    assert said.startswith("point 1: joint_2 gets a set-point position 2.0")
-    assert said.endswith("accepted: [-2, 2]")
+    assert said.startswith("point 1: joint_2 has the position 2.1 rad; accepted: [-2, 2]")
 
 
 def test_an_overshoot_between_points_is_refused(generator: TrajectoryGenerator) -> None:
@@ -184,17 +185,114 @@ def test_an_overshoot_between_points_is_refused(generator: TrajectoryGenerator) 
 
 def test_a_motion_that_is_too_fast_is_refused(generator: TrajectoryGenerator) -> None:
     """A velocity beyond a joint's limit is refused by point, joint, value and time."""
-    said = refused(generator, lambda: points([0.5, 0.8], [HOME, HOME + 1.0], None), 600, None)
-    assert said.startswith("point 1: joint_1 gets a set-point velocity 3.33333 rad/s")
-    assert "at 0.5" in said
+    said = refused(generator, lambda: points([0.5, 0.9], [HOME, HOME + 1.0], [ZERO] * 2), 600, None)
+    assert said.startswith("point 1: joint_1 gets a set-point velocity 3.0")
+    assert "at 0.6" in said
     assert said.endswith("accepted: [-3, 3]")
 
 
 def test_a_jump_between_two_set_points_is_refused(generator: TrajectoryGenerator) -> None:
     """Points that fit between two set-points cannot hide a jump."""
     times = [0.9, 0.9002, 0.9003, 1.2]
-    said = refused(generator, lambda: points(times, [HOME, HOME, HOME - 0.5, HOME - 0.5], None), 600, None)
-    assert said.startswith("point 3: joint_1 gets a set-point step of -500 rad/s")
+    said = refused(generator, lambda: points(times, [HOME, HOME, HOME - 0.5, HOME - 0.5], [ZERO] * 4), 600, None)
+    assert said.startswith("point 3: joint_1 gets a set-point jump of -0.5 rad")
+
+
+def test_an_acceleration_beyond_the_limit_is_refused(generator: TrajectoryGenerator) -> None:
+    """A motion that keeps position and speed, but asks for too much acceleration, is refused by joint and amount."""
+    # A cubic from rest to rest begins with 6 d/T^2.
+    said = refused(generator, lambda: points([0.5, 0.6], [HOME, HOME + 0.15], [ZERO] * 2), 600, None)
+    assert said == (
+        "point 1: joint_1 gets a set-point acceleration 90 rad/s^2 on the way there, at 0.500 s; accepted: [-60, 60]"
+    )
+
+
+def test_velocities_cannot_jump(generator: TrajectoryGenerator) -> None:
+    """Neither from what is held to the first point nor between two set-points."""
+    fast = [ZERO + 0.1, ZERO]
+    said = refused(generator, lambda: points([0.0, 1.0], [HOME + 0.4, HOME], fast), 600, None)
+    assert said.startswith("point 0: joint_1 starts at 0.1 rad/s, the set-point there moves at 0 rad/s; accepted: wit")
+    times, there = [0.5, 0.50045, 0.5005, 1.0], [HOME, HOME, HOME + 1e-5, HOME + 0.05]
+    said = refused(generator, lambda: points(times, there, [ZERO, ZERO, ZERO + 0.1, ZERO]), 600, None)
+    assert said.startswith("point 3: joint_1 gets a set-point step of the velocity of 100.2 rad/s^2")
+
+
+@pytest.mark.parametrize("value", [1e300, -1e300, 1e5])
+@pytest.mark.parametrize("carries", ["positions", "velocities", "accelerations"])
+@pytest.mark.filterwarnings("error")
+def test_absurd_values_are_refused_without_a_warning(
+    generator: TrajectoryGenerator, value: float, carries: str
+) -> None:
+    """Numbers whose powers overflow are refused by point, joint and value, and NumPy has nothing to say."""
+    bad = ZERO.copy()
+    bad[3] = value
+    tables = {
+        name: [ZERO, bad if name == carries else ZERO, ZERO] for name in ("positions", "velocities", "accelerations")
+    }
+    given = TrajectoryPoints.create(NAMES, NAMES, [1e-9, 2e-9, 0.1], *tables.values())
+    with pytest.raises(
+        TrajectoryError, match=rf"^point 1: joint_4 has the .* {re.escape(f'{value:g}')} rad\S*; accepted: \["
+    ):
+        generator.accept(given, 0, None)
+
+
+def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
+    """From the running set-point on velocity falls evenly to 0, at the limit; the place is v^2/(2 a) further."""
+    generator.accept(points([1.0], [HOME + np.array([1.0, 0.5, -0.5, 0.2, 0.0, -1.0])], [ZERO]), 0, None)
+    position, velocity, _ = generator.setpoints(400)[0]
+    begin, end, _ = generator.stop(300, 400)
+    assert (begin, end) == (400, 400 + np.ceil(np.abs(velocity).max() / 60.0 / PERIOD))
+    times = np.arange(200)[:, None] * PERIOD
+    ramp = np.minimum(times, np.abs(velocity) / 60.0)
+    got = generator.setpoints(400, 200)
+    assert got[:, 0] == pytest.approx(position + ramp * velocity - np.sign(velocity) * 30.0 * ramp**2, abs=1e-12)
+    assert got[:, 1] == pytest.approx(velocity - np.sign(velocity) * 60.0 * ramp, abs=1e-12)
+    assert [generator.ended(tick) for tick in range(399, end + 3)] == [None] * (end - 399) + [end, None, None]
+
+
+def test_a_stop_drops_what_waits_and_is_refused_in_the_past(generator: TrajectoryGenerator) -> None:
+    """At rest a stop ends at once; a trajectory that waits for its start does not run any more."""
+    generator.accept(move(0.4, 0.5), 0, 300)
+    assert generator.stop(100, None) == (100, 100, 0.0)
+    assert np.all(generator.setpoints(100, 900)[:, 0] == HOME)
+    with pytest.raises(TrajectoryError, match=r"start time 0.05 s is 0.05 s in the past"):
+        generator.stop(100, 50)
+
+
+def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
+    """A trajectory that comes to its end tells it in that tick; one that is replaced has none."""
+    generator.accept(move(0.4, 0.5), 0, 100)
+    generator.accept(move(0.2, 0.5), 0, 50)
+    generator.accept(move(0.1, 0.2), 0, 550)
+    assert [tick for tick in range(1000) if generator.ended(tick) is not None] == [750]
+    generator.accept(move(0.2, 0.5), 1000, 1000)
+    told = [generator.ended(tick) for tick in range(1000, 1100)]
+    generator.delay(70, 1170)
+    assert [tick for tick in range(1170, 1700) if generator.ended(tick) is not None] == [1570]
+    assert told == [None] * 100
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_wherever_it_is_stopped_an_accepted_motion_stays_within_the_limits(data: st.DataObject) -> None:
+    """Between any two set-points the accelerations are kept, and braking finds room before the position limits."""
+    values = st.floats(-1.0, 1.0)
+    count = data.draw(st.integers(1, 3))
+    times = np.cumsum([data.draw(st.floats(0.05, 0.8)) for _ in range(count)])
+    position = [np.full(6, 2.0 * data.draw(values)) for _ in range(count)]
+    velocity = [np.full(6, 3.0 * data.draw(values)) for _ in range(count - 1)] + [ZERO]
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    try:
+        _, end, _ = generator.accept(
+            points(times.tolist(), position, data.draw(st.sampled_from([velocity, None]))), 0, None
+        )
+    except TrajectoryError:
+        return
+    got = generator.setpoints(0, end + 2)
+    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-5)
+    assert np.abs(np.diff(got[:, 0], axis=0) / PERIOD).max() <= 3.0 + 60.0 * PERIOD
+    room = got[:, 0] + got[:, 1] * np.abs(got[:, 1]) / 120.0
+    assert np.abs(room).max() <= 2.0 + 1e-5
 
 
 def test_long_trajectories_are_checked_to_their_end() -> None:
@@ -205,7 +303,7 @@ def test_long_trajectories_are_checked_to_their_end() -> None:
         spike[5] = -2.0 - 1e-6
         said = refused(
             TrajectoryGenerator(LIMITS, PERIOD, HOME),
-            lambda p=spike, t=times: points(t, [HOME, p, HOME, HOME]),
+            lambda p=spike, t=times: points(t, [HOME, p, HOME, HOME], [ZERO] * 4),
             600,
             None,
         )
@@ -217,16 +315,17 @@ def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
     end = np.full(6, 2.0)
     generator.accept(points([2.0], [end], [ZERO]), 0, None)
     assert np.all(generator.setpoints(2001)[0, 0] == 2.0)
-    generator.accept(points([4.0 / 3.0], [np.full(6, -2.0)], None), 2002, None)
-    assert generator.setpoints(2003)[0, 1] == pytest.approx(-3.0)
+    # Ramps of 0.05 s, in each of which half of the way is lost.
+    generator.accept(points([4.0 / 3.0 + 0.05], [np.full(6, -2.0)], None), 2002, None)
+    assert generator.setpoints(2002 + 50)[0, 1] == pytest.approx(-3.0)
 
 
 def test_limits_that_are_none_are_refused() -> None:
     """Joint limits with lower >= upper or without velocity are refused."""
-    with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0"):
-        JointLimits(NAMES, np.full(6, 1.0), np.full(6, 1.0), np.full(6, 3.0), 1e-3)
-    with pytest.raises(ConfigError, match="accepted"):
-        JointLimits(NAMES, np.full(6, -1.0), np.full(6, 1.0), np.zeros(6), 1e-3)
+    one = np.ones(6)
+    for bad in ((one, one, one, one), (-one, one, ZERO, one), (-one, one, one, ZERO)):
+        with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0, acceleration > 0"):
+            JointLimits(NAMES, *bad, 1e-3)
 
 
 def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:
@@ -258,7 +357,7 @@ def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
     inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
     generator = TrajectoryGenerator(LIMITS, PERIOD, held)
     for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
-        with pytest.raises(TrajectoryError, match="joint_3 gets a set-point position"):
+        with pytest.raises(TrajectoryError, match=r"joint_3 (gets a set-point|has the) position"):
             generator.accept(bad, 0, None)
     with pytest.raises(TrajectoryError, match="joint_3"):
         TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)
@@ -315,7 +414,7 @@ class Reference:
         both = TrajectoryPoints.create(
             NAMES, NAMES, [0.0, seconds], [position, to], [velocity, ZERO], [acceleration, ZERO]
         )
-        alone = TrajectoryGenerator(LIMITS, PERIOD, position)
+        alone = TrajectoryGenerator(replace(LIMITS, acceleration=np.full(6, np.inf)), PERIOD, position)
         alone.accept(both, 0, 0)
         self.waiting = begin, round(seconds / PERIOD), alone
 
@@ -350,7 +449,7 @@ def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
             begin = tick + data.draw(st.integers(0, 200))
             target = TrajectoryPoints.create(NAMES, NAMES, [seconds], [to], [ZERO], [ZERO])
             revision = generator.revision
-            assert generator.accept(target, tick, begin) == begin
+            assert generator.accept(target, tick, begin).begin == begin
             assert generator.revision != revision
             reference.accept(to, seconds, tick, begin)
         elif what == "delay":

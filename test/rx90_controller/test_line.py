@@ -18,7 +18,7 @@ from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.plan import LinePlan, approach_time, plan_line
 from rx90_controller.lines.task import LineTask, load_task
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
 TURNING = LineTask(
@@ -225,8 +225,7 @@ def test_short_lines_and_short_rests(shipped: Setup, task: LineTask, length: flo
 def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipped: Setup, plan: LinePlan) -> None:
     """The set-point generator accepts the plan; each 1 kHz set-point is within 0.1 um of its place."""
     robot = shipped.robot
-    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity, 1e-3)
-    generator = TrajectoryGenerator(limits, 1e-3, plan.start_pose)
+    generator = TrajectoryGenerator(shipped.controller.limits(robot), 1e-3, plan.start_pose)
     points = TrajectoryPoints.create(
         robot.joint_names,
         plan.joint_names,
@@ -235,7 +234,7 @@ def test_the_controller_takes_the_plan_and_its_set_points_stay_on_the_line(shipp
         plan.velocity.tolist(),
         plan.acceleration.tolist(),
     )
-    start = generator.accept(points, now=7, start=None)
+    start = generator.accept(points, now=7, start=None).begin
     setpoints = generator.setpoints(start, 5601)[:, 0]
     tip = forward(robot.chain, setpoints).position
     assert np.linalg.norm(tip - plan.tip(np.arange(5601) * 1e-3), axis=1).max() < 1e-7

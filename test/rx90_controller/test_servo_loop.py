@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +20,8 @@ class Surroundings:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.published: list[int] = []
+        self.taken: list[tuple[int, int]] = []
+        self.report: Callable[[], None] = lambda: None
 
     def info(self, text: str) -> None:
         """Note a line."""
@@ -35,6 +39,14 @@ class Surroundings:
         """Note when."""
         self.published.append(stamp_ns)
 
+    def accepted(self, trajectory: SimpleNamespace, start_ns: int) -> None:
+        """Note how many points, and when they start."""
+        self.taken.append((len(trajectory.points), start_ns))
+
+    def wake(self) -> None:
+        """Report at once."""
+        self.report()
+
 
 class Rig:
     """A servo loop on motors that stand still, ticked by hand."""
@@ -43,7 +55,8 @@ class Rig:
         self.around = Surroundings()
         self.cs7b = setup.cs7b()
         self.names = setup.robot.joint_names
-        self.loop = ServoLoop(self.cs7b, self.around)
+        self.loop = ServoLoop(self.cs7b, self.around, horizon=60.0)
+        self.around.report = self.loop.report
         self.period = setup.rates.period_ns
         self.position = np.zeros(6)
 
@@ -55,21 +68,30 @@ class Rig:
         """Run ticks; return for each whether there is torque."""
         return [self.loop.step(tick * self.period, self.states(tick)) for tick in range(first, first + count)]
 
-    def trajectory(self, target: float, seconds: int = 1) -> SimpleNamespace:
-        """Return a message that moves all joints to `target`, rad, from now on."""
+    def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
+        """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
         empty: list[float] = []
         point = SimpleNamespace(
             positions=[target] * 6, velocities=[0.0] * 6, accelerations=empty, effort=empty,
             time_from_start=SimpleNamespace(sec=seconds, nanosec=0),
         )  # fmt: skip
-        header = SimpleNamespace(stamp=SimpleNamespace(sec=0, nanosec=0))
-        return SimpleNamespace(header=header, joint_names=list(self.names), points=[point])
+        return SimpleNamespace(header=header(stamp), joint_names=list(self.names), points=[point])
+
+    def empty(self, names: Sequence[str] = (), stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
+        """Return a message without points."""
+        return SimpleNamespace(header=header(stamp), joint_names=list(names), points=[])
+
+
+def header(stamp: tuple[int, int]) -> SimpleNamespace:
+    """Return the header of a message."""
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]))
 
 
 @pytest.fixture
 def rig(shipped: Setup) -> Rig:
-    """Return a servo loop that has seen nothing yet."""
-    return Rig(shipped)
+    """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
+    controller = dataclasses.replace(shipped.controller, following_error=np.full(6, 0.3))
+    return Rig(dataclasses.replace(shipped, controller=controller))
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -106,6 +128,27 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
 
 
+def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
+    """The supervision takes the torque away for good, drops the motion and says why, once; `enable` brings it back."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.5))
+    assert rig.run(0, 2) == [True] * 2
+    rig.position = np.array([0.0, 0.301 * 85.0, 0.0, 0.0, 0.0, 0.0])  # the gear of joint 2 is 85
+    assert rig.run(2, 400) == [True] * 2 + [False] * 398
+    line = rig.around.lines[-1]
+    assert line.startswith("joint_2: following error -0.301 rad at 0.001 s; accepted: up to 0.3 rad; torque off")
+    assert sum("following error" in each for each in rig.around.lines) == 1
+    assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
+    assert rig.loop.fault is not None
+    rig.loop.offer(rig.trajectory(0.2))
+    assert rig.loop.rejected == 1
+    rig.loop.enable(True)
+    assert rig.run(402, 8) == [True] * 8
+    assert rig.loop.fault is None
+    assert rig.cs7b.reference()[0][1] == pytest.approx(0.301)
+    assert not rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+
+
 def test_skipped_ticks_come_later(rig: Rig) -> None:
     """A motion goes on where it was after ticks without set-points."""
     rig.loop.hold(rig.states(0))
@@ -116,3 +159,60 @@ def test_skipped_ticks_come_later(rig: Rig) -> None:
     rig.run(2000 + 4 * 300, 1)
     assert np.abs(rig.cs7b.reference()[0] - before).max() < 1e-3
     assert rig.cs7b.trajectory.moving(rig.cs7b.position_tick)
+
+
+def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
+    """A stamp of the wall clock, or one beyond the horizon, is one line with both times and what is accepted."""
+    rig.loop.hold(rig.states(400))
+    rig.loop.offer(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
+    assert rig.around.lines == [
+        "trajectory rejected: start time 1795000000.250 s, the controller's time is 0.100 s; accepted: 0 for now, "
+        "or simulated time within 60 s"
+    ]
+    rig.loop.offer(rig.empty(stamp=(60, 101_000_000)))
+    assert rig.loop.rejected == 2
+    rig.loop.offer(rig.trajectory(0.1, stamp=(60, 100_000_000)))
+    assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
+    assert rig.around.taken == [(1, 60_100_000_000)]
+
+
+def test_an_end_is_told_once(rig: Rig) -> None:
+    """What is accepted is published with its start; the end of the motion is one line with its time."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.1, stamp=(0, 500_000)))
+    assert rig.around.taken == [(1, 1_000_000)]
+    rig.run(0, 4004)
+    assert len(rig.around.lines) == 1
+    rig.run(4004, 5)
+    assert rig.around.lines[1:] == ["trajectory ended at 1.001 s; holding"]
+    rig.run(4009, 500)
+    assert len(rig.around.lines) == 2
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
+    """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.2))
+    rig.run(0, 1600)
+    rig.loop.offer(rig.empty(rig.names[::-1] if named else (), stamp=(0, 420_000_000)))
+    generator, most = rig.cs7b.trajectory, rig.cs7b.trajectory.limits.acceleration
+    got = generator.setpoints(400, 800)
+    assert (np.abs(np.diff(got[:, 1], axis=0)) <= most * 1e-3 + 1e-12).all()
+    assert got[20, 1] == pytest.approx([6 * 0.2 * 0.42 * 0.58] * 6)  # the cubic it was on
+    rest = got[20, 0] + got[20, 1] ** 2 / (2 * most)
+    assert got[-1, 0] == pytest.approx(rest)
+    end = 0.42 + np.ceil(1e3 * (got[20, 1] / most).max()) / 1e3
+    assert rig.around.lines[1:] == [f"empty trajectory: stopping from 0.420 s on, at rest at {end:.3f} s"]
+    assert rig.around.taken[1:] == [(0, 420_000_000)]
+    rig.run(1600, 4000)
+    assert rig.around.lines[2:] == [f"stopped at {end:.3f} s; holding"]
+
+
+def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
+    """Names that are not all of the arm's joints stop nothing."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.2))
+    rig.loop.offer(rig.empty(["joint_1"]))
+    assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")
+    assert rig.cs7b.trajectory.moving(10)

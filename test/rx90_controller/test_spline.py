@@ -18,17 +18,6 @@ ACCELERATION = RNG.uniform(-9.0, 9.0, (6, 6))
 INSIDE = np.sort(RNG.uniform(0.0, 2.0, 500))
 
 
-def test_positions_alone_are_joined_by_straight_lines() -> None:
-    """With positions alone the set-points interpolate linearly and the acceleration is zero."""
-    got = interpolate(TIMES, POSITION, None, None).sample(INSIDE)
-    for joint in range(6):
-        want = np.interp(INSIDE, TIMES, POSITION[:, joint])
-        assert got[:, 0, joint] == pytest.approx(want, abs=1e-13)
-    slope = np.diff(POSITION, axis=0) / np.diff(TIMES)[:, None]
-    assert got[:, 1] == pytest.approx(slope[np.searchsorted(TIMES, INSIDE, "right") - 1], rel=1e-12)
-    assert np.all(got[:, 2] == 0.0)
-
-
 def test_velocities_make_it_cubic() -> None:
     """With velocities the set-points are SciPy's cubic Hermite spline and its two derivatives."""
     got = interpolate(TIMES, POSITION, VELOCITY, None).sample(INSIDE)
@@ -48,16 +37,14 @@ def test_accelerations_make_it_quintic() -> None:
         assert got[:, order] == pytest.approx(want, abs=1e-10 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("given", ["position", "velocity", "acceleration"])
+@pytest.mark.parametrize("given", ["velocity", "acceleration"])
 def test_every_point_is_met(given: str) -> None:
     """At each knot the set-point is the point, with the derivatives it carries; after the last it rests."""
-    velocity = None if given == "position" else VELOCITY
     acceleration = ACCELERATION if given == "acceleration" else None
-    spline = interpolate(TIMES, POSITION, velocity, acceleration)
+    spline = interpolate(TIMES, POSITION, VELOCITY, acceleration)
     got = spline.sample(TIMES[:-1])
     assert got[:, 0] == pytest.approx(POSITION[:-1], abs=1e-15)
-    if velocity is not None:
-        assert got[:, 1] == pytest.approx(VELOCITY[:-1], abs=1e-15)
+    assert got[:, 1] == pytest.approx(VELOCITY[:-1], abs=1e-15)
     if acceleration is not None:
         assert got[:, 2] == pytest.approx(ACCELERATION[:-1], abs=1e-14)
     before = spline.sample(np.nextafter(TIMES[1:], 0.0))

@@ -6,10 +6,12 @@ import signal
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml
 from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import BagComparison, Scope, compare_bags
+from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
@@ -18,6 +20,17 @@ from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
 
 START = 0.1
+TOPICS = {
+    "/friction_states",
+    "/joint_states",
+    "/motor_commands",
+    "/motor_states",
+    "/rx90_controller/reference",
+    "/rx90_controller/tracking_error",
+    "/rx90_controller/reference_acceleration",
+    "/rx90_controller/commanded_current",
+    "/rx90_controller/motor_current",
+}
 TASK = """
 line:
   provenance: assumed
@@ -33,11 +46,18 @@ line:
 
 
 def run_both_ways(
-    processes: Processes, client: Client, setup: Setup, folder: Path, around: Sequence[str] = ("/usr/bin/env",)
+    processes: Processes,
+    client: Client,
+    setup: Setup,
+    folder: Path,
+    *,
+    around: Sequence[str] = ("/usr/bin/env",),
+    composed: bool = False,
 ) -> BagComparison:
     """Run the line both ways and compare all that was recorded, bit by bit.
 
-    `around` is the command line before those of the simulation and the controller.
+    `around` is the command line before those of the simulation and the controller, `composed` puts both into one
+    process.
     """
     file = folder / "task.yaml"
     file.write_text(TASK, encoding="utf-8")
@@ -45,14 +65,19 @@ def run_both_ways(
     write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
-    simulation = processes.start(
-        *around,
-        *executable("rx90_sim"),
-        "--ros-args",
-        *("-p", f"initial_position:=[{', '.join(repr(float(q)) for q in plan.start_pose)}]"),
-        *("-p", f"duration:={START + plan.duration!r}", "-p", "real_time_factor:=0.0", "-p", "paused:=true"),
+    parameters = folder / "parameters.yaml"
+    pose = [float(angle) for angle in plan.start_pose]
+    of_simulation = {
+        "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.0, "paused": True
+    }  # fmt: skip
+    sections = {"rx90_sim": of_simulation, "rx90_controller": {"controller": SHIPPED["controller"]}}
+    parameters.write_text(
+        yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"
     )
-    processes.start(*around, *executable("rx90_controller"))
+    names = ["rx90_cell"] if composed else ["rx90_sim", "rx90_controller"]
+    simulation, *_ = [
+        processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
+    ]
     line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
     recorder.wait_for("ready: all")
     assert line.wait() == 0

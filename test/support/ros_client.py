@@ -27,10 +27,10 @@ JOINTS = [f"joint_{i}" for i in range(1, 7)]
 class Client:
     """A node that calls services and keeps what it hears."""
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str = "") -> None:
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node("test_client", context=self._context)
+        self.node = rclpy.create_node("test_client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self.asking = ClientNode(self.node, self._executor, TIMEOUT, lambda _: None, lambda: None)

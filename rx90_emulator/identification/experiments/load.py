@@ -38,9 +38,9 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     """Return the shares of the limits that an experiment uses.
 
     Raises:
-        IdentificationError: if it leaves a joint's range, speed or torque, naming joint, amount and limit.
+        IdentificationError: if it leaves a joint's limits, of torque too, naming joint, amount and limit.
     """
-    setpoints = _setpoints(experiment, robot, controller.start_tolerance)
+    setpoints = _setpoints(experiment, controller.limits(robot))
     speed = np.abs(setpoints[:, 1]).max(axis=0) / robot.max_velocity
     torque = _expected_torque(setpoints[::_TORQUE_STRIDE], robot, drives, controller)
     share = np.abs(torque).max(axis=0) / robot.max_effort
@@ -54,10 +54,9 @@ def check_load(experiment: Experiment, robot: RobotModel, drives: DriveParameter
     return Load(speed, share)
 
 
-def _setpoints(experiment: Experiment, robot: RobotModel, start_tolerance: float) -> Array:
+def _setpoints(experiment: Experiment, limits: JointLimits) -> Array:
     """Return what the controller's own generator makes of the trajectory, shape (m, 3, 6)."""
     points: TrajectoryPoints = experiment.points
-    limits = JointLimits(robot.joint_names, robot.lower, robot.upper, robot.max_velocity, start_tolerance)
     generator = TrajectoryGenerator(limits, _PERIOD, points.position[0])
     try:
         generator.accept(points, 0, 0)

@@ -21,7 +21,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.loop.closed_loop import run_ticks
+from rx90_emulator.loop.closed_loop import run_setpoints
 from rx90_emulator.loop.result import empty_series
 from rx90_emulator.loop.setup import Setup
 
@@ -134,6 +134,7 @@ def tip_difference(
     Raises:
         IdentificationError: if the set-points have gaps.
         DivergenceError: naming joint and tick.
+        SupervisionError: if the controller's supervision cuts the power.
     """
     rates = setup.rates
     period_ns = rates.period_ns * rates.ratio
@@ -154,12 +155,7 @@ def tip_difference(
     setpoints = np.ascontiguousarray(np.stack([reference.position, reference.velocity, acceleration], axis=1))
     ticks = len(setpoints) * rates.ratio
     fast, slow = empty_series(ticks, rates.ratio, record_fast=False)
-    done, joint = run_ticks(
-        plant.constants, plant.state, controller.law, controller.state, setpoints, rates.ratio, 0, ticks, fast, slow
-    )
-    plant.tick = done
-    if joint >= 0:
-        plant.raise_divergence(joint)
+    run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     recorded = np.column_stack(
         [np.interp(reference.time, record.time, record.position[:, j]) for j in range(len(record.names))]
     )

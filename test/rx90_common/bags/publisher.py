@@ -21,7 +21,15 @@ from rx90_common.exchange.environment import prepare
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 FAST = ("motor_states", "motor_commands")
-SLOW = ("joint_states", "friction_states", "rx90_controller/reference", "rx90_controller/tracking_error")
+SLOW = (
+    "joint_states",
+    "friction_states",
+    "rx90_controller/reference",
+    "rx90_controller/tracking_error",
+    "rx90_controller/reference_acceleration",
+    "rx90_controller/commanded_current",
+    "rx90_controller/motor_current",
+)
 TICK_NS = 250_000
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 

@@ -59,6 +59,7 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("? [a]\n: 1", "the key ['a'] is not a name"),
     ("? ~\n: 1", "the key None is not a name"),
     ("a: " + "1" * 5000, "not valid YAML"),
+    ('"\\Uffffffff": 1', "not valid YAML"),
     ("a: !!int foo", "not valid YAML"),
     ("a: !!float foo", "not valid YAML"),
     ("a: !!timestamp foo", "not valid YAML"),

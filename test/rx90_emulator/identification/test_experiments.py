@@ -113,11 +113,15 @@ def test_a_plan_that_does_not_fit_is_refused(shipped: Setup, change: dict[str, o
         make_plan(shipped.robot, shipped.drives, replace(PlanOptions(), **change))  # type: ignore[arg-type]
 
 
-def test_too_much_acceleration_is_refused(shipped: Setup) -> None:
-    """A plan whose torques pass what the URDF allows is refused with joint, torque and limit."""
-    plan = make_plan(shipped.robot, shipped.drives, PlanOptions(acceleration=60.0, groups=("joint_2",)))
-    with pytest.raises(IdentificationError, match=r"would need .* Nm; accepted: up to"):
-        check_load(plan[0], shipped.robot, shipped.drives, shipped.controller)
+def test_too_much_torque_or_acceleration_is_refused(shipped: Setup) -> None:
+    """A plan beyond what the URDF allows in torque, or the controller in acceleration, is refused with the joint."""
+    weak = replace(shipped.robot, max_effort=0.4 * shipped.robot.max_effort)
+    plan = make_plan(shipped.robot, shipped.drives, PlanOptions(groups=("joint_2",)))
+    with pytest.raises(IdentificationError, match=r"joint_2 would need .* Nm; accepted: up to"):
+        check_load(plan[0], weak, shipped.drives, shipped.controller)
+    slow = replace(shipped.controller, max_acceleration=np.full(6, 4.9))
+    with pytest.raises(IdentificationError, match=r"joint_\d gets a set-point acceleration .* accepted: \[-4.9, 4.9\]"):
+        check_load(plan[0], shipped.robot, shipped.drives, slow)
 
 
 def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:

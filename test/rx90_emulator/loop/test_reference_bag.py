@@ -43,7 +43,7 @@ def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_
     tolerances = Tolerances.parse(*TOLERANCES)
     comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances, Scope(same_range=True))
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
-    assert len(comparison.topics) == 4
+    assert len(comparison.topics) == 7
 
 
 def test_the_reference_task_stays_within_a_tenth_of_a_millimetre(shipped: Setup, task: LineTask) -> None:

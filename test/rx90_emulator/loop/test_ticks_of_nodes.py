@@ -54,6 +54,7 @@ for velocity, acceleration in ((False, False), (True, False), (True, True)):
         position, velocities, _ = plant.motor_states()
         plant.step(controller.step(position, velocities))
         plant.joint_states(), plant.friction_states(), controller.reference(), controller.tracking_error()
+        controller.details()
     controller.skip(3)
 plant.step(None)
 plant.reset(rest)

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from line_run import run_both_ways
+from line_run import TOPICS, run_both_ways
 from processes import Processes
 from ros_client import Client
 
@@ -24,11 +24,4 @@ def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
         processes.start(sys.executable, "-c", "while True: pass")
     comparison = run_both_ways(processes, client, shipped, tmp_path)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
-    assert {topic.topic for topic in comparison.topics} == {
-        "/friction_states",
-        "/joint_states",
-        "/motor_commands",
-        "/motor_states",
-        "/rx90_controller/reference",
-        "/rx90_controller/tracking_error",
-    }
+    assert {topic.topic for topic in comparison.topics} == TOPICS

@@ -24,11 +24,14 @@ class Action(NamedTuple):
 
 
 def test_the_launch_file_hands_each_robot_file_to_its_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every file that describes the robot is an argument with its shipped name, and a parameter of who reads it."""
+    """Every file that describes the robot is an argument with its shipped name, and a parameter of who reads it.
+
+    In one process, each parameter is given to its own node.
+    """
     names = {
         "launch": ["LaunchDescription"],
         "launch.actions": ["DeclareLaunchArgument"],
-        "launch.conditions": ["IfCondition"],
+        "launch.conditions": ["IfCondition", "UnlessCondition"],
         "launch.substitutions": ["LaunchConfiguration", "OrSubstitution"],
         "launch_ros": [],
         "launch_ros.actions": ["Node"],
@@ -50,3 +53,9 @@ def test_the_launch_file_hands_each_robot_file_to_its_nodes(monkeypatch: pytest.
     }
     assert {"tool", "drives", "friction"} <= nodes["rx90_sim"]
     assert {"drives", "controller"} <= nodes["rx90_controller"]
+    (cell,) = (a.named for a in actions if a.kind == "Node" and a.named["executable"] == "rx90_cell")
+    options, values = cell["ros_arguments"][::2], cell["ros_arguments"][1::2]
+    assert set(options) == {"-p"}
+    assert {head + argument.given[0] for head, argument in values} == {
+        f"{node}:{name}:={name}" for node in ("rx90_sim", "rx90_controller") for name in nodes[node]
+    }

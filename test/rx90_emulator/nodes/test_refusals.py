@@ -25,6 +25,9 @@ from processes import Processes
         ("rx90_sim", ["friction:=nowhere.yaml"], ["nowhere.yaml"]),
         ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
+        ("rx90_cell", ["rx90_controller:controller:=nowhere.yaml"], ["nowhere.yaml"]),
+        ("rx90_cell", ["rx90_simulation:paused:=true"], ["rx90_simulation", "rx90_sim, rx90_controller"]),
+        ("rx90_cell", ["paused:=true"], ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
     ],
 )
 def test_a_bad_parameter_is_one_line(

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.agreement import agreement
-from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
+from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -25,7 +25,7 @@ HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
 REST = np.zeros(6)
 
 
-def there_and_back(size: float = 0.15) -> TrajectoryPoints:
+def there_and_back(size: float = 0.09) -> TrajectoryPoints:
     """Return a motion with reversals in all joints."""
     rows = [HOME, HOME + size * np.array([1, -1, 1, -1, 1, -1]), HOME]
     return TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3, 0.6], rows, [REST] * 3, [REST] * 3)
@@ -157,12 +157,17 @@ def test_exact_feed_forward_without_friction_leaves_no_deviation(shipped: Setup)
 
 
 def test_saturation_is_counted_as_in_the_full_simulation(shipped: Setup) -> None:
-    """A motion too fast for weak amplifiers saturates them for as many ticks in both methods."""
-    setup = dataclasses.replace(
-        shipped, drives=dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
-    )
+    """A motion too fast for weak amplifiers saturates them for as many ticks in both methods, and trips both."""
+    weak = dataclasses.replace(shipped.drives, peak_current=0.45 * shipped.drives.peak_current)
+    fast = dataclasses.replace(shipped.controller, max_acceleration=np.full(6, 99.0))
+    loose = dataclasses.replace(fast, following_error=np.full(6, 1.0))
+    setup = dataclasses.replace(shipped, drives=weak, controller=loose)
     full = simulate(setup, there_and_back(0.4), HOME, 0.7)
-    result = prepare(setup, there_and_back(0.4), HOME, 0.7).run_one()
+    model = prepare(setup, there_and_back(0.4), HOME, 0.7)
+    result = model.run([shipped.friction] * 2, [loose, fast])
+    with pytest.raises(SupervisionError, match="joint_2: following error"):
+        simulate(dataclasses.replace(setup, controller=fast), there_and_back(0.4), HOME, 0.7)
+    assert result.tripped.tolist() == [False, True]
     assert full.saturated.max() > 20
     assert np.abs(result.saturated[0] - full.saturated).max() <= 0.05 * full.saturated.max()
 

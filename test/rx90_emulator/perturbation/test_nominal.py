@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.rates import Rates
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.nominal import linearise, nominal_motion, nominal_torque
 
@@ -20,6 +20,14 @@ REST = [0.0] * 6
 def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     """Return the torque on the joints at one state, shape (6,)."""
     return rigid_torque(setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring, q[None], v[None], a[None])[0]
+
+
+def accepted(points: TrajectoryPoints, hold: ArrayLike, start: int, rates: Rates) -> TrajectoryGenerator:
+    """Return a generator without limits that follows the points from position tick `start` on."""
+    free = np.full(6, np.inf)
+    generator = TrajectoryGenerator(JointLimits(NAMES, -free, free, free, free, 1.0), rates.position_period, hold)
+    generator.accept(points, 0, start)
+    return generator
 
 
 def slopes(setup: Setup, state: Array, which: int, step: float = 1e-5) -> Array:
@@ -50,7 +58,7 @@ def test_the_nominal_torque_is_the_inverse_dynamics_of_the_motion(shipped: Setup
     plant = shipped.plant()
     rows = [[0.1, 0.3, 1.1, -0.2, 0.7, 0.3], [0.3, 0.1, 1.4, -0.4, 0.8, 0.1]]
     points = TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.3], rows, [REST] * 2, [REST] * 2)
-    motion = nominal_motion(points, np.array(rows[0]), 8, 1600, Rates())
+    motion = nominal_motion(accepted(points, rows[0], 2, Rates()), 1600, Rates())
     torque = nominal_torque(plant.constants, plant.state, motion)
     for k in (0, 8, 300, 900, 1599):
         state = motion.middle_position[k], motion.middle_velocity[k], motion.acceleration[k]
@@ -62,7 +70,7 @@ def test_the_nominal_steps_lead_from_set_point_to_set_point(shipped: Setup) -> N
     rates = shipped.rates
     rows = [[0.1, 0.3, 1.1, -0.2, 0.7, 0.3], [0.3, 0.1, 1.4, -0.4, 0.8, 0.1]]
     points = TrajectoryPoints.create(NAMES, NAMES, [0.0, 0.1003], rows, [], [])
-    motion = nominal_motion(points, np.array(rows[0]) + 5e-4, 40, 1000, rates)
+    motion = nominal_motion(accepted(points, np.array(rows[0]) + 5e-4, 10, rates), 1000, rates)
     q, v = motion.position[0].copy(), motion.velocity[0].copy()
     for k in range(1000):
         q += rates.period * (v + 0.5 * rates.period * motion.acceleration[k]) + motion.slip[k]

@@ -1,0 +1,77 @@
+"""The exchange within one process, on real DDS."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+from ros_client import Client
+
+local_link = pytest.importorskip("rx90_common.exchange.local_link", reason="needs rclpy", exc_type=ImportError)
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from rx90_common.base.errors import ConfigError  # noqa: E402
+from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.topics import TICK_QOS  # noqa: E402
+
+pytestmark = pytest.mark.ros
+QOS = TICK_QOS.profile
+RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
+
+
+@pytest.fixture
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
+    """Give a client on a domain of its own."""
+    started = Client()
+    try:
+        yield started
+    finally:
+        started.close()
+
+
+def test_messages_come_in_order_and_from_the_peer_alone(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The peer's messages arrive in order, published from the first match on; others are announced, not heard."""
+    link = local_link.LocalLink()
+    first = link.end(client.node, "states", "commands", QOS)
+    second = link.end(client.node, "commands", "states", QOS)
+    first.publish(RAW[0])  # nobody listens yet
+    heard = client.listen("states")
+    foreign = client.node.create_publisher(JointState, "commands", QOS)
+    client.spin_until(lambda: first.publisher.get_subscription_count() == 1, "the listener")
+    client.spin_until(lambda: client.node.count_publishers("commands") == 2, "the other publisher")
+    foreign.publish(RAW[2])
+    first.publish(RAW[1])
+    first.publish(RAW[2])
+    client.spin_until(lambda: len(heard) == 2, "what was sent since")
+    assert [second.receive(0.0) for _ in range(4)] == [*RAW, None]
+    assert first.receive(0.05) is None
+    said: list[str] = []
+    monkeypatch.setattr(type(client.node.get_logger()), "warning", lambda _, text: said.append(text))
+    for _ in range(20):
+        first.look_for_others()
+        second.look_for_others()
+    assert len(said) == 1
+    assert said[0].startswith("1 other publishes on /commands: not heard")
+
+
+def test_a_wait_ends_with_a_message_or_a_wake(client: Client) -> None:
+    """Who waits gets the message that another thread sends, and comes back empty-handed when woken."""
+    link = local_link.LocalLink()
+    first = link.end(client.node, "states", "commands", QOS)
+    second = link.end(client.node, "commands", "states", QOS)
+    got: list[bytes | None] = []
+    for act in (lambda: first.publish(RAW[0]), second.wake):
+        thread = threading.Thread(target=lambda: got.append(second.receive(30.0)))
+        thread.start()
+        act()
+        thread.join(20.0)
+    assert got == [RAW[0], None]
+
+
+def test_ends_that_do_not_meet_are_refused(client: Client) -> None:
+    """A remap or a namespace of one node alone is named with both topics."""
+    link = local_link.LocalLink()
+    link.end(client.node, "states", "commands", QOS)
+    with pytest.raises(ConfigError, match=r"publishes /states, .* receives /other; accepted: the same"):
+        link.end(client.node, "commands", "other", QOS)

@@ -1,0 +1,99 @@
+"""Lines between points given by position alone: straight, with ramps of constant acceleration."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory import JointLimits
+from rx90_controller.trajectory.ramps import straight
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+MOST = np.array([8.0, 10.0, 12.0, 8.0, 20.0, 30.0])
+LIMITS = JointLimits(NAMES, np.full(6, -9.0), np.full(6, 9.0), np.full(6, 99.0), MOST, 1e-3)
+WAY = np.array([0.5, -0.4, 0.3, 0.0, 0.2, -0.1])
+REST = np.zeros(6)
+
+
+def averaged(times: Array, position: Array, at: Array, half: Array) -> Array:
+    """Return the mean of the straight lines over `at` - `half` to `at` + `half`, shape (len(at), 6)."""
+    share = np.linspace(-1.0, 1.0, 2001)
+    weight = np.full(2001, 1.0)
+    weight[[0, -1]] = 0.5
+    windows = at[:, None] + half[:, None] * share
+    return np.stack(
+        [np.interp(windows, times, position[:, j]) @ weight / weight.sum() for j in range(6)], axis=1
+    )  # the trapezoidal rule is exact to (half/1000)^2 at the corner
+
+
+def test_one_line_from_rest_to_rest_is_a_trapezoid_of_the_velocity() -> None:
+    """The way is v (T - tau), v = a tau in the joint that needs most, and every joint at the same share of its way."""
+    got = straight(np.array([0.0, 1.0]), np.stack([REST, WAY]), REST, LIMITS)
+    tau = (1.0 - np.sqrt(1.0 - 4.0 * np.abs(WAY) / MOST)).max() / 2.0
+    peak = WAY / (1.0 - tau)
+    assert np.abs(peak / tau / MOST).max() == pytest.approx(1.0)
+    sampled = got.sample(np.linspace(0.0, 1.0, 401))
+    t = np.linspace(0.0, 1.0, 401)[:, None]
+    np.testing.assert_allclose(sampled[:, 1], peak * np.clip(np.minimum(t, 1.0 - t) / tau, 0.0, 1.0), atol=1e-12)
+    share = sampled[:, 0, 0] / WAY[0]
+    np.testing.assert_allclose(sampled[:, 0], share[:, None] * WAY, atol=1e-13)
+    assert np.all(got.sample(np.array([1.0, 2.0]))[:, 0] == WAY)
+
+
+def test_between_its_ends_it_is_the_mean_of_the_lines_over_each_ramp() -> None:
+    """Around a point in between, a ramp of duration 2h gives the lines averaged over 2h, and misses it by dv^2/8a."""
+    times = np.array([0.0, 0.8, 1.5, 2.4])
+    position = np.stack([REST, WAY, WAY + np.array([0.1, 0.2, -0.3, 0.4, 0.0, 0.0]), REST])
+    got = straight(times, position, REST, LIMITS)
+    slope = np.diff(position, axis=0) / np.diff(times)[:, None]
+    at = np.linspace(0.8, 1.5, 41)
+    inner = got.sample(at)
+    # The first and the last line are faster than their slope, by what their ramps at rest lose.
+    fast = [got.sample(np.array([t]))[0, 1] for t in (0.5, 1.9)]
+    half = [(np.abs(a - b) / MOST / 2.0).max() for a, b in ((fast[0], slope[1]), (slope[1], fast[1]))]
+    lines = np.stack([position[1] - 0.8 * fast[0], position[1], position[2], position[2] + 0.9 * fast[1]])
+    width = np.where(at < 1.15, half[0], half[1])
+    width = np.where((at > 0.8 + half[0]) & (at < 1.5 - half[1]), 1e-9, width)
+    assert inner[:, 0] == pytest.approx(averaged(times, lines, at, width), abs=1e-7)
+    miss = np.abs(got.sample(np.array([0.8, 1.5]))[:, 0] - position[1:3]).max()
+    assert got.miss == pytest.approx(miss)
+    assert got.sample(np.array([np.nextafter(2.4, 0.0)]))[0, 0] == pytest.approx(position[3], abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("share", [-0.3, 0.4, 1.0])
+def test_it_goes_on_from_a_velocity(count: int, share: float) -> None:
+    """Begun in motion, position and velocity are continuous, and accelerations within the limits, to the last point."""
+    moving = share * np.array([1.0, -1.0, 0.5, 0.2, 1.0, 2.0])
+    times = np.array([0.0, 1.0, 2.0])[: count + 1]
+    got = straight(times, np.stack([REST, WAY, 0.5 * WAY])[: count + 1], moving, LIMITS)
+    fine = np.arange(0.0, times[-1], 1e-3)
+    sampled = got.sample(fine)
+    assert sampled[0, 1] == pytest.approx(moving)
+    assert (np.abs(np.diff(sampled[:, 1], axis=0)) <= MOST * 1e-3 * (1 + 1e-9) + 1e-12).all()
+    steps = 1e-3 * (sampled[1:, 1] + sampled[:-1, 1]) / 2.0
+    np.testing.assert_allclose(np.cumsum(steps, axis=0), sampled[1:, 0], atol=1e-5)
+    last = [WAY, 0.5 * WAY][count - 1]
+    np.testing.assert_allclose(sampled[-1, 0] + 1e-3 * sampled[-1, 1] / 2.0, last, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([0.0, 0.4], r"^point 1: joint_1 cannot go 0.5 rad in 0.4 s with its ramps of 8 rad/s\^2; accepted: a later"),
+        (
+            [0.0, 1.0, 1.05, 2.0],
+            r"^point 2: 0.05 s after the point before, the ramps of the velocity take 1.3\d+ s; acc",
+        ),
+        ([0.0, 0.2, 1.0], "^point 1: joint_1 cannot go 0.5 rad in 0.2 s"),
+        ([0.0, 1.0, 1.2], "^point 2: joint_1 cannot go -0.5 rad in 0.2 s"),
+    ],
+)
+def test_points_that_come_too_early_are_refused(times: list[float], said: str) -> None:
+    """Where the accelerations do not suffice for the ramps, the point and what is accepted are named."""
+    position = np.stack([REST, WAY, REST, WAY])[: len(times)]
+    with pytest.raises(TrajectoryError, match=said):
+        straight(np.array(times), position, REST, LIMITS)
