@@ -1,7 +1,8 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
     python -m benchmarks [closed_loop] [control_law] [accuracy] [mujoco_lugre] [perturbation] [lockstep] [composition]
-                         [sweep] [friction_ramp] [identification] [identification_presliding] [identification_time]
+                         [speed] [sweep] [friction_ramp] [identification]
+                         [identification_presliding] [identification_time]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
 """
@@ -23,6 +24,7 @@ NAMES = (
     "perturbation",
     "lockstep",
     "composition",
+    "speed",
     "sweep",
     "friction_ramp",
     "identification",

@@ -71,6 +71,7 @@ class FreeRunningController:
             self._follow(fresh.stamp_ns)
         torque = self._loops.step(self._stamp, self._states)
         self._channel.publish(self._messages.encode(self._stamp, torque))
+        self._loops.after_command(self._stamp)
         self._stamp += self._period_ns
 
     def _rest(self) -> None:

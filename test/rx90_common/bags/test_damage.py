@@ -55,7 +55,9 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "metadata empty": (lambda bag: (bag / "metadata.yaml").write_text(""), "metadata.yaml: holds NoneType"),
     "metadata binary": (lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe"), "metadata.yaml: cannot be read"),
     "metadata a bomb": (
-        lambda bag: (bag / "metadata.yaml").write_text("".join(f"a{i}: &a [{'*a, *a' if i else 1}]\n" for i in range(99))),
+        lambda bag: (bag / "metadata.yaml").write_text(
+            "".join(f"a{i}: &a [{'*a, *a' if i else 1}]\n" for i in range(99))
+        ),
         "metadata.yaml: not valid YAML (more than 1,000,000 values",
     ),
     "metadata without topics": (
