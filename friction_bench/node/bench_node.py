@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -22,10 +23,12 @@ from friction_bench.rig.link import RigLink
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
+from rx90_common.exchange.qos_overrides import publish
 
 JOINT = "rig_motor"
 EMULATED = "emulated"
@@ -41,8 +44,8 @@ class _Readings:
     def __init__(self, node: Node, rig: Rig) -> None:
         self._clock = node.get_clock()
         self._rig = rig
-        self._states = node.create_publisher(JointState, "~/joint_states", 10)
-        self._commands = node.create_publisher(JointState, "~/joint_commands", 10)
+        self._states = publish(node, JointState, "~/joint_states", QoSProfile(depth=10))
+        self._commands = publish(node, JointState, "~/joint_commands", QoSProfile(depth=10))
         self._previous: Sample | None = None
         self._epoch_ns = 0
 
@@ -88,8 +91,8 @@ class BenchNode:
             lambda: SerialPort(port, baud),
             self.rig,
             _Readings(self.node, self.rig).publish,
-            log.error,
-            lambda text: log.info(f"{port}: {text}"),
+            lambda text: log.error(one_line(text)),
+            lambda text: log.info(one_line(f"{port}: {text}")),
         )
         self._timer = self.node.create_timer(_ALIVE_PERIOD, self._link.alive)
         self._diagnostics = Diagnostics(self.node, self._collect)

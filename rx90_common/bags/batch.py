@@ -92,6 +92,20 @@ class MessageBatch:
         for start, size in zip(self.start.tolist(), self.size.tolist(), strict=True):
             yield self.data[start : start + size].tobytes()
 
+    def __getitem__(self, row: int) -> bytes:
+        """Return a message."""
+        return self.data[self.start[row] : self.start[row] + self.size[row]].tobytes()
+
+    def repeats(self, before: bytes) -> NDArray[np.bool_]:
+        """Return whether each message is, to the bit, the one before it, bool (n,); `before` is that of the first."""
+        again = np.zeros(len(self), dtype=np.bool_)
+        # Almost always the stamps differ.
+        alike = np.flatnonzero((np.diff(self.stamps_ns()) == 0) & (np.diff(self.size) == 0)) + 1
+        again[alike] = [self[row] == self[row - 1] for row in alike.tolist()]
+        if len(self):
+            again[0] = self[0] == before
+        return again
+
     @property
     def total(self) -> int:
         """Return the bytes of all messages."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
+CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 
 FIELDS: Final = ("position", "velocity", "effort")

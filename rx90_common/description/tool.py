@@ -18,7 +18,7 @@ _COLOR = "0.75 0.15 0.15 1"
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along z of the mount, for display, m."""
+    """A cylinder along z of the mount, m."""
 
     start: float
     end: float
@@ -35,7 +35,8 @@ class Tool:
         inertia: Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
         tcp_position: tool centre point, m.
         tcp_rpy: its roll, pitch and yaw about fixed axes, rad.
-        cylinders: its shape, for display.
+        visual: its shape, for display.
+        collision: its shape, for collision checks.
     """
 
     mass: float
@@ -43,7 +44,8 @@ class Tool:
     inertia: tuple[float, ...]
     tcp_position: tuple[float, ...]
     tcp_rpy: tuple[float, ...]
-    cylinders: tuple[Cylinder, ...]
+    visual: tuple[Cylinder, ...]
+    collision: tuple[Cylinder, ...]
 
 
 def load_tool(file: Path) -> Tool:
@@ -61,7 +63,8 @@ def load_tool(file: Path) -> Tool:
         inertia=inertial.numbers("inertia", 6),
         tcp_position=tcp.numbers("position", 3),
         tcp_rpy=tuple(math.radians(angle) for angle in tcp.numbers("rpy_degrees", 3, -360.0, 360.0)),
-        cylinders=_cylinders(root.section("visual")) if "visual" in root else (),
+        visual=_cylinders(root, "visual"),
+        collision=_cylinders(root, "collision"),
     )
     fault = inertia_fault(tool.inertia)
     if fault is not None:
@@ -71,9 +74,13 @@ def load_tool(file: Path) -> Tool:
     return tool
 
 
-def _cylinders(visual: Section) -> tuple[Cylinder, ...]:
-    section = visual.section("cylinders")
-    visual.finish()
+def _cylinders(root: Section, kind: str) -> tuple[Cylinder, ...]:
+    """Return the shapes in a block that may be left out."""
+    if kind not in root:
+        return ()
+    block = root.section(kind)
+    section = block.section("cylinders")
+    block.finish()
     shapes = []
     for name in section:
         shape = Cylinder(*section.numbers(name, 3))
@@ -94,6 +101,17 @@ def _fixed_joint(robot: ET.Element, child: str, xyz: tuple[float, ...], rpy: tup
     ET.SubElement(joint, "child", link=child)
 
 
+def _shape(link: ET.Element, kind: str, cylinder: Cylinder) -> ET.Element:
+    """Add a cylinder to a link as its "visual" or "collision"; return that element."""
+    element = ET.SubElement(link, kind)
+    ET.SubElement(
+        element, "origin", xyz=_text((0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)), rpy=_text((0.0,) * 3)
+    )
+    geometry = ET.SubElement(element, "geometry")
+    ET.SubElement(geometry, "cylinder", radius=repr(cylinder.radius), length=repr(cylinder.end - cylinder.start))
+    return element
+
+
 def attach(urdf: UrdfFile, tool: Tool) -> None:
     """Add the links `tool` (inertia, shape) and `tcp` (frame) below `tool0`, in place.
 
@@ -112,15 +130,11 @@ def attach(urdf: UrdfFile, tool: Tool) -> None:
     ET.SubElement(inertial, "mass", value=repr(tool.mass))
     keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in zip(keys, tool.inertia, strict=True)})
-    for cylinder in tool.cylinders:
-        visual = ET.SubElement(link, "visual")
-        middle = (0.0, 0.0, (cylinder.start + cylinder.end) / 2.0)
-        ET.SubElement(visual, "origin", xyz=_text(middle), rpy=_text(zero))
-        geometry = ET.SubElement(visual, "geometry")
-        length = repr(cylinder.end - cylinder.start)
-        ET.SubElement(geometry, "cylinder", radius=repr(cylinder.radius), length=length)
-        material = ET.SubElement(visual, "material", name="tool")
+    for cylinder in tool.visual:
+        material = ET.SubElement(_shape(link, "visual", cylinder), "material", name="tool")
         ET.SubElement(material, "color", rgba=_COLOR)
+    for cylinder in tool.collision:
+        _shape(link, "collision", cylinder)
     _fixed_joint(urdf.root, TOOL_LINK, zero, zero)
     ET.SubElement(urdf.root, "link", name=TCP_LINK)
     _fixed_joint(urdf.root, TCP_LINK, tool.tcp_position, tool.tcp_rpy)

@@ -2,6 +2,7 @@
 
 __all__ = [
     "arrivals",
+    "cdr_reader",
     "channel",
     "client_node",
     "environment",
@@ -12,7 +13,9 @@ __all__ = [
     "motor_messages",
     "node_tools",
     "pacing",
+    "qos_overrides",
     "ros_start",
+    "subscribing",
     "throttle",
     "tick_channel",
     "time_mode",

@@ -5,14 +5,16 @@ from __future__ import annotations
 import gc
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Sequence
+from pathlib import PurePath
 from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.duration import Duration, Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.executors import Executor, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -20,10 +22,13 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
-from rx90_common.exchange.ros_start import start_ros
+from rx90_common.exchange.node_services import answer_all_requests
+from rx90_common.exchange.qos_overrides import PREFIX, overridable_topics, publish
+from rx90_common.exchange.ros_start import reason, start_ros
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.topics import CLOCK_QOS
 from rx90_common.process.interrupts import stop_request
 
@@ -31,7 +36,7 @@ _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
 _RECEIVED_LOOKS = 40  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
-_OF_ROS = ("use_sim_time", "start_type_description_service")  # and qos_overrides.*: rclpy declares them itself
+_OF_ROS = ("use_sim_time", "start_type_description_service")  # rclpy declares them itself
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 
 
@@ -112,16 +117,18 @@ def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
         ConfigError: naming the first one, and those that there are, or the node of this process that has it.
     """
     for node in nodes:
-        known = sorted(name for name in node._parameters if not _is_of_ros(name))
         for name in node._parameter_overrides:
-            if not node.has_parameter(name) and not _is_of_ros(name):
+            if not node.has_parameter(name) and name not in _OF_ROS:
                 owners = [other.get_name() for other in nodes if other.has_parameter(name)]
-                accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else ", ".join(known)
-                raise ConfigError(f"parameter {name} is unknown to {node.get_name()}; accepted: {accepted}")
+                accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else _accepted(node, name)
+                raise ConfigError(f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {accepted}")
 
 
-def _is_of_ros(name: str) -> bool:
-    return name in _OF_ROS or name.startswith("qos_overrides.")
+def _accepted(node: Node, name: str) -> str:
+    """Return the parameters that the node has instead of `name`."""
+    if name.startswith(PREFIX):
+        return overridable_topics(node)
+    return ", ".join(sorted(known for known in node._parameters if known not in _OF_ROS and PREFIX not in known))
 
 
 class Diagnostics:
@@ -135,21 +142,26 @@ class Diagnostics:
     def __init__(self, node: Node, collect: Callable[[], tuple[bytes, str, dict[str, str]]]) -> None:
         self._node = node
         self._collect = collect
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
+        self._publisher = publish(node, DiagnosticArray, "/diagnostics", CLOCK_QOS.profile)
+        # Without the leading slash, as diagnostic_aggregator writes names.
+        self._namespace = node.get_namespace().strip("/")
         self._timer = node.create_timer(1.0, self._publish)
 
     def _publish(self) -> None:
         level, message, values = self._collect()
         status = DiagnosticStatus(
             level=level,
-            name=self._node.get_name(),
+            name=self._with_namespace(self._node.get_name()),
             message=message,
-            hardware_id="rx90_emulator",
+            hardware_id=self._with_namespace("rx90_emulator"),
             values=[KeyValue(key=key, value=value) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(array)
+
+    def _with_namespace(self, name: str) -> str:
+        return f"{self._namespace}/{name}" if self._namespace else name
 
 
 class TickingNode(Protocol):
@@ -185,36 +197,52 @@ def spin(
 
 
 def _spin(members: Sequence[TickingNode], make_executor: Callable[[], Executor] | None) -> None:
-    refuse_unknown_parameters([member.node for member in members])
+    nodes = [member.node for member in members]
+    refuse_unknown_parameters(nodes)
+    for node in nodes:
+        answer_all_requests(node)
     failures: list[BaseException] = []
     threads = [
         threading.Thread(target=_guard, args=(member.tick_loop, failures), name="ticks", daemon=True)
         for member in members
     ]
     executor = make_executor() if make_executor is not None else _executor_of(len(members))
-    for member in members:
-        executor.add_node(member.node)
+    for node in nodes:
+        executor.add_node(node)
     # The executor must give the interpreter back to the ticks soon, and the collector must not walk through
     # everything that was imported in the middle of a tick.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()
     stopped = stop_request()
+    log = ThrottledLog(lambda text: nodes[0].get_logger().error(text))
     for thread in threads:
         thread.start()
     try:
         while all(thread.is_alive() for thread in threads) and not stopped.is_set():
-            executor.spin_once(timeout_sec=_SPIN_SLICE)
+            _spin_once(executor, log)
     finally:
         # The simulation comes first: what its last tick has brought about is sent before the controller ends.
         for member, thread in zip(members, threads, strict=True):
             member.stop()
             thread.join(5.0)
         executor.shutdown()
-        for member in members:
-            member.node.destroy_node()
+        for node in nodes:
+            node.destroy_node()
     if failures:
         raise failures[0]
+
+
+def _spin_once(executor: Executor, log: ThrottledLog) -> None:
+    """Serve what has come, or wait a moment; a request or a message that cannot be served is a line, not the end."""
+    try:
+        executor.spin_once(timeout_sec=_SPIN_SLICE)
+    except ExternalShutdownException:
+        raise
+    except Exception as error:
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{PurePath(at.filename).name}:{at.lineno}"
+        log.say(where, f"not served: {type(error).__name__} in {where}: {reason(error)}")
 
 
 def _executor_of(nodes: int) -> Executor:

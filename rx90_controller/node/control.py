@@ -15,16 +15,19 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
-from rx90_common.base.quoting import one_line
+from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
-from rx90_common.description.robot import load_robot
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos_overrides import publish
+from rx90_common.exchange.subscribing import subscribe
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import MakeChannel, TickChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
@@ -44,24 +47,31 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.message import check_trajectory_bytes
 
+_TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class ControllerOutputs:
     """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
-    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B) -> None:
+    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
         self._node, self._cs7b = node, cs7b
+        self._ready = (
+            f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
+            f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
+            f"{node.resolve_topic_name(_TRAJECTORY)}"
+        )
         codec = JointStateCodec(cs7b.joint_names)
         self._encode_reference = codec.encoder(*cs7b.reference())
         self._encode_error = codec.encoder(*cs7b.tracking_error())
-        self._reference = node.create_publisher(JointState, "~/reference", STATE_QOS.profile)
-        self._error = node.create_publisher(JointState, "~/tracking_error", STATE_QOS.profile)
+        self._reference = publish(node, JointState, "~/reference", STATE_QOS.profile)
+        self._error = publish(node, JointState, "~/tracking_error", STATE_QOS.profile)
         motors = JointStateCodec(MOTOR_NAMES)
         details = zip(DETAILS, (codec, motors, motors), cs7b.details(), strict=True)
         self._details = [
-            (node.create_publisher(JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
+            (publish(node, JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
             for name, names, values in details
         ]
         self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare(
@@ -82,6 +92,10 @@ class ControllerOutputs:
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
         node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
+
+    def ready(self) -> None:
+        """Print that the first states have come."""
+        self.info(self._ready)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -150,9 +164,10 @@ class Control:
         self.node = Node("rx90_controller", cli_args=list(own_args))
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
-        self._cs7b = cs7b = self._build(rates)
+        robot, self._cs7b = self._build(rates)
+        cs7b = self._cs7b
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = ControllerOutputs(self.node, channel, cs7b)
+        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
         self.publishers = outputs.publishers
         about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
         horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
@@ -161,20 +176,23 @@ class Control:
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
+        self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         if time_mode is None:
-            self.node.create_subscription(String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
+            subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
         else:
             self._serving.follow(time_mode)
-        self.node.create_subscription(JointTrajectory, "~/joint_trajectory", self._loop.offer, TRAJECTORY_QOS.profile)
+        qos = TRAJECTORY_QOS.profile
+        subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._diagnostics = Diagnostics(self.node, self._status)
 
-    def _build(self, rates: Rates) -> CS7B:
+    def _build(self, rates: Rates) -> tuple[RobotModel, CS7B]:
         files = declare_robot_files(self.node, "urdf", "drives", "controller")
-        cs7b = CS7B(load_robot(files.urdf), load_drives(files.drives), load_controller(files.controller), rates)
+        robot = load_robot(files.urdf)
+        cs7b = CS7B(robot, load_drives(files.drives), load_controller(files.controller), rates)
         cs7b.warm_up()
-        return cs7b
+        return robot, cs7b
 
     def tick_loop(self) -> None:
         """Answer the simulation until `stop`.
@@ -200,7 +218,7 @@ class Control:
         try:
             self._serving.follow(TimeMode.parse(message.data))
         except MessageError as error:
-            self._log.error(f"{error}; ignored")
+            self._complaints.say("mode", f"{error}; ignored")
         except ExchangeError:
             pass  # ends `tick_loop`
 

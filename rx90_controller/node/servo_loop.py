@@ -17,6 +17,9 @@ class Outputs(Log, Protocol):
     def wait_for_subscribers(self) -> None:
         """Wait, not without end, until those who listen will get the first message."""
 
+    def ready(self) -> None:
+        """Print, once, that the first states have come."""
+
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
 
@@ -57,6 +60,8 @@ class ServoLoop:
         """Hold the arm where it is; a trajectory that waited for the first states begins."""
         with self._lock:
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
+            if not self.running:
+                self._outputs.ready()
             self.running = True
             waiting, self._waiting = self._waiting, None
             if waiting is not None:

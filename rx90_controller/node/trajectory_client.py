@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, ExchangeError, LineError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.client_node import POLL, ClientNode
@@ -23,6 +24,8 @@ from rx90_common.exchange.ros_start import reason
 from rx90_controller.lines.plan import LinePlan, approach_time
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import stamped_points
+
+_NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
 
 
 class NewestPositions:
@@ -33,12 +36,16 @@ class NewestPositions:
     Attributes:
         position: rad, in the order of the names; None before the first message.
         time: its stamp, s.
+        heard: number of messages.
+        standing: whether the newest has the stamp of the one before it: time stands still.
     """
 
     def __init__(self, client: ClientNode, topic: str, names: Sequence[str]) -> None:
         self._names = names
         self.position: Array | None = None
         self.time = -1.0
+        self.heard = 0
+        self.standing = False
         # One message in the queue: only the newest is looked at.
         newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         client.node.create_subscription(JointState, topic, self._take, newest)
@@ -47,7 +54,9 @@ class NewestPositions:
         position = dict(zip(message.name, message.position, strict=False))
         if set(self._names) <= position.keys():
             self.position = np.array([position[name] for name in self._names])
-            self.time = message_time_ns(message.header.stamp) / NANOSECONDS
+            time, self.time = self.time, message_time_ns(message.header.stamp) / NANOSECONDS
+            self.heard += 1
+            self.standing = self.time == time
 
 
 class TrajectoryClient:
@@ -63,14 +72,17 @@ class TrajectoryClient:
 
     def __init__(self, client: ClientNode, controller: str) -> None:
         self._client, self._controller = client, controller
+        accepted = "accepted: a name such as rx90_controller or /cell/rx90_controller"
+        if not controller:  # with which the topic would have a name too, an absolute one
+            raise ConfigError(f"the controller node's name is empty; {accepted}")
         try:
             self.topic = str(client.node.resolve_topic_name(f"{controller}/joint_trajectory"))
         except RuntimeError as error:
             raise ConfigError(
-                f"the controller node's name is '{controller}' ({reason(error)}); accepted: a name such as "
-                "rx90_controller or /cell/rx90_controller"
+                f"the controller node's name is {quoted(controller)} ({reason(error)}); {accepted}"
             ) from error
         self._publisher = client.node.create_publisher(JointTrajectory, self.topic, 1)
+        self._arm: NewestPositions | None = None
 
     def wait_for_controller(self) -> None:
         """Wait until the controller, and whoever else listens, will get what is sent.
@@ -96,9 +108,22 @@ class TrajectoryClient:
         """
         # The arm is in the controller's namespace, which need not be ours.
         topic = self.topic.rsplit("/", 2)[0] + "/joint_states"
-        position = self._newest(topic, names, "position of the six joints").position
-        assert position is not None
-        return position
+        arm = self._arm = self._newest(topic, names, "position of the six joints")
+        assert arm.position is not None
+        return arm.position
+
+    def standing_time(self) -> float | None:
+        """Return the time at which the simulation stands still, s; None if it runs or `joint_positions` was not asked.
+
+        While time stands still the simulation repeats its newest sample a few times a second.
+        """
+        arm = self._arm
+        if arm is None:
+            return None
+        heard, deadline = arm.heard, time.monotonic() + _NEXT_SAMPLE
+        while arm.heard == heard and time.monotonic() < deadline:
+            self._client.spin()
+        return arm.time if arm.standing else None
 
     def set_points(self, names: Sequence[str]) -> NewestPositions:
         """Return the controller's set-points, the first of which have come.
@@ -201,6 +226,9 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
     trajectory.send(plan.joint_names, points, delivery.start_time)
     start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
     client.say(f"sent {len(points.times)} points to {trajectory.topic}: start {start}, {plan.duration + delay:.3f} s")
+    standing = trajectory.standing_time()
+    if standing is not None:
+        client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")
 
 
 def _delay(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, delivery: Delivery) -> float:

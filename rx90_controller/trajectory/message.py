@@ -8,8 +8,29 @@ from typing import Any, NamedTuple
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import joint_order
+
+_VECTORS = ("positions", "velocities", "accelerations", "effort")
+_LEAST_POINT = 4 * len(_VECTORS) + 8  # bytes: four empty sequences and a time
+
+
+def check_trajectory_bytes(raw: bytes) -> None:
+    """Look whether the CDR bytes of a JointTrajectory are whole.
+
+    Raises:
+        ExchangeError: naming the field in which they are not.
+    """
+    reader = CdrReader(raw)
+    reader.stamp_ns()
+    reader.string("header.frame_id")
+    for i in range(reader.count("joint_names", least_bytes=4)):
+        reader.string(f"joint_names[{i}]")
+    for i in range(reader.count("points", least_bytes=_LEAST_POINT)):
+        for name in _VECTORS:
+            reader.doubles(f"points[{i}].{name}")
+        reader.duration(f"points[{i}].time_from_start")
 
 
 def points_from_message(robot_joints: Sequence[str], message: Any) -> TrajectoryPoints:

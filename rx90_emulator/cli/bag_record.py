@@ -49,7 +49,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
-    print(f"recorded {sum(count.received for count in counts)} messages of {len(counts)} topics to {output}")
+    repeated = sum(count.repeated for count in counts)
+    recorded = sum(count.received for count in counts) - repeated
+    left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
+    print(f"recorded {recorded} messages of {len(counts)} topics to {output}{left_out}")
     complete = not stalls
     for stall in stalls:
         print(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -33,7 +34,7 @@ class SimulationParameters:
 
     def __post_init__(self) -> None:
         if self.time_mode not in TIME_MODES:
-            raise ConfigError(f"parameter time_mode is '{self.time_mode}'; accepted: {', '.join(TIME_MODES)}")
+            raise ConfigError(f"parameter time_mode is {quoted(self.time_mode)}; accepted: {', '.join(TIME_MODES)}")
         if len(self.initial_position) != 6:
             raise ConfigError(
                 f"parameter initial_position has {len(self.initial_position)} numbers; accepted: six, rad"
@@ -87,7 +88,7 @@ def build_plant(node: Node, parameters: SimulationParameters) -> tuple[RobotMode
     robot = load_robot(files.urdf, files.tool)
     friction = load_friction(files.friction, robot.joint_names)
     for line in friction.passivity_warnings(robot.max_velocity.tolist()):
-        node.get_logger().warning(line)
+        node.get_logger().warning(one_line(line))
     plant = Plant(robot, load_drives(files.drives), friction, parameters.rates, parameters.substeps)
     plant.reset(parameters.initial_position)
     plant.warm_up()

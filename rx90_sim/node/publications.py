@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.topics import CLOCK_QOS, STATE_QOS
 from rx90_sim.plant import Plant
 
@@ -28,9 +29,11 @@ class Publications:
         self._clock_ticks = ticks_per("clock_rate", rates.base_hz, clock_hz)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
-        self._joints = node.create_publisher(JointState, "joint_states", STATE_QOS.profile)
-        self._friction = node.create_publisher(JointState, "friction_states", STATE_QOS.profile)
-        self._clock = node.create_publisher(Clock, "/clock", CLOCK_QOS.profile)
+        self._joints = publish(node, JointState, "joint_states", STATE_QOS.profile)
+        self._friction = publish(node, JointState, "friction_states", STATE_QOS.profile)
+        self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
+        self._time = Clock()
+        self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:
@@ -42,13 +45,27 @@ class Publications:
         tick = self._plant.tick
         stamp = tick * self._period_ns
         if tick % self._state_ticks == 0:
+            self._joint_sample = self._encode_joints(stamp)
+            self._friction_sample = b""
             # What nobody listens to is not sent: a message costs the tick more than the plant's step.
             if self._joints.get_subscription_count():
-                self._joints.publish(self._encode_joints(stamp))
+                self._joints.publish(self._joint_sample)
             if self._friction.get_subscription_count():
                 self._plant.friction_states()
-                self._friction.publish(self._encode_friction(stamp))
+                self._friction_sample = self._encode_friction(stamp)
+                self._friction.publish(self._friction_sample)
         if tick % self._clock_ticks == 0:
-            message = Clock()
-            message.clock.sec, message.clock.nanosec = divmod(stamp, NANOSECONDS)
-            self._clock.publish(message)
+            self._time.clock.sec, self._time.clock.nanosec = divmod(stamp, NANOSECONDS)
+            self._clock.publish(self._time)
+
+    def repeat(self) -> None:
+        """Publish the newest samples again; in tick 0, before it has run, those that it will publish."""
+        if self._plant.tick == 0:
+            self.publish_due()
+            return
+        if self._joints.get_subscription_count():
+            self._joints.publish(self._joint_sample)
+        # Who came when nobody listened gets no friction states: those of an earlier tick cannot be made up for.
+        if self._friction_sample and self._friction.get_subscription_count():
+            self._friction.publish(self._friction_sample)
+        self._clock.publish(self._time)

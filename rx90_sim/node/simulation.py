@@ -10,12 +10,13 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from rx90_common.base.quoting import plain
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, TIME_MODE
+from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import build_plant, read_parameters
 from rx90_sim.node.ticks import Ticks
 
@@ -38,6 +39,7 @@ class Simulation:
         self.node = node = Node("rx90_sim", cli_args=list(own_args))
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
+        self._robot_name = plain(robot.model.name)
         self._ticks = Ticks(node, self._plant, self._parameters, make_channel)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
@@ -56,11 +58,22 @@ class Simulation:
         Raises:
             DivergenceError: naming joint and tick.
         """
+        self.node.get_logger().info(self._ready_text())
         self._ticks.run()
 
     def wait_also_for(self, publishers: Sequence[Publisher]) -> None:
         """Let what these have sent arrive, too, before a run that is not paced goes on."""
         self._ticks.listeners.add(publishers)
+
+    def _ready_text(self) -> str:
+        node, parameters = self.node, self._parameters
+        text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
+        if parameters.time_mode == LOCK_STEP:
+            text += f", real_time_factor {parameters.real_time_factor:g}"
+        text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
+        if parameters.paused:
+            text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
+        return text
 
     def stop(self) -> None:
         """End `tick_loop` soon."""

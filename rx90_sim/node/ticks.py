@@ -16,6 +16,7 @@ from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TICK_QOS
+from rx90_sim.node.heartbeat import Heartbeat
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
@@ -51,6 +52,7 @@ class Ticks:
         self._unpaced = parameters.real_time_factor == 0.0
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
+        self._heartbeat = Heartbeat(self._publications.repeat)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
         self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
@@ -90,6 +92,8 @@ class Ticks:
                     self.pacer.restart()
                 if advance():
                     self.control.step_done()
+            else:
+                self._heartbeat.beat(self._plant.tick)
             moving = turn is Turn.STEP
         node_tools.wait_until_received(self._publishers)
 
@@ -97,7 +101,7 @@ class Ticks:
         plant = self._plant
         stamp = plant.tick * self._period_ns
         states = self._encode_states(stamp)
-        raw = self.lockstep.exchange(stamp, states, self.control.interrupting, self._publish_due)
+        raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
         if raw is None:
             return False
         plant.step(self._torques(raw))
@@ -105,6 +109,11 @@ class Ticks:
             self.listeners.tick_done()
         self.pacer.wait()
         return True
+
+    def _interrupted(self) -> bool:
+        """Return whether the exchange should come back; asked now and then while there is no command."""
+        self._heartbeat.beat(self._plant.tick)
+        return self.control.interrupting()
 
     def _step_free_running(self) -> bool:
         plant = self._plant

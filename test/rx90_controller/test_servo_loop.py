@@ -35,6 +35,10 @@ class Surroundings:
         """Note the wait."""
         self.lines.append("subscribers")
 
+    def ready(self) -> None:
+        """Note that the first states have come."""
+        self.lines.append("ready")
+
     def publish(self, stamp_ns: int) -> None:
         """Note when."""
         self.published.append(stamp_ns)
@@ -99,14 +103,16 @@ def rig(shipped: Setup) -> Rig:
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
-    """What comes before the first states is followed from their tick on."""
+    """What comes before the first states is followed from their tick on; that they have come is said once."""
     rig.loop.offer(rig.trajectory(0.1))
     assert rig.around.lines == ["a trajectory waits for the simulation's first tick"]
     rig.loop.begin()
     rig.loop.hold(rig.states(400))
-    assert rig.around.lines[1:] == ["subscribers", "trajectory accepted: 1 points, 1.000 s from 0.100 s"]
+    assert rig.around.lines[1:] == ["subscribers", "ready", "trajectory accepted: 1 points, 1.000 s from 0.100 s"]
     rig.run(400, 4004)
     assert rig.cs7b.reference()[0] == pytest.approx([0.1] * 6)
+    rig.loop.hold(rig.states(0))
+    assert rig.around.lines.count("ready") == 1
 
 
 def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:

@@ -37,10 +37,11 @@ _SHOW_PERIOD_S = 0.5
 
 @dataclass(frozen=True)
 class TopicCount:
-    """What was recorded of a topic."""
+    """What was recorded of a topic; `repeated` of the messages received are not in the bag."""
 
     topic: str
     received: int
+    repeated: int
     lost: int
     refused: int
     writers: tuple[WriterCount, ...]
@@ -202,7 +203,12 @@ class Recorder:
 def _count(streams: Streams) -> list[TopicCount]:
     return [
         TopicCount(
-            stream.topic, stream.counter.received, stream.lost(), stream.refused(), tuple(stream.counter.writers)
+            stream.topic,
+            stream.counter.received,
+            stream.repeated,
+            stream.lost(),
+            stream.refused(),
+            tuple(stream.counter.writers),
         )
         for stream in streams
     ]

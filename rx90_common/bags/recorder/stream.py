@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -15,7 +16,7 @@ from rosbags.interfaces import Qos
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
-from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.bags.topics import CLOCK, JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -93,6 +94,7 @@ class Stream:
 
     Attributes:
         in_bulk: whether messages are taken many at a time.
+        repeated: messages that were the one before them once more.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
@@ -130,6 +132,9 @@ class Stream:
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
         self._incompatible = self._event(kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=transient_local)
+        self.repeated = 0
+        self._dated = self.msgtype in (JOINT_STATE, CLOCK)
+        self._newest = b""
 
     @property
     def needs_publisher(self) -> bool:
@@ -144,7 +149,21 @@ class Stream:
         """
         taken = self._taker.take()
         self.counter.add_many(taken.numbers)
-        return taken
+        return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
+
+    def _without_repetitions(self, taken: Taken) -> Taken:
+        """Leave out, and count, messages that are the one before them once more, to the bit, stamp included.
+
+        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+        """
+        messages = taken.messages
+        again = messages.repeats(self._newest)
+        self._newest = messages[len(messages) - 1]
+        if not again.any():
+            return taken
+        self.repeated += int(again.sum())
+        kept = np.flatnonzero(~again)
+        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept])
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""

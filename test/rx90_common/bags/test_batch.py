@@ -33,6 +33,15 @@ def test_messages_are_kept_as_they_are(groups: list[list[bytes]], data: st.DataO
     assert batch.stamps_ns().tolist() == [max(0, cdr_stamp_ns(message)) for message in flat]
 
 
+@given(
+    st.lists(st.sampled_from([b"", b"a" * 12, b"b" * 12, b"a" * 13, b"a" * 12 + b"b"])), st.sampled_from([b"", b"x"])
+)
+def test_repetitions_are_found(messages: list[bytes], before: bytes) -> None:
+    """A message counts as a repetition where all its bytes are those of the one before it."""
+    expected = [one == other for one, other in zip(messages, [before, *messages], strict=False)]
+    assert MessageBatch.of(messages).repeats(before).tolist() == expected
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
     """Batches of any size, also across chunks and with messages larger than one, give the bytes that rosbags gives."""

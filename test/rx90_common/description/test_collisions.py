@@ -1,0 +1,63 @@
+"""The collision geometry of arm and tool, by the checker that comes with Pinocchio."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from rx90_emulator.loop.setup import Setup
+
+coal = pytest.importorskip("coal")
+
+POSES = {
+    "straight up": [0.0] * 6,
+    "start of the reference task": [-0.464, 0.75, 1.449, 0.0, 0.943, -0.464],
+    "elbow down": [0.5, 1.2, 1.2, 0.7, -0.6, 1.0],
+    "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.0943, 0.0],
+    "wrist bent the other way": [0.0, 0.3, 0.9, 0.0, -1.8325, 0.0],
+}
+
+
+def link_of(model: Any, geometry: Any) -> int:
+    """Return the moving link of a geometry, 0 for the base; what is fixed to a link is that link."""
+    return int(model.frames[geometry.parentFrame].parentJoint)
+
+
+def overlaps(setup: Setup, kind: Any, position: list[float]) -> set[tuple[int, int]]:
+    """Return the pairs of links that overlap and are no neighbours."""
+    model = setup.robot.model
+    shapes = pin.buildGeomFromUrdfString(model, setup.robot.urdf, kind)
+    data, placed = model.createData(), shapes.createData()
+    pin.updateGeometryPlacements(model, data, shapes, placed, np.array(position))
+    found = set()
+    for a, b in itertools.combinations(range(shapes.ngeoms), 2):
+        links = tuple(sorted(link_of(model, shapes.geometryObjects[i]) for i in (a, b)))
+        if links[1] - links[0] < 2:
+            continue
+        transforms = [coal.Transform3s(placed.oMg[i].rotation, placed.oMg[i].translation) for i in (a, b)]
+        geometries = [shapes.geometryObjects[i].geometry for i in (a, b)]
+        result = coal.CollisionResult()
+        pairs = zip(geometries, transforms, strict=True)
+        if coal.collide(*itertools.chain.from_iterable(pairs), coal.CollisionRequest(), result):
+            found.add(links)
+    return found
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_links_that_are_no_neighbours_do_not_overlap(shipped: Setup, pose: str) -> None:
+    """Neither shapes nor collision geometry of two links that no joint connects touch, the tool's included."""
+    assert overlaps(shipped, pin.COLLISION, POSES[pose]) == set()
+    assert overlaps(shipped, pin.VISUAL, POSES[pose]) == set()
+
+
+def test_the_tool_can_be_hit(shipped: Setup) -> None:
+    """The tool has collision geometry: with the wrist bent back and the elbow folded it meets the arm."""
+    shapes = pin.buildGeomFromUrdfString(shipped.robot.model, shipped.robot.urdf, pin.COLLISION)
+    of_tool = [s for s in shapes.geometryObjects if s.name.startswith("tool_")]
+    assert [2.0 * s.geometry.halfLength for s in of_tool] == pytest.approx([0.13, 0.04])
+    assert [s.geometry.radius for s in of_tool] == [0.04, 0.016]
+    assert overlaps(shipped, pin.COLLISION, [0.0, 0.0, 2.4, 0.0, 1.7, 0.0])
