@@ -6,11 +6,12 @@ BIN := .venv/bin
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_IMPLEMENTATION
 
-.PHONY: help demo test bench firmware lint clean environment-run environment-dev suitable
+.PHONY: help demo test test-jazzy bench firmware lint clean environment-run environment-dev environment-jazzy suitable
 
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
 	@echo "make test     run all tests"
+	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
 	@echo "make bench    measure speed and accuracy into out/bench.json"
 	@echo "make firmware build the friction rig's firmware: 8051, ATmega328P, native"
 	@echo "make lint     ruff and mypy"
@@ -22,6 +23,14 @@ demo: environment-run
 
 test: environment-dev
 	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+# What does not hang on the versions of libraries (DDS, firmware, processes) is left to `make test`.
+JAZZY := rx90_sim rx90_controller rx90_common/bags rx90_common/friction rx90_common/description \
+  rx90_emulator/loop rx90_emulator/identification rx90_emulator/perturbation rx90_emulator/sweep/test_metrics.py
+test-jazzy: environment-jazzy
+	@.venv-jazzy/bin/python -m tools.digests
+	@.venv-jazzy/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware" \
+	  $(or $(ARGS),$(addprefix test/,$(JAZZY)))
 
 firmware:
 	@$(MAKE) --no-print-directory -C firmware
@@ -35,10 +44,10 @@ lint: environment-dev
 	@$(BIN)/mypy
 
 clean:
-	@rm -rf .venv build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	@rm -rf .venv .venv-jazzy build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-environment-run environment-dev: environment-%: suitable
+environment-run environment-dev environment-jazzy: environment-%: suitable
 	@"$(PYTHON)" tools/environment.py $*
 
 # Asked for here, because an older interpreter cannot even parse the set-up script.

@@ -37,6 +37,8 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -48,15 +50,15 @@ setup(
     data_files=data_files(),
     zip_safe=False,
     install_requires=[
-        "numpy>=2.2,<2.5",
-        "scipy>=1.15,<1.18",
-        "numba>=0.61,<0.69",
-        "pin>=4.1,<4.2",
+        "numpy>=1.26,<2.5",
+        "scipy>=1.11,<1.18",
+        "numba>=0.59,<0.69",
+        "pin>=2.7,<4.2",
         "rosbags>=0.11.9,<0.12",
-        "PyYAML>=6.0.2,<7",
-        "matplotlib>=3.10,<3.12",
-        "Jinja2>=3.1.4,<4",
-        "tqdm>=4.67,<5",
+        "PyYAML>=6.0.1,<7",
+        "matplotlib>=3.6,<3.12",
+        "Jinja2>=3.1.2,<4",
+        "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
     ],
     extras_require={
@@ -64,14 +66,13 @@ setup(
             "ros-jazzy-rclpy[fastrtps]>=7.1.6,<7.2",
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
-        "sweep": ["pyarrow>=25,<27", "distributed>=2026.1,<2027"],
+        "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
+        "test": TEST,
         "dev": [
-            "pyarrow>=25,<27",
+            *TEST,
+            "pyarrow>=18,<27",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
-            "pytest>=8.3,<10",
-            "pytest-xdist>=3.6,<4",
-            "hypothesis>=6.120,<7",
             "wheel>=0.42,<1",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.robot import RigidChain
+from rx90_common.description.chain import RigidChain
+from rx90_common.description.rotations import dot, length, outer, product, rotated, transposed
+from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
 
 
 class BaseParameters(NamedTuple):
@@ -41,21 +43,21 @@ def base_parameters(chain: RigidChain) -> BaseParameters:
     second = _second_moments(chain)
     for i in range(len(mass) - 1, 0, -1):
         z, origin = chain.axis[i], chain.origin[i]
-        along = z @ first[i]
+        along = dot(z, first[i])
         first[i - 1] += mass[i] * origin + along * z
-        second[i - 1] += mass[i] * np.outer(origin, origin) + (z @ second[i] @ z) * np.outer(z, z)
-        second[i - 1] += along * (np.outer(origin, z) + np.outer(z, origin))
+        second[i - 1] += mass[i] * outer(origin, origin) + dot(z, rotated(second[i], z)) * outer(z, z)
+        second[i - 1] += along * (outer(origin, z) + outer(z, origin))
         mass[i - 1] += mass[i]
     # What lies along the axis has been regrouped; the entries that still hold it are not used.
     at_zero = _link_frames(chain.axis, second)
     before = np.concatenate([np.eye(3)[None], at_zero[:-1]])
     following = np.concatenate([chain.origin[1:], np.zeros((1, 3))])
-    local = np.transpose(at_zero, (0, 2, 1)) @ second @ at_zero
+    local = product(product(transposed(at_zero), second), at_zero)
     return BaseParameters(
-        frame=np.transpose(before, (0, 2, 1)) @ at_zero,
-        next_origin=np.einsum("ikc,ik->ic", at_zero, following),
+        frame=product(transposed(before), at_zero),
+        next_origin=rotated(transposed(at_zero), following),
         first_origin=chain.origin[0],
-        first_moment=np.einsum("ikc,ik->ic", at_zero, first)[:, :2],
+        first_moment=rotated(transposed(at_zero), first)[:, :2],
         second_moment=local[:, [0, 1, 0, 1], [0, 1, 2, 2]],
     )
 
@@ -64,16 +66,15 @@ def _second_moments(chain: RigidChain) -> Array:
     """Return the integrals of r r^T over the mass about the link origins, shape (6, 3, 3), kg m^2."""
     xx, yy, zz, xy, xz, yz = chain.inertia.T
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
-    central = 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
-    return np.asarray(central + chain.mass[:, None, None] * chain.com[:, :, None] * chain.com[:, None, :])
+    central = 0.5 * (xx + yy + zz)[:, None, None] * np.eye(3) - inertia
+    return np.asarray(central + chain.mass[:, None, None] * outer(chain.com, chain.com))
 
 
 def _link_frames(z: Array, moment: Array) -> Array:
     """Return axes (columns) with the given z, turned such that x and y are principal directions, (6, 3, 3)."""
     side = np.cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
-    x = side / np.linalg.norm(side, axis=1, keepdims=True)
+    x = side / length(side)[:, None]
     y = np.cross(z, x)
-    xx, yy, xy = (np.einsum("ik,ikl,il->i", a, moment, b) for a, b in ((x, x), (y, y), (x, y)))
-    turn = 0.5 * np.arctan2(2.0 * xy, xx - yy)[:, None]
-    c, s = np.cos(turn), np.sin(turn)
+    xx, yy, xy = (dot(a, rotated(moment, b)) for a, b in ((x, x), (y, y), (x, y)))
+    s, c = sines_cosines(0.5 * angles_of(2.0 * xy, xx - yy)[:, None])
     return np.stack([c * x + s * y, c * y - s * x, z], axis=2)

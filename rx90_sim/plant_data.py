@@ -13,6 +13,7 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
 from rx90_common.friction.lugre import element_arrays, elements_dtype
+from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.base_parameters import base_parameters
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
@@ -90,9 +91,9 @@ def plant_record(
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque
     plant["resolution"] = 2.0 * math.pi / drives.encoder_counts
-    pole = math.exp(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
-    plant["observer_position"] = 1.0 - pole**2
-    plant["observer_velocity"] = (1.0 - pole) ** 2 / rates.period
+    pole = exponential_of(-2.0 * math.pi * drives.velocity_bandwidth * rates.period)
+    plant["observer_position"] = 1.0 - pole * pole
+    plant["observer_velocity"] = (1.0 - pole) * (1.0 - pole) / rates.period
     plant["lower"], plant["upper"] = robot.lower, robot.upper
     plant["stop_stiffness"], plant["stop_damping"] = drives.stop_stiffness, drives.stop_damping
     plant["period"], plant["substeps"] = rates.period, substeps

@@ -109,38 +109,6 @@ def test_modules_and_data_come_from_the_wheel(binaries: Path) -> None:
     assert all(path.is_file() and path.is_relative_to(binaries.parent) for path in found), found
 
 
-@pytest.mark.parametrize(
-    ("program", "missing", "words"),
-    [
-        ("rx90_sim", "rclpy", []),
-        ("rx90_line", "rclpy", ["--from-file", "task/reference_line.yaml"]),
-        ("rx90_bag", "rclpy", ["record", "--output", "bag"]),
-        ("rx90_sweep", "pyarrow", ["run", "sweep/reference_1000.yaml", "--output", "out.parquet"]),
-        ("rx90_sweep", "pyarrow", ["info", "out.parquet"]),
-    ],
-)
-def test_what_an_extra_lacks_is_one_line(program: str, missing: str, words: list[str], tmp_path: Path) -> None:
-    """Without ROS or pyarrow a command that needs it ends with exit code 3 and a line that says where to get it."""
-    code = (
-        f"import sys; sys.modules[{missing!r}] = None; from rx90_emulator.cli.frame import run; "
-        f"sys.exit(run({program!r}, {words}))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=TIMEOUT,
-    )
-    assert done.returncode == 3, done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert done.stderr.startswith(f"{program}: ")
-    assert missing in done.stderr
-    assert "accepted: " in done.stderr or "pip install" in done.stderr
-
-
 def test_a_line_runs_from_the_wheel(binaries: Path, tmp_path: Path) -> None:
     """`rx90_run` of the wheel, in a folder of its own, writes the bag and the arrays that the source tree would."""
     (tmp_path / "task.yaml").write_text(SHORT_TASK, encoding="utf-8")

@@ -21,6 +21,8 @@ from typing import NamedTuple
 
 DIGITS = 60
 TINY = Decimal(10) ** -DIGITS
+WIDEST_TANGENT = Decimal("0.2381")
+"""The largest reduced argument of the arc tangent: its intervals end at 0.236 and 0.72."""
 MARGIN = Decimal("1.001")
 """Rounding may leave the reduced argument a little beyond the interval; the polynomials hold for this much more."""
 
@@ -44,9 +46,16 @@ class Remainder(NamedTuple):
 
 
 def remainders() -> list[Remainder]:
-    """Return exp(r) = 1 + r + r^2 E(r), sin(r) = r + r^3 S(r^2) and cos(r) = 1 - r^2/2 + r^4 C(r^2)."""
+    """Return the remainders of exp, sine, cosine, the logarithm and the arc tangent.
+
+    exp(r) = 1 + r + r^2 E(r), sin(r) = r + r^3 S(r^2), cos(r) = 1 - r^2/2 + r^4 C(r^2),
+    ln((1 + s) / (1 - s)) = 2 s + s^3 L(s^2), atan(u) = u + u^3 A(u^2).
+    """
     half_ln2, quarter_pi = MARGIN * Decimal(2).ln() / 2, MARGIN * pi() / 4
     squares = (Decimal(0), quarter_pi**2)
+    ratio = Decimal(2).sqrt()
+    logarithms = (Decimal(0), (MARGIN * (ratio - 1) / (ratio + 1)) ** 2)
+    tangents = (Decimal(0), (MARGIN * WIDEST_TANGENT) ** 2)
 
     def sine(k: int) -> Decimal:
         return Decimal((-1) ** (k + 1)) / factorial(2 * k + 3)
@@ -54,10 +63,18 @@ def remainders() -> list[Remainder]:
     def cosine(k: int) -> Decimal:
         return Decimal((-1) ** k) / factorial(2 * k + 4)
 
+    def logarithm(k: int) -> Decimal:
+        return Decimal(2) / (2 * k + 3)
+
+    def arc(k: int) -> Decimal:
+        return Decimal((-1) ** (k + 1)) / (2 * k + 3)
+
     return [
         Remainder("_E", 10, lambda k: Decimal(1) / factorial(k + 2), (-half_ln2, half_ln2), lambda r: r * r / r.exp()),
         Remainder("_S", 6, sine, squares, lambda x: x / (1 + x * series(sine, x))),
         Remainder("_C", 6, cosine, squares, lambda x: x * x / (1 - x / 2 + x * x * series(cosine, x))),
+        Remainder("_L", 8, logarithm, logarithms, lambda x: x / (2 + x * series(logarithm, x))),
+        Remainder("_A", 9, arc, tangents, lambda x: x / (1 + x * series(arc, x))),
     ]
 
 
@@ -70,14 +87,21 @@ def series(coefficient: Callable[[int], Decimal], x: Decimal) -> Decimal:
     return total
 
 
+def arc_tangent(inverse: int) -> Decimal:
+    """Return atan(1 / inverse)."""
+    x = Decimal(1) / inverse
+    return x * series(lambda k: Decimal((-1) ** k) / (2 * k + 1), x * x)
+
+
 def pi() -> Decimal:
     """Return pi by Machin's formula."""
-
-    def arc_tangent(inverse: int) -> Decimal:
-        x = Decimal(1) / inverse
-        return x * series(lambda k: Decimal((-1) ** k) / (2 * k + 1), x * x)
-
     return 4 * (4 * arc_tangent(5) - arc_tangent(239))
+
+
+def arcs() -> list[Decimal]:
+    """Return 0, atan(1/2) and atan(1), each as it is, off pi/2, off pi, and less pi/2 off pi."""
+    bases = (Decimal(0), arc_tangent(2), pi() / 4)
+    return [angle for base in bases for angle in (base, pi() / 2 - base, pi() - base, pi() / 2 + base)]
 
 
 def cosine_of(angle: Decimal) -> Decimal:
@@ -137,6 +161,7 @@ def main() -> None:
     print(f"_TWO_BY_PI = {float(2 / pi())}")
     print("_LN2 =", tuple(parts(Decimal(2).ln(), 32, 53)))
     print("_HALF_PI =", tuple(parts(pi() / 2, 32, 32, 32)))
+    print("_ARCS = (", *(f"    {tuple(parts(angle, 53, 53))}," for angle in arcs()), ")", sep="\n")
     errors = []
     for remainder in remainders():
         values = coefficients(remainder)

@@ -22,8 +22,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# What `pip install -e .[...]` is asked for: to run the nodes, or to test and measure them too.
-EXTRAS = {"run": ("ros",), "dev": ("ros", "dev")}
+# What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, or to test them with the
+# versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
+EXTRAS = {"run": ("ros",), "dev": ("ros", "dev"), "jazzy": ("ros", "test")}
+FOLDERS = {"run": ".venv", "dev": ".venv", "jazzy": ".venv-jazzy"}
+CONSTRAINTS = {"jazzy": "tools/constraints-jazzy.txt"}
+_NEWEST_FOR = {"jazzy": (3, 12)}
 MINIMUM_GLIBC = (2, 28)
 _STEP = re.compile(r"^\s*(Collecting|Downloading|Using cached|Building|Preparing|Installing)\b([^(<>=~]*)")
 
@@ -50,17 +54,32 @@ def check_machine() -> None:
         raise UnsuitableError(f"{sys.executable} has no venv module; install it: python{version}-venv")
 
 
+def check_version(purpose: str) -> None:
+    """Refuse an interpreter for which the versions of Ubuntu 24.04 have no wheels.
+
+    Raises:
+        UnsuitableError: naming what was found and what is accepted.
+    """
+    newest = _NEWEST_FOR.get(purpose, sys.version_info[:2])
+    if sys.version_info[:2] > newest:
+        found = f"{sys.version_info[0]}.{sys.version_info[1]}"
+        accepted = f"{newest[0]}.{newest[1]}"
+        raise UnsuitableError(f"Python {found} is too new for the versions of {purpose}; accepted: 3.10 to {accepted}")
+
+
 class Environment:
     """A virtual environment with the package installed in place.
 
     Attributes:
         folder: where it lies.
         root: the source tree that is installed into it.
+        constraints: pip's file of versions, relative to the root, if they are not to be the newest.
     """
 
-    def __init__(self, folder: Path, root: Path = ROOT) -> None:
+    def __init__(self, folder: Path, root: Path = ROOT, constraints: str | None = None) -> None:
         self.folder = folder
         self.root = root
+        self.constraints = constraints
         self._stamp = folder / "rx90_emulator.stamp"
         self._log = root / "build" / "environment.log"
 
@@ -76,7 +95,7 @@ class Environment:
     def inputs(self) -> str:
         """Return a hash of what the installation depends on: the build files and the list of rooms."""
         digest = hashlib.sha256()
-        for name in ("setup.py", "setup.cfg", "pyproject.toml"):
+        for name in ("setup.py", "setup.cfg", "pyproject.toml", *filter(None, [self.constraints])):
             digest.update((self.root / name).read_bytes())
         rooms = sorted(path.parent.name for path in self.root.glob("*/__init__.py"))
         digest.update(" ".join(rooms).encode())
@@ -113,7 +132,8 @@ class Environment:
         _say(f"installing the pinned packages ({', '.join(wanted)}); the first time takes minutes")
         start = time.monotonic()
         target = f"{self.root}[{','.join(wanted)}]"
-        self._pip("-e", target)
+        chosen = () if self.constraints is None else ("-c", str(self.root / self.constraints))
+        self._pip(*chosen, "-e", target)
         self._note(self.inputs(), set(wanted))
         _say(f"installed in {time.monotonic() - start:.0f} s")
 
@@ -183,12 +203,14 @@ def main() -> int:
     """Bring the environment up to date; 1 with one line when that cannot be done."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("purpose", choices=sorted(EXTRAS), help="what the environment is for")
-    parser.add_argument("--folder", type=Path, default=ROOT / ".venv", help="where it lies (%(default)s)")
+    parser.add_argument("--folder", type=Path, help="where it lies (.venv; for jazzy .venv-jazzy)")
     args = parser.parse_args()
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         check_machine()
-        Environment(args.folder.absolute()).update(set(EXTRAS[args.purpose]))
+        check_version(args.purpose)
+        folder = (args.folder or ROOT / FOLDERS[args.purpose]).absolute()
+        Environment(folder, constraints=CONSTRAINTS.get(args.purpose)).update(set(EXTRAS[args.purpose]))
     except UnsuitableError as error:
         _say(str(error))
         return 1

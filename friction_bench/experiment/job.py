@@ -23,6 +23,7 @@ from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import ConfigError, FailureError, write_error
+from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.friction.friction_file import FrictionFile
@@ -60,7 +61,7 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
     """Refuse now what would otherwise be noticed after minutes of ramps."""
     if options.element not in base.elements:
         known = ", ".join(base.elements)
-        raise ConfigError(f"--element is '{options.element}'; accepted: {known}")
+        raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     for name, low, high in (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)):
         value = getattr(options, name)
         if value is not None and not low <= value <= high:
@@ -179,5 +180,5 @@ def _split(entry: str) -> tuple[float, Path]:
     except ValueError:
         slope = math.nan
     if not 0.0 < slope < math.inf or not file:
-        raise ConfigError(f"file is '{entry}'; accepted: slope:file, for example 0.05:ramp_01.csv")
+        raise ConfigError(f"file is {quoted(entry)}; accepted: slope:file, for example 0.05:ramp_01.csv")
     return slope, Path(file)

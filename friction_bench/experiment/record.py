@@ -107,7 +107,8 @@ def read_csv(path: Path, slope: float, angle_step: float, loaded: bool = False) 
     missing = [name for name in CSV_COLUMNS[:2] if name not in header]
     if missing:
         found, accepted = ", ".join(header)[:80], ", ".join(CSV_COLUMNS)
-        raise RecordError(f"{path}: column '{missing[0]}' is missing, found {quoted(found)}; accepted: {accepted}")
+        lacking = f"column {quoted(missing[0])} is missing, found {quoted(found)}"
+        raise RecordError(f"{path}: {lacking}; accepted: {accepted}")
     data: dict[str, Array] = {}
     for name in CSV_COLUMNS:
         if name in header:
@@ -130,7 +131,7 @@ def _number(path: Path, line: int, row: list[str], at: int, name: str) -> float:
         return float(row[at])
     except (IndexError, ValueError):
         found = row[at] if at < len(row) else "nothing"
-        raise RecordError(f"{path}: line {line}, column {name} holds '{found}'; accepted: a number") from None
+        raise RecordError(f"{path}: line {line}, column {name} holds {quoted(found)}; accepted: a number") from None
 
 
 def write_csv(record: RampRecord, path: Path) -> None:
@@ -163,7 +164,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
         RecordError: naming file and line of what cannot be used.
     """
     if kind not in TEXT_KINDS:
-        raise RecordError(f"kind of reading is '{kind}'; accepted: {', '.join(TEXT_KINDS)}")
+        raise RecordError(f"kind of reading is {quoted(kind)}; accepted: {', '.join(TEXT_KINDS)}")
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -176,7 +177,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
         try:
             rows.append([float(word) for word in words])
         except ValueError:
-            raise RecordError(f"{path}: line {number} holds '{line.strip()}'; accepted: numbers") from None
+            raise RecordError(f"{path}: line {number} holds {quoted(line.strip())}; accepted: numbers") from None
         if len(rows[-1]) not in {1, 2} or len(rows[-1]) != len(rows[0]):
             raise RecordError(
                 f"{path}: line {number} holds {len(words)} numbers; accepted: 1 or 2, the same on every line"

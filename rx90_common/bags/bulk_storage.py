@@ -6,15 +6,17 @@ import struct
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
+from zlib import crc32
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.enums import CompressionMode
-from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
+from rosbags.rosbag2.storage_mcap import PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.kernels.compiled import c_function
 
 _CHUNK_BYTES: Final = 1 << 20  # a chunk that is larger is closed, as rosbags does
@@ -46,7 +48,7 @@ def _write_records(data_at, start_at, size_at, channel_at, log_at, count, to_at)
     return 0
 
 
-class BulkMcapWriter(McapWriter):
+class BulkMcapWriter(ChecksummedMcapWriter):
     """rosbags' MCAP writer; messages come by `write_many` alone."""
 
     def __init__(self, path: Path, compression: CompressionMode) -> None:
@@ -98,11 +100,14 @@ class BulkMcapWriter(McapWriter):
         """Write the pending chunk with its index, and note it for the summary."""
         chunk = self.chunk
         size = chunk.bio.tell()
-        records = self.compressor(chunk.bio.getvalue())
+        content = chunk.bio.getvalue()
+        records = self.compressor(content)
         times = struct.pack("<QQ", chunk.message_start_time, chunk.message_end_time)
         compression = self.compression.encode()
         name = struct.pack("<I", len(compression)) + compression
-        start = self._write(_CHUNK, times, struct.pack("<QI", size, 0), name, struct.pack("<Q", len(records)), records)
+        start = self._write(
+            _CHUNK, times, struct.pack("<QI", size, crc32(content)), name, struct.pack("<Q", len(records)), records
+        )
         end = self.bio.tell()
         places = b""
         for number, entries in self._index.items():

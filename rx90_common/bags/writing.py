@@ -30,7 +30,7 @@ from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, Bul
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -206,11 +206,13 @@ class BagWriter:
 
     def _explained(self, error: Exception) -> BagError:
         if isinstance(error, WriterError):
-            return BagError(str(error))
+            return BagError(plain(error, 1000))
         reason = error.strerror if isinstance(error, OSError) else str(error)
         # What is refused before anything is written is the user's to mend: another folder, another name.
         failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-        return (BagWriteError if failed else BagError)(f"{self.path}: cannot be written ({reason})")
+        half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
+        kind = BagWriteError if failed else BagError
+        return kind(f"{plain(self.path)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)

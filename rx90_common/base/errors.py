@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import ClassVar
 
 from rx90_common.base.quoting import one_line, plain
@@ -81,6 +82,20 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
     """
     kind = OutputError if error.errno in DISK_ERRORS else ConfigError
     return kind(f"{plain(path)}: cannot be written ({error.strerror}){'; accepted: ' * bool(accepted)}{accepted}")
+
+
+def check_place(path: Path) -> None:
+    """Refuse a file or folder whose place does not take one, before the work is done whose result it is to hold.
+
+    Raises:
+        Rx90Error: as `write_error` says.
+    """
+    parent = next(parent for parent in path.absolute().parents if parent.exists())
+    try:
+        with TemporaryDirectory(prefix=".rx90_", dir=parent):
+            pass
+    except OSError as error:
+        raise write_error(path, error) from error
 
 
 def write_text(path: Path, text: str) -> None:

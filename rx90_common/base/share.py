@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 
 PACKAGE = "rx90_emulator"
 REFERENCE_TASK = "task/reference_line.yaml"
@@ -55,7 +56,7 @@ def resolve_config(name: str) -> Path:
     try:
         own = Path(name).expanduser()
     except RuntimeError as error:
-        raise ConfigError(f"no file '{name}': its home folder does not exist") from error
+        raise ConfigError(f"no file {quoted(str(name))}: its home folder does not exist") from error
     shipped = config_path(name)
     try:
         if own.is_file():
@@ -63,5 +64,5 @@ def resolve_config(name: str) -> Path:
         if shipped.is_file():
             return shipped
     except OSError as error:  # a name longer than the system takes, a folder that may not be read
-        raise ConfigError(f"no file '{name}': {error.strerror}") from error
-    raise ConfigError(f"no file '{name}': neither {own.absolute()} nor the shipped {shipped} exists")
+        raise ConfigError(f"no file {quoted(str(name))}: {error.strerror}") from error
+    raise ConfigError(f"no file {quoted(str(name))}: neither {own.absolute()} nor the shipped {shipped} exists")

@@ -12,8 +12,20 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.branch import Branch
-from rx90_common.description.kinematics import Pose, axis_rotation, forward, jacobian
-from rx90_common.description.robot import RigidChain, RobotModel
+from rx90_common.description.chain import RigidChain
+from rx90_common.description.kinematics import Pose, forward, jacobian
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import (
+    axis_rotation,
+    dot,
+    length,
+    product,
+    rotated,
+    rotation_vector,
+    solved,
+    transposed,
+)
+from rx90_common.kernels.elementary_arrays import angles_of, sines_cosines
 
 _Y, _Z = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 # Geometry read from a URDF counts as exact within this many metres or sines.
@@ -50,7 +62,7 @@ class SphericalWristArm:
     @property
     def reach(self) -> float:
         """Return the largest distance from axis 2 to the wrist centre, m."""
-        return float(np.linalg.norm(self.upper) + np.linalg.norm(self.fore))
+        return _plane_length(self.upper) + _plane_length(self.fore)
 
     @staticmethod
     def from_chain(chain: RigidChain) -> SphericalWristArm | None:
@@ -59,15 +71,15 @@ class SphericalWristArm:
         axis = chain.axis
         basis = np.column_stack([np.cross(axis[4], axis[3]), axis[4], axis[3]])
         references = np.array([_Z, _Y, _Y, axis[3], axis[4], axis[3]])
-        signs = np.sign(np.sum(axis * references, axis=1))
+        signs = np.sign(dot(axis, references))
         aligned = np.allclose(axis, signs[:, None] * references, rtol=0.0, atol=_GEOMETRY_TOLERANCE)
-        if not aligned or abs(axis[3] @ axis[4]) > _GEOMETRY_TOLERANCE:
+        if not aligned or abs(dot(axis[3], axis[4])) > _GEOMETRY_TOLERANCE:
             return None
         # The axes 4 and 5 are perpendicular: their nearest points share the coordinate across both.
-        wrist = center[3] + axis[3] * (axis[3] @ (center[4] - center[3]))
+        wrist = center[3] + axis[3] * dot(axis[3], center[4] - center[3])
         for k in (4, 5):
             offset = wrist - center[k]
-            if np.linalg.norm(offset - axis[k] * (axis[k] @ offset)) > _GEOMETRY_TOLERANCE:
+            if length(offset - axis[k] * dot(axis[k], offset)) > _GEOMETRY_TOLERANCE:
                 return None
         plane = [0, 2]
         arm = SphericalWristArm(
@@ -80,58 +92,68 @@ class SphericalWristArm:
             basis=basis,
             signs=signs,
         )
-        return arm if min(np.linalg.norm(arm.upper), np.linalg.norm(arm.fore)) > 0.0 else None
+        return arm if min(_plane_length(arm.upper), _plane_length(arm.fore)) > 0.0 else None
 
     def solve(self, chain: RigidChain, pose: Pose, branch: Branch) -> Array:
         """Return the joint angles (n, 6) in (-2π, 2π] for poses (n, 3), (n, 3, 3); NaN rows: out of reach."""
-        rotation = pose.rotation @ chain.tcp_rotation.T
-        offset = self.wrist - chain.tcp_position
-        wrist = pose.position + rotation @ offset
+        rotation = product(pose.rotation, transposed(chain.tcp_rotation))
+        wrist = pose.position + rotated(rotation, self.wrist - chain.tcp_position)
         q = np.empty((len(wrist), 6))
         with np.errstate(invalid="ignore"):
             q[:, :3] = self._arm_angles(wrist, branch)
-        before = axis_rotation(_Z, q[:, 0]) @ axis_rotation(_Y, q[:, 1] + q[:, 2])
-        q[:, 3:] = self._wrist_angles(np.swapaxes(before, -1, -2) @ rotation, branch)
+        before = product(axis_rotation(_Z, q[:, 0]), axis_rotation(_Y, q[:, 1] + q[:, 2]))
+        q[:, 3:] = self._wrist_angles(product(transposed(before), rotation), branch)
         return q * self.signs
 
     def _arm_angles(self, wrist: Array, branch: Branch) -> Array:
         x, y = (wrist[:, :2] - self.axis_1).T
         facing = 1.0 if branch.shoulder == "front" else -1.0
-        forward_reach = facing * np.sqrt(x * x + y * y - self.lateral**2)
-        angle_1 = np.arctan2(y, x) - np.arctan2(self.lateral, forward_reach)
+        forward_reach = facing * np.sqrt(x * x + y * y - self.lateral * self.lateral)
+        angle_1 = angles_of(y, x) - angles_of(self.lateral, forward_reach)
         d = np.stack([forward_reach, wrist[:, 2]], axis=-1) - self.shoulder
-        upper, fore = np.linalg.norm(self.upper), np.linalg.norm(self.fore)
-        squared = np.sum(d * d, axis=-1)
+        upper, fore = _plane_length(self.upper), _plane_length(self.fore)
+        squared = d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1]
         # Half-angle form of the law of cosines: exact to rounding also near the stretched arm.
-        elbow = 2.0 * np.arctan2(np.sqrt((upper + fore) ** 2 - squared), np.sqrt(squared - (upper - fore) ** 2))
+        far, near = (upper + fore) * (upper + fore), (upper - fore) * (upper - fore)
+        elbow = 2.0 * angles_of(np.sqrt(far - squared), np.sqrt(squared - near))
         elbow *= 1.0 if branch.elbow == "positive" else -1.0
-        lag = np.arctan2(fore * np.sin(elbow), upper + fore * np.cos(elbow))
-        angle_2 = np.arctan2(d[:, 0], d[:, 1]) - np.arctan2(*self.upper) - lag
-        angle_3 = elbow + np.arctan2(*self.upper) - np.arctan2(*self.fore)
+        sine, cosine = sines_cosines(elbow)
+        lag = angles_of(fore * sine, upper + fore * cosine)
+        angle_2 = angles_of(d[:, 0], d[:, 1]) - angles_of(*self.upper) - lag
+        angle_3 = elbow + angles_of(*self.upper) - angles_of(*self.fore)
         return np.stack([angle_1, angle_2, angle_3], axis=-1)
 
     def _wrist_angles(self, rotation: Array, branch: Branch) -> Array:
         """Split the wrist's rotation into turns about axis 4, axis 5 and axis 4 (z-y-z in its basis)."""
-        w = self.basis.T @ rotation @ self.basis
+        w = product(product(transposed(self.basis), rotation), self.basis)
         sign = 1.0 if branch.wrist == "positive" else -1.0
-        angle_4 = np.arctan2(sign * w[:, 1, 2], sign * w[:, 0, 2])
-        angle_5 = sign * np.arctan2(np.hypot(w[:, 0, 2], w[:, 1, 2]), w[:, 2, 2])
-        angle_6 = np.arctan2(sign * w[:, 2, 1], -sign * w[:, 2, 0])
+        angle_4 = angles_of(sign * w[:, 1, 2], sign * w[:, 0, 2])
+        angle_5 = sign * angles_of(_plane_lengths(w[:, :2, 2]), w[:, 2, 2])
+        angle_6 = angles_of(sign * w[:, 2, 1], -sign * w[:, 2, 0])
         return np.stack([angle_4, angle_5, angle_6], axis=-1)
 
     def forward_reach(self, chain: RigidChain, q: Array) -> Array:
         """Return the distance (n,) of the wrist centre from axis 1 in the arm plane, signed, m."""
         pose = forward(chain, q)
-        rotation = pose.rotation @ chain.tcp_rotation.T
-        wrist = pose.position + rotation @ (self.wrist - chain.tcp_position)
-        angle = self.signs[0] * np.asarray(q)[..., 0]
+        rotation = product(pose.rotation, transposed(chain.tcp_rotation))
+        wrist = pose.position + rotated(rotation, self.wrist - chain.tcp_position)
+        sine, cosine = sines_cosines(self.signs[0] * np.asarray(q)[..., 0])
         x, y = wrist[..., 0] - self.axis_1[0], wrist[..., 1] - self.axis_1[1]
-        return np.asarray(x * np.cos(angle) + y * np.sin(angle))
+        return np.asarray(x * cosine + y * sine)
 
     def elbow_angle(self, q: Array) -> Array:
         """Return the angle (n,) from the upper arm to the forearm, rad."""
-        bend = np.arctan2(*self.fore) - np.arctan2(*self.upper)
+        bend = angles_of(*self.fore) - angles_of(*self.upper)
         return np.asarray(self.signs[2] * np.asarray(q)[..., 2] + bend)
+
+
+def _plane_lengths(vectors: Array) -> Array:
+    """Return the lengths (n,) of vectors (n, 2)."""
+    return np.asarray(np.sqrt(vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]))
+
+
+def _plane_length(vector: Array) -> float:
+    return float(_plane_lengths(vector[None])[0])
 
 
 def nearest_turn(q: Array, reference: Array) -> Array:
@@ -152,24 +174,17 @@ def singularity_margins(chain: RigidChain, q: Array) -> dict[str, Array]:
         return {"arm": np.asarray(np.linalg.svd(jacobian(chain, q), compute_uv=False)[..., -1])}
     return {
         "shoulder": np.abs(arm.forward_reach(chain, q)) / arm.reach,
-        "elbow": np.abs(np.sin(arm.elbow_angle(q))),
-        "wrist": np.abs(np.sin(np.asarray(q)[..., 4])),
+        "elbow": np.abs(sines_cosines(arm.elbow_angle(q))[0]),
+        "wrist": np.abs(sines_cosines(np.asarray(q)[..., 4])[0]),
     }
 
 
 def pose_error(chain: RigidChain, q: Array, pose: Pose) -> Array:
     """Return the twist (6,) in m and rad that leads from the pose at `q` (6,) to `pose`, in base axes."""
     here = forward(chain, q)
-    return np.concatenate([pose.position - here.position, _rotation_vector(pose.rotation @ here.rotation.T)])
-
-
-def _rotation_vector(rotation: Array) -> Array:
-    skew = 0.5 * np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    return np.concatenate(
+        [pose.position - here.position, rotation_vector(product(pose.rotation, transposed(here.rotation)))]
     )
-    sine = float(np.linalg.norm(skew))
-    angle = np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0))
-    return skew * (angle / sine if sine > 0.0 else 1.0)
 
 
 def solve_near(chain: RigidChain, pose: Pose, guess: Array) -> Array | None:
@@ -180,14 +195,25 @@ def solve_near(chain: RigidChain, pose: Pose, guess: Array) -> Array | None:
     q = np.array(guess, dtype=np.float64)
     error = pose_error(chain, q, pose)
     for _ in range(_NEWTON_STEPS):
-        size = float(np.linalg.norm(error))
+        size = _size(error)
         if size < _NEWTON_RESIDUAL:
             return q
         j = jacobian(chain, q)
-        damping = 1e-2 * min(size * size, 1.0) * np.eye(6)
-        q = q + j.T @ np.linalg.solve(j @ j.T + damping, error)
+        damping = 1e-2 * min(size * size, 1.0)
+        # jᵀ (j jᵀ + damping)⁻¹ error; sums over the joints one after the other.
+        squared = _sum_first(j.T[:, :, None] * j.T[:, None, :]) + damping * np.eye(6)
+        q = q + _sum_first(j * solved(squared, error)[:, None])
         error = pose_error(chain, q, pose)
-    return q if float(np.linalg.norm(error)) < 10.0 * _NEWTON_RESIDUAL else None
+    return q if _size(error) < 10.0 * _NEWTON_RESIDUAL else None
+
+
+def _sum_first(terms: Array) -> Array:
+    """Return the sum over the first axis, in its order."""
+    return np.asarray(np.cumsum(terms, axis=0)[-1])
+
+
+def _size(error: Array) -> float:
+    return float(np.sqrt(_sum_first(error * error)))
 
 
 def solve_anywhere(robot: RobotModel, pose: Pose) -> Array | None:

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.robot import RigidChain
+from rx90_common.description.chain import RigidChain
+from rx90_common.description.rotations import axis_rotation, dot, length, product, rotated
 
 
 class Pose(NamedTuple):
@@ -26,26 +27,17 @@ class _Frames(NamedTuple):
     tcp: Pose
 
 
-def axis_rotation(axis: Array, angle: Array) -> Array:
-    """Return the rotation (..., 3, 3) by `angle` (...) rad about the unit vector `axis` (3,) (Rodrigues)."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = np.asarray(angle)[..., None, None]
-    rotation: Array = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    return rotation
-
-
 def _frames(chain: RigidChain, q: Array) -> _Frames:
     q = np.asarray(q, dtype=np.float64)
     rotation = np.broadcast_to(np.eye(3), (*q.shape[:-1], 3, 3))
     position = np.zeros((*q.shape[:-1], 3))
     centers, axes = [], []
     for i, (origin, axis) in enumerate(zip(chain.origin, chain.axis, strict=True)):
-        position = position + rotation @ origin
-        axes.append(rotation @ axis)
+        position = position + rotated(rotation, origin)
+        axes.append(rotated(rotation, axis))
         centers.append(position)
-        rotation = rotation @ axis_rotation(axis, q[..., i])
-    tcp = Pose(position + rotation @ chain.tcp_position, rotation @ chain.tcp_rotation)
+        rotation = product(rotation, axis_rotation(axis, q[..., i]))
+    tcp = Pose(position + rotated(rotation, chain.tcp_position), product(rotation, chain.tcp_rotation))
     return _Frames(np.stack(centers, axis=-2), np.stack(axes, axis=-2), tcp)
 
 
@@ -75,7 +67,7 @@ def bias_acceleration(chain: RigidChain, q: Array, velocity: Array) -> Array:
     ends = np.concatenate([frames.center[..., 1:, :], frames.tcp.position[..., None, :]], axis=-2)
     lever = ends - frames.center
     linear = np.cross(alpha, lever) + np.cross(omega, np.cross(omega, lever))
-    return np.concatenate([linear.sum(axis=-2), alpha[..., -1, :]], axis=-1)
+    return np.concatenate([np.cumsum(linear, axis=-2)[..., -1, :], alpha[..., -1, :]], axis=-1)
 
 
 class PathError(NamedTuple):
@@ -94,8 +86,8 @@ class PathError(NamedTuple):
 
 def decompose(vectors: Array, direction: Array) -> tuple[Array, Array]:
     """Split vectors (n, 3) into the part along `direction` (n,) and the part across it (n, 3)."""
-    unit = np.asarray(direction) / np.linalg.norm(direction)
-    along = np.asarray(vectors) @ unit
+    unit = np.asarray(direction) / length(np.asarray(direction))
+    along = dot(np.asarray(vectors), unit)
     return along, vectors - along[..., None] * unit
 
 
@@ -106,9 +98,9 @@ def path_error(positions: Array, start: Array, end: Array) -> PathError:
         ValueError: if start and end are the same point.
     """
     direction = np.asarray(end, dtype=np.float64) - np.asarray(start, dtype=np.float64)
-    length = float(np.linalg.norm(direction))
-    if length == 0.0:
+    whole = float(length(direction))
+    if whole == 0.0:
         raise ValueError("a line needs two different points")
     along, across = decompose(np.asarray(positions) - np.asarray(start), direction)
-    beyond = np.maximum(np.maximum(-along, along - length), 0.0)
-    return PathError(along, np.linalg.norm(across, axis=-1), beyond)
+    beyond = np.maximum(np.maximum(-along, along - whole), 0.0)
+    return PathError(along, length(across), beyond)

@@ -9,7 +9,7 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -41,6 +41,27 @@ class Limits:
     upper: float
     velocity: float
     effort: float
+
+
+class Placement(NamedTuple):
+    """A joint's frame in its parent link, m and rad (roll, pitch, yaw about fixed axes), and its axis in that frame."""
+
+    name: str
+    parent: str
+    child: str
+    xyz: tuple[float, ...]
+    rpy: tuple[float, ...]
+    axis: tuple[float, ...]
+
+
+class LinkBody(NamedTuple):
+    """The <inertial> of a link: kg, m, rad, and Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m²."""
+
+    link: str
+    mass: float
+    xyz: tuple[float, ...]
+    rpy: tuple[float, ...]
+    inertia: tuple[float, ...]
 
 
 class _CheckedElements:
@@ -92,17 +113,18 @@ class _CheckedElements:
             self.refuse(f"{where} {key}", text, accepted)
         return values
 
-    def _check_origin(self, parent: ET.Element, where: str) -> None:
+    def _origin(self, parent: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return xyz and rpy."""
         origin = parent.find("origin")
-        self._numbers(origin, f"{where} origin", "xyz", "0 0 0")
-        self._numbers(origin, f"{where} origin", "rpy", "0 0 0")
+        xyz, rpy = (self._numbers(origin, f"{where} origin", key, "0 0 0") for key in ("xyz", "rpy"))
+        return tuple(xyz), tuple(rpy)
 
-    def _check_inertial(self, name: str, link: ET.Element) -> None:
+    def _body(self, name: str, link: ET.Element) -> LinkBody | None:
         inertial = link.find("inertial")
         if inertial is None:
-            return
+            return None
         where = f"link '{name}' inertial"
-        self._check_origin(inertial, where)
+        origin = self._origin(inertial, where)
         mass = self._numbers(inertial.find("mass"), f"{where} mass", "value", None)[0]
         if mass <= 0.0:
             self.refuse(f"{where} mass", mass, "a number > 0 kg")
@@ -112,10 +134,15 @@ class _CheckedElements:
         if fault is not None:
             text = " ".join(f"{key}={value:g}" for key, value in zip(_INERTIA_KEYS, values, strict=True))
             self.refuse(f"{where} inertia", text, fault)
+        ixx, iyy, izz, ixy, ixz, iyz = values
+        return LinkBody(name, mass, *origin, (ixx, iyy, izz, ixy, ixz, iyz))
+
+    def _axis(self, name: str, joint: ET.Element) -> tuple[float, ...]:
+        return tuple(self._numbers(joint.find("axis"), f"joint '{name}' axis", "xyz", "1 0 0"))
 
     def _limits(self, name: str, joint: ET.Element) -> Limits:
         where = f"joint '{name}'"
-        if not any(self._numbers(joint.find("axis"), f"{where} axis", "xyz", "1 0 0")):
+        if not any(self._axis(name, joint)):
             self.refuse(f"{where} axis", "0 0 0", "a direction")
         element = joint.find("limit")
         if element is None:
@@ -148,7 +175,7 @@ class UrdfFile(_CheckedElements):
         self._links = self._named("link")
         self._joints = self._named("joint")
         for name, link in self._links.items():
-            self._check_inertial(name, link)
+            self._body(name, link)
         self._parent_joint = self._tree()
         self.base_link = next(name for name in self._links if name not in self._parent_joint)
         self.limits = {name: self._limits(name, self._joints[name]) for name in self._chain()}
@@ -156,6 +183,25 @@ class UrdfFile(_CheckedElements):
     def has_link(self, name: str) -> bool:
         """Tell whether a link of that name exists."""
         return name in self._links
+
+    def placements(self) -> list[Placement]:
+        """Return the frames of all joints, a tool's that was attached too, each after those before it in the tree."""
+        left = {name: (self._end_of(joint, "parent"), joint) for name, joint in self._named("joint").items()}
+        known, found = {self.base_link}, []
+        while left:
+            for name, (parent, joint) in list(left.items()):
+                if parent in known:
+                    child = self._end_of(joint, "child")
+                    origin = self._origin(joint, f"joint '{name}'")
+                    found.append(Placement(name, parent, child, *origin, self._axis(name, joint)))
+                    known.add(child)
+                    del left[name]
+        return found
+
+    def bodies(self) -> list[LinkBody]:
+        """Return the bodies of all links that have one, an attached tool's too."""
+        bodies = (self._body(name, link) for name, link in self._named("link").items())
+        return [body for body in bodies if body is not None]
 
     def _tree(self) -> dict[str, str]:
         """Return the joint above each link but the root; check that the links form one tree."""
@@ -166,7 +212,7 @@ class UrdfFile(_CheckedElements):
                 self.refuse(f"joint '{name}' type", kind, "revolute (six of them in series) or fixed")
             if joint.find("mimic") is not None:
                 self.refuse(f"joint '{name}'", "mimic", "joints that move by themselves")
-            self._check_origin(joint, f"joint '{name}'")
+            self._origin(joint, f"joint '{name}'")
             for end in ("parent", "child"):
                 if self._end(name, end) not in self._links:
                     self.refuse(f"joint '{name}' {end} link", self._end(name, end), "a link of this file")
@@ -182,7 +228,11 @@ class UrdfFile(_CheckedElements):
         return above
 
     def _end(self, joint: str, end: str) -> str:
-        element = self._joints[joint].find(end)
+        return self._end_of(self._joints[joint], end)
+
+    @staticmethod
+    def _end_of(joint: ET.Element, end: str) -> str:
+        element = joint.find(end)
         return "" if element is None else element.get("link", "")
 
     def _path(self, link: str, above: dict[str, str]) -> list[str]:

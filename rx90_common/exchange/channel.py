@@ -58,6 +58,9 @@ class Channel:
         subscribe_topic: relative or absolute name of the topic to receive.
         qos: of both.
 
+    Attributes:
+        answering: one; see `TickChannel`.
+
     Raises:
         ExchangeError: if another process on this machine publishes `publish_topic` through a channel.
     """
@@ -68,6 +71,7 @@ class Channel:
         self._subscription = node.create_subscription(
             JointState, subscribe_topic, _ignore, qos, raw=True, callback_group=_NeverExecuted()
         )
+        self.answering = 1
         self._blocking_waits = 0
         self._guard = rclpy_implementation.GuardCondition(node.context.handle)
         self._wait_set = rclpy_implementation.WaitSet(1, 1, 0, 0, 0, 0, node.context.handle)

@@ -35,13 +35,14 @@ class Listeners:
         interrupted: Callable[[], bool],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._publishers = tuple(publishers)
         self._interrupted, self._clock = interrupted, clock
+        self._watched: list[tuple[Publisher, int]] = []
+        self.add(publishers)
         self._ticks = self._left = int(_SHARE * min(TICK_QOS.depth, STATE_QOS.depth * state_ticks))
 
-    def add(self, publishers: Sequence[Publisher]) -> None:
-        """Wait for the messages of these, too."""
-        self._publishers += tuple(publishers)
+    def add(self, publishers: Sequence[Publisher], answering: int = 0) -> None:
+        """Wait for the messages of these, too; not if only those `answering` listen, who have what they answer."""
+        self._watched += [(publisher, answering) for publisher in publishers]
 
     def tick_done(self) -> None:
         """Count a tick; wait if it is time to."""
@@ -49,6 +50,7 @@ class Listeners:
         if self._left == 0:
             self._left = self._ticks
             deadline = self._clock() + _PATIENCE
-            for publisher in self._publishers:
-                while not (publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline):
-                    pass
+            for publisher, answering in self._watched:
+                while publisher.get_subscription_count() > answering:
+                    if publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline:
+                        break

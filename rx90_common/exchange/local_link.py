@@ -28,10 +28,12 @@ class LocalChannel:
 
     Attributes:
         subscribe_topic: resolved name of the topic that is received.
+        answering: none; see `TickChannel`.
     """
 
     def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
         self._node = node
+        self.answering = 0
         self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
         self._publisher = node.create_publisher(JointState, publish_topic, qos)
         self.subscribe_topic = node.resolve_topic_name(subscribe_topic)

@@ -272,7 +272,7 @@ def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: in
     before: list[int] = []
     quiet = 0
     for _ in range(attempts):
-        known = [_fitting_subscriptions(node, publisher) for publisher in publishers]
+        known = [fitting_subscriptions(node, publisher) for publisher in publishers]
         have = [publisher.get_subscription_count() for publisher in publishers]
         complete = all(h >= k for h, k in zip(have, known, strict=True))
         quiet = quiet + 1 if complete and have == before else 0
@@ -291,7 +291,8 @@ def wait_until_received(publishers: Sequence[Publisher]) -> None:
                 break
 
 
-def _fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+def fitting_subscriptions(node: Node, publisher: Publisher) -> int:
+    """Return how many subscriptions the graph knows of that a publisher's quality of service suits."""
     asked = [_asked(info.qos_profile) for info in node.get_subscriptions_info_by_topic(publisher.topic_name)]
     offered = publisher.qos_profile
     return sum(qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR for profile in asked)

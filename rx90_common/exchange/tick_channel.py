@@ -12,7 +12,13 @@ from rx90_common.exchange.channel import Matches
 
 
 class TickChannel(Protocol):
-    """Publishes on one JointState topic and receives from another, as CDR bytes; see `Channel`."""
+    """Publishes on one JointState topic and receives from another, as CDR bytes; see `Channel`.
+
+    Attributes:
+        answering: subscriptions of the topic that belong to who answers.
+    """
+
+    answering: int
 
     @property
     def publisher(self) -> Publisher:

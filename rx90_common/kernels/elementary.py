@@ -1,15 +1,18 @@
-"""Exponential, sine and cosine for lanes and floats; the C library has them for one number at a time only.
+"""Exponential, sine, cosine, power and arc tangent: the same bits on every processor and with every library.
 
-Reduction to a small interval after Cody and Waite (1980), then a polynomial. Errors stay below 1.2 ulp for exp, and
-below 1.6 ulp for sine and cosine of up to a thousand radians. docs/kernels.md explains the method, and
+All but the arc tangent work on lanes and floats. Reduction to a small interval after Cody and Waite (1980), then a
+polynomial. Errors stay below 1.2 ulp for exp, below 1.6 ulp for sine and cosine of up to a thousand radians, below
+2 ulp for the arc tangent and for powers up to the fourth. docs/kernels.md explains the method, and
 tools/elementary_coefficients.py computes the constants.
 """
 
 from __future__ import annotations
 
+import math
+
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.lane_bits import WHOLE, is_odd, negate_in_second_half, times_power_of_two
-from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, lane, replace_lane, select, width_of
+from rx90_common.kernels.lane_bits import WHOLE, is_odd, nearest_exponent, negate_in_second_half, times_power_of_two
+from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, select
 
 _LOG2_E = 1.4426950408889634
 _TWO_BY_PI = 0.6366197723675814
@@ -17,8 +20,26 @@ _TWO_BY_PI = 0.6366197723675814
 _LN2 = (0.6931471803691238, 1.9082149292705877e-10)
 _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21)
 _LEAST_EXPONENT = -708.0  # exp below this is smaller than every normal number
+_MOST_EXPONENT = 709.0  # exp beyond this comes near the largest number
+_LEAST_NORMAL = 2.0**-1022
+# 0, atan(1/2) and atan(1); each as it is, off pi/2, off pi, and beyond pi/2; in two parts.
+_ARCS = (
+    (0.0, 0.0),
+    (1.5707963267948966, 6.123233995736765e-17),
+    (3.141592653589793, 1.224646799147353e-16),
+    (1.5707963267948966, 6.123233995736765e-17),
+    (0.4636476090008061, 2.2698777452961684e-17),
+    (1.1071487177940904, 9.40447137356638e-17),
+    (2.677945044588987, 1.5527705369303144e-16),
+    (2.0344439357957027, 2.8419966179071514e-17),
+    (0.7853981633974483, 3.0616169978683824e-17),
+    (0.7853981633974483, 3.0616169978683824e-17),
+    (2.356194490192345, 9.184850993605148e-17),
+    (2.356194490192345, 9.184850993605148e-17),
+)
 
-# exp(r) = 1 + r + r^2 (E0 + E1 r + ...), sin(r) = r + r^3 (S0 + S1 r^2 + ...), cos(r) = 1 - r^2/2 + r^4 (...)
+# exp(r) = 1 + r + r^2 (E0 + E1 r + ...), sin(r) = r + r^3 (S0 + S1 r^2 + ...), cos(r) = 1 - r^2/2 + r^4 (...),
+# ln((1 + s) / (1 - s)) = 2 s + s^3 (L0 + L1 s^2 + ...), atan(u) = u + u^3 (A0 + A1 u^2 + ...)
 _E = (
     0.5,
     0.16666666666666669,
@@ -47,6 +68,27 @@ _C = (
     2.0876143827993133e-09,
     -1.1382456778061306e-11,
 )
+_L = (
+    0.6666666666666666,
+    0.4000000000000089,
+    0.28571428570795937,
+    0.2222222239345263,
+    0.181817954545265,
+    0.15386249788196105,
+    0.1326850331279476,
+    0.13089445145246312,
+)
+_A = (
+    -0.3333333333333333,
+    0.19999999999999493,
+    -0.14285714285475526,
+    0.11111111067825083,
+    -0.09090905152247004,
+    0.07692105803256599,
+    -0.06660558733199207,
+    0.0577364583557161,
+    -0.04195683344795413,
+)
 
 
 @inlined
@@ -56,12 +98,23 @@ def exponential(x: Number) -> Number:
     whole = fma(floored, _LOG2_E, WHOLE)
     k = whole - WHOLE
     r = fma(k, -_LN2[1], fma(k, -_LN2[0], floored))
+    return select(x < _LEAST_EXPONENT, 0.0, times_power_of_two(1.0 + _grown(r), whole))
+
+
+@inlined
+def _grown(r: Number) -> Number:
+    """Return exp(r) - 1 for |r| up to ln 2 / 2."""
     square = r * r
     low = fma(square, fma(r, _E[3], _E[2]), fma(r, _E[1], _E[0]))
     high = fma(square, fma(r, _E[7], _E[6]), fma(r, _E[5], _E[4]))
     fourth = square * square
-    rest = fma(fourth, fma(fourth, fma(r, _E[9], _E[8]), high), low)
-    return select(x < _LEAST_EXPONENT, 0.0, times_power_of_two(1.0 + fma(square, rest, r), whole))
+    return fma(square, fma(fourth, fma(fourth, fma(r, _E[9], _E[8]), high), low), r)
+
+
+@inlined
+def exponential_less_one(x: Number) -> Number:
+    """Return exp(x) - 1 for x up to 708, without cancellation next to 0."""
+    return select(absolute(x) < 0.34, _grown(x), exponential(x) - 1.0)
 
 
 @inlined
@@ -85,11 +138,65 @@ def sine_cosine(x: Number) -> tuple[Number, Number]:
 
 @inlined
 def power(base: Number, exponent: Number) -> Number:
-    """Return base^exponent for base >= 0; exponents 1 and 2, exact and in all lanes at once, are the fast ones."""
+    """Return base^exponent for base >= 0 and exponent > 0; 1 and 2 are exact, and the fast ones.
+
+    A base below the smallest normal number counts as 0, and beyond exp(709) the result is infinite.
+    """
     result = select(exponent == 2.0, base * base, base)
-    if any_lane(absolute((exponent - 1.0) * (exponent - 2.0)) > 0.0):
-        for i in range(width_of(base)):
-            # The others keep their bits whatever stands beside them.
-            if absolute((lane(exponent, i) - 1.0) * (lane(exponent, i) - 2.0)) > 0.0:
-                result = replace_lane(result, i, lane(base, i) ** lane(exponent, i))
+    other = absolute((exponent - 1.0) * (exponent - 2.0)) > 0.0
+    if any_lane(other):
+        result = select(other, _general_power(base, exponent), result)
     return result
+
+
+@inlined
+def _general_power(base: Number, exponent: Number) -> Number:
+    """Return exp(exponent ln(base)); the logarithm is the sum of two numbers, so that its rounding does not count."""
+    whole = nearest_exponent(base)
+    k = whole - WHOLE
+    m = times_power_of_two(base, WHOLE - k)  # from sqrt(1/2) to sqrt(2)
+    # ln(m) = ln((1 + s) / (1 - s)), with what is lost of s in the division.
+    sum_ = m + 1.0
+    s = (m - 1.0) / sum_
+    lost = (fma(-s, sum_, m - 1.0) - s * (m - (sum_ - 1.0))) / sum_
+    square = s * s
+    fourth = square * square
+    low = fma(fourth, fma(square, _L[3], _L[2]), fma(square, _L[1], _L[0]))
+    high = fma(fourth, fma(square, _L[7], _L[6]), fma(square, _L[5], _L[4]))
+    tail = fma(s * square, fma(fourth * fourth, high, low), 2.0 * lost)
+    leading = k * _LN2[0]
+    most = leading + 2.0 * s
+    rest = (2.0 * s - (most - leading)) + fma(k, _LN2[1], tail)
+    logarithm = most + rest
+    rest = rest - (logarithm - most)
+    product = exponent * logarithm
+    rest = fma(exponent, rest, fma(exponent, logarithm, -product))
+    grown = exponential(select(product > _MOST_EXPONENT, _MOST_EXPONENT, product))
+    result = select(product > _MOST_EXPONENT, math.inf, fma(grown, rest, grown))
+    # Bits of a base that is 0 or no number say nothing; its product with 0 does.
+    return select(base >= _LEAST_NORMAL, result, base * 0.0)
+
+
+@inlined
+def arctangent(y: float, x: float) -> float:
+    """Return the angle of the point (x, y), rad, from -pi to pi; 0 for the origin."""
+    width, height = abs(x), abs(y)
+    steep = height > width
+    low, high = (width, height) if steep else (height, width)
+    # Off the angle of 0, 1/2 or 1, whichever is near.
+    if low <= 0.236 * high:
+        u, place = (low / high if high > 0.0 else 0.0), 0
+    elif low <= 0.72 * high:
+        u, place = (2.0 * low - high) / (2.0 * high + low), 4
+    else:
+        u, place = (low - high) / (low + high), 8
+    square = u * u
+    fourth = square * square
+    tail = fma(fourth, fma(square, _A[3], _A[2]), fma(square, _A[1], _A[0]))
+    end = fma(fourth, fma(fourth, _A[8], fma(square, _A[7], _A[6])), fma(square, _A[5], _A[4]))
+    angle = fma(u * square, fma(fourth * fourth, end, tail), u)
+    behind = x < 0.0
+    if steep != behind:
+        angle = -angle
+    leading, rest = _ARCS[place + (2 if behind else 0) + (1 if steep else 0)]
+    return math.copysign(leading + (rest + angle), y)

@@ -15,6 +15,8 @@ from numba.core import types
 from rx90_common.kernels.lanes import Lanes, LanesType, Mask, Number, Operation
 
 WHOLE = 1.5 * 2.0**52
+_WHOLE_BITS = 0x4338 << 48
+_SQRT_HALF_BITS = 0x3FE6A09E667F3BCD
 
 
 def _bits(builder: Any, value: Any) -> Any:
@@ -37,6 +39,18 @@ def times_power_of_two(_: Any, x: Any, whole: Any) -> Any:
         return builder.bitcast(moved, arguments[0].type)
 
     return x(x, whole), emit
+
+
+@Operation[Callable[[Number], Number]].of
+def nearest_exponent(_: Any, x: Any) -> Any:
+    """Return WHOLE + k for x = 2^k m with m from sqrt(1/2) to sqrt(2); x is a normal number > 0."""
+
+    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        value = _bits(builder, *arguments)
+        above = builder.ashr(builder.sub(value, _constant(value, _SQRT_HALF_BITS)), _constant(value, 52))
+        return builder.bitcast(builder.add(above, _constant(value, _WHOLE_BITS)), arguments[0].type)
+
+    return x(x), emit
 
 
 @Operation[Callable[[Lanes], Mask]].of

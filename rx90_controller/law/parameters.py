@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
+from rx90_common.kernels.elementary_arrays import exponential_less_one_of
 from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
@@ -137,22 +139,22 @@ class CS7BParameters:
         """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
         record = np.zeros(1, CONTROLLER_DTYPE)
         law = record[0]
-        gear = drives.gear
+        gear, gear_squared = drives.gear, drives.gear * drives.gear
         switch = self.feed_forward
         law["gear"] = gear
-        law["derivative"] = self.inertia * self.kv / gear**2
-        law["proportional"] = self.inertia * self.kv * self.kp / gear**2
-        law["integral"] = self.inertia * self.ki / gear**2 * rates.position_period
+        law["derivative"] = self.inertia * self.kv / gear_squared
+        law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
+        law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
         law["integrator_limit"] = self.integrator_limit / gear
         law["velocity_weight"] = float(switch.velocity)
-        law["inertia"] = self.inertia / gear**2 * switch.acceleration
+        law["inertia"] = self.inertia / gear_squared * switch.acceleration
         law["coulomb"] = self.coulomb / gear * switch.coulomb
         law["coulomb_velocity"] = self.coulomb_velocity * gear
-        law["viscous"] = self.viscous / gear**2 * switch.viscous
+        law["viscous"] = self.viscous / gear_squared * switch.viscous
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current
         law["current_step"] = self.current_slew * rates.period
-        law["current_gain"] = -np.expm1(-2.0 * np.pi * self.current_bandwidth * rates.period)
+        law["current_gain"] = -exponential_less_one_of(-2.0 * math.pi * self.current_bandwidth * rates.period)
         law["following_error"] = self.following_error * gear
         law["over_speed"] = self.over_speed * robot.max_velocity * gear
         return record

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
@@ -19,6 +18,7 @@ from rx90_common.description.inverse import (
 )
 from rx90_common.description.kinematics import Pose, bias_acceleration, jacobian
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import axis_rotation, length, product, rpy_rotation, solved, turn_between
 from rx90_controller.lines.task import LineTask
 
 # The line is examined at points at most this far apart, and at this many at least.
@@ -63,7 +63,7 @@ class JointPath:
         q = _solve(self.robot, self.task, distance, self.position[near])
         slope = _slope(self.robot, self.task, q)
         # The line's own second derivative by the distance is zero, in position and in orientation.
-        bend = -np.linalg.solve(jacobian(chain, q), bias_acceleration(chain, q, slope)[..., None])[..., 0]
+        bend = -solved(jacobian(chain, q), bias_acceleration(chain, q, slope))
         still = np.ptp(self.position, axis=0) == 0.0
         return np.where(still, self.position[0], q), np.where(still, 0.0, slope), np.where(still, 0.0, bend)
 
@@ -72,22 +72,17 @@ def line_poses(task: LineTask, distance: Array) -> Pose:
     """Return the poses of the tool centre point at `distance` (n,) m from the start."""
     start = np.array(task.start)
     position = start + (np.array(task.end) - start) * (distance / task.length)[:, None]
-    first, turn = _orientation(task)
-    rotation = (Rotation.from_rotvec(turn * (distance / task.length)[:, None]) * first).as_matrix()
-    return Pose(position, np.asarray(rotation))
-
-
-def _orientation(task: LineTask) -> tuple[Rotation, Array]:
-    """Return the first orientation and the turn to the last one as a rotation vector (3,) in base axes."""
-    first, last = (Rotation.from_euler("xyz", rpy) for rpy in (task.start_rpy, task.end_rpy))
-    return first, (last * first.inv()).as_rotvec()
+    turn = turn_between(task.start_rpy, task.end_rpy)
+    angle = length(turn)
+    axis = turn / angle if angle > 0.0 else turn
+    turned = axis_rotation(axis, angle * (distance / task.length))
+    return Pose(position, product(turned, rpy_rotation(task.start_rpy)))
 
 
 def _slope(robot: RobotModel, task: LineTask, q: Array) -> Array:
-    _, turn = _orientation(task)
+    turn = turn_between(task.start_rpy, task.end_rpy)
     twist = np.concatenate([np.subtract(task.end, task.start), turn]) / task.length
-    twists = np.broadcast_to(twist, q.shape)[..., None]
-    return np.asarray(np.linalg.solve(jacobian(robot.chain, q), twists)[..., 0], dtype=np.float64)
+    return solved(jacobian(robot.chain, q), np.broadcast_to(twist, q.shape))
 
 
 def _solve(robot: RobotModel, task: LineTask, distance: Array, guess: Array) -> Array:

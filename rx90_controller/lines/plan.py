@@ -15,12 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import LineError
+from rx90_common.base.errors import LineError, TrajectoryError
 from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.rotations import length
 from rx90_controller.lines.path import JointPath, line_poses, plan_path
 from rx90_controller.lines.task import LineTask
-from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 from rx90_controller.trajectory.spline import interpolate
 
 TIP_TOLERANCE = 1e-7
@@ -149,8 +150,28 @@ def _through(path: JointPath, times: Array) -> LinePlan:
     plan = LinePlan(path, times, q, qd, qdd, 0.0)
     probes = np.linspace(times[:-1], times[1:], _PROBES + 2)[1:-1].T.ravel()
     tip = forward(path.robot.chain, plan.setpoints(probes)[:, 0]).position
-    error = float(np.linalg.norm(tip - plan.tip(probes), axis=1).max())
+    error = float(length(tip - plan.tip(probes)).max())
     return LinePlan(path, times, q, qd, qdd, error)
+
+
+def check_plan(plan: LinePlan, limits: JointLimits, period: float, start: Array, delay: float = 0.0) -> None:
+    """Check the set-points of a line as the controller does.
+
+    Args:
+        plan: the line.
+        limits: the controller's.
+        period: of its set-points, s.
+        start: where the arm stands, rad, shape (6,).
+        delay: time of the move to the start of the line, s.
+
+    Raises:
+        LineError: if the controller would refuse it, and why.
+    """
+    points = plan.points
+    try:
+        TrajectoryGenerator(limits, period, start).accept(replace(points, times=points.times + delay), 0, None)
+    except TrajectoryError as error:
+        raise LineError(f"the controller would refuse the line: {error}") from error
 
 
 def approach_time(robot: RobotModel, start: Array, end: Array, speed: float, acceleration: float) -> float:

@@ -12,6 +12,7 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import LineError
 from rx90_common.base.share import REFERENCE_TASK, resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_common.description.rotations import length
 from rx90_controller.lines.profile import TrapezoidalProfile
 
 MARGIN_RANGE = (1e-3, 1.0)
@@ -83,7 +84,7 @@ class LineTask:
     @property
     def length(self) -> float:
         """Return the length of the line, m."""
-        return float(np.linalg.norm(np.subtract(self.end, self.start)))
+        return float(length(np.subtract(self.end, self.start)))
 
     def profile(self) -> TrapezoidalProfile:
         """Return the speed profile along the line."""

@@ -19,12 +19,14 @@ from rx90_common.base.errors import ConfigError, ExchangeError, LineError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange import node_tools
 from rx90_common.exchange.client_node import POLL, ClientNode
 from rx90_common.exchange.ros_start import reason
-from rx90_controller.lines.plan import LinePlan, approach_time
-from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.lines.plan import LinePlan, approach_time, check_plan
+from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.message import stamped_points
 
+_SETTLED = 0.5  # s without a change among those that listen
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
 
 
@@ -85,7 +87,7 @@ class TrajectoryClient:
         self._arm: NewestPositions | None = None
 
     def wait_for_controller(self) -> None:
-        """Wait until the controller, and whoever else listens, will get what is sent.
+        """Wait until the controller will get what is sent.
 
         Raises:
             ExchangeError: if there is no controller within the client's timeout.
@@ -93,12 +95,30 @@ class TrajectoryClient:
         name = self._controller.split("/")[-1]
 
         def matched() -> bool:
-            # The controller must be among them, and a recorder that is in the graph gets the trajectory too.
             subscribers = self._client.node.get_subscriptions_info_by_topic(self.topic)
             there = any(info.node_name == name for info in subscribers)
-            return there and len(subscribers) <= self._publisher.get_subscription_count()
+            return there and self._publisher.get_subscription_count() > 0
 
         self._client.wait(matched, f"a controller on {self.topic}")
+
+    def _settle(self) -> None:
+        """Wait until all that the graph shows to listen, a recorder for example, are matched, and no more come.
+
+        The graph learns of its members one by one. Who asks for another quality of service is not waited for, who
+        cannot be matched no longer than the client's timeout.
+        """
+        publisher = self._publisher
+        before, since = -1, time.monotonic()
+        deadline = since + self._client.timeout
+        while time.monotonic() < since + _SETTLED:
+            known = node_tools.fitting_subscriptions(self._client.node, publisher)
+            have = publisher.get_subscription_count()
+            if have != before or have < known:
+                before, since = have, time.monotonic()
+            if have < known and since > deadline:
+                self._client.say(f"{known - have} of {known} that listen to {self.topic} cannot be reached")
+                return
+            self._client.spin()
 
     def joint_positions(self, names: Sequence[str]) -> Array:
         """Return where the arm stands that the controller moves, rad, shape (n,).
@@ -140,7 +160,7 @@ class TrajectoryClient:
         return newest
 
     def send(self, names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> None:
-        """Publish a trajectory and wait until it has arrived.
+        """Publish a trajectory to all that listen and wait until it has arrived.
 
         Args:
             names: joints in the order of the points' columns.
@@ -150,6 +170,7 @@ class TrajectoryClient:
         Raises:
             ExchangeError: if that is not confirmed within the client's timeout.
         """
+        self._settle()
         self._publisher.publish(trajectory_message(names, points, start_time))
         deadline = time.monotonic() + self._client.timeout
         while not self._publisher.wait_for_all_acked(RclpyDuration(nanoseconds=round(POLL * NANOSECONDS))):
@@ -197,13 +218,15 @@ class Delivery:
     Attributes:
         controller: name of the controller node.
         start_time: time at which the trajectory starts, s; 0 means now.
-        start_tolerance: how far from its start the arm may be, rad; the controller's.
+        limits: the controller's.
+        set_point_period: the controller's, s.
         approach: the move to the start of the line, None where the arm already stands there.
     """
 
     controller: str
     start_time: float
-    start_tolerance: float
+    limits: JointLimits
+    set_point_period: float
     approach: Approach | None
 
     def __post_init__(self) -> None:
@@ -217,7 +240,7 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
     Raises:
         ConfigError: if the controller cannot be called that.
         ExchangeError: if the controller or the joint states do not show up within the timeout.
-        LineError: if the arm stands elsewhere and no approach was asked for.
+        LineError: if the arm stands elsewhere without an approach, or the controller would refuse the approach.
     """
     trajectory = TrajectoryClient(client, delivery.controller)
     trajectory.wait_for_controller()
@@ -239,15 +262,16 @@ def _delay(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, del
     here = trajectory.joint_positions(plan.joint_names)
     gap = np.abs(here - plan.start_pose)
     joint = int(np.argmax(gap))
-    if gap[joint] <= delivery.start_tolerance:
+    if gap[joint] <= delivery.limits.start_tolerance:
         return 0.0
     if approach is None:
         raise LineError(
             f"{plan.joint_names[joint]} is at {here[joint]:.4f} rad, the line starts at "
-            f"{plan.start_pose[joint]:.4f} rad; accepted: within {delivery.start_tolerance:g} rad, or --approach"
+            f"{plan.start_pose[joint]:.4f} rad; accepted: within {delivery.limits.start_tolerance:g} rad, or --approach"
         )
     robot = plan.path.robot
     duration = approach_time(robot, here, plan.start_pose, approach.speed, approach.acceleration)
     duration = math.ceil(duration * 1e3) / 1e3
     client.say(f"approach: {np.degrees(gap[joint]):.1f} deg in {plan.joint_names[joint]}, {duration:.3f} s")
+    check_plan(plan, delivery.limits, delivery.set_point_period, here, duration)
     return duration

@@ -77,16 +77,18 @@ def interpolate(times: Array, position: Array, velocity: Array, acceleration: Ar
         v0, v1 = velocity[:-1], velocity[1:]
         coefficients[:, 1] = v0
         coefficients[:, 2] = (3 * rise / h - 2 * v0 - v1) / h
-        coefficients[:, 3] = (-2 * rise / h + v0 + v1) / h**2
+        coefficients[:, 3] = (-2 * rise / h + v0 + v1) / (h * h)
     else:
         v0, v1, a0, a1 = velocity[:-1], velocity[1:], acceleration[:-1], acceleration[1:]
         # What is left to do beyond constant acceleration a0, in position, velocity and acceleration.
-        dp = rise - h * v0 - h**2 * a0 / 2
+        # Powers of h are products: NumPy's power rounds differently on different processors.
+        square = h * h
+        dp = rise - h * v0 - square * a0 / 2
         dv = v1 - v0 - h * a0
         da = a1 - a0
         coefficients[:, 1] = v0
         coefficients[:, 2] = a0 / 2
-        coefficients[:, 3] = (10 * dp / h - 4 * dv + h * da / 2) / h**2
-        coefficients[:, 4] = (-15 * dp / h + 7 * dv - h * da) / h**3
-        coefficients[:, 5] = (6 * dp / h - 3 * dv + h * da / 2) / h**4
+        coefficients[:, 3] = (10 * dp / h - 4 * dv + h * da / 2) / square
+        coefficients[:, 4] = (-15 * dp / h + 7 * dv - h * da) / (square * h)
+        coefficients[:, 5] = (6 * dp / h - 3 * dv + h * da / 2) / (square * square)
     return Spline(times, coefficients, position[-1].copy())

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.base.quoting import listed
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.scheduling import be_nice, run_on
@@ -15,7 +16,7 @@ from rx90_common.process.scheduling import be_nice, run_on
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
 
-HELP = "record topics to a new bag; a lost message is a non-zero exit"
+HELP = "record topics to a new bag; a lost message is a non-zero exit, and so is an empty bag"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Record until Ctrl-C or SIGTERM; return 0 when nothing was lost and 1 otherwise.
+    """Record until Ctrl-C or SIGTERM; return 0 when something was recorded and nothing lost, and 1 otherwise.
 
     Raises:
         BagError: if the bag cannot be made or a topic cannot be recorded.
@@ -53,15 +54,18 @@ def main(args: argparse.Namespace) -> int:
     with StatusLine() as status:
         recorder = Recorder(args.topics, args.ros_args, status)
         counts = recorder.run(lambda: BagWriter(args.output, args.storage), stop)
-    return _report(counts, recorder.stalls, args.output)
+    return _report(args.topics, counts, recorder.stalls, args.output)
 
 
-def _report(counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
+def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
     repeated = sum(count.repeated for count in counts)
     recorded = sum(count.received for count in counts) - repeated
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
     print(f"recorded {recorded} messages of {len(counts)} topics to {output}{left_out}")
     complete = not stalls
+    if not any(count.received for count in counts):
+        complete = False
+        print(f"nothing recorded: no message came on {listed(topics)}", file=sys.stderr)
     for stall in stalls:
         print(
             f"lost: an unknown number of messages, in {stall:.1f} s in which this process did not run", file=sys.stderr

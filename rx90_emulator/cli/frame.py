@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error
 from rx90_common.base.quoting import one_line, plain
+from rx90_common.base.requirements import missing_module
 from rx90_common.kernels.announcement import announce_compilation
 from rx90_common.process.interrupts import (
     keep_exit_code,
@@ -90,12 +91,11 @@ def run(program: str, words: Sequence[str]) -> int:
             raise
         _say(f"{program}: {plain(error.filename)}: {error.strerror}")
         return FAILED if error.errno in DISK_ERRORS else REFUSED
-    except ModuleNotFoundError as error:
-        missing = str(error.name).partition(".")[0]
-        source = _source_of(missing)
-        if source is None:
+    except ImportError as error:
+        line = missing_module(error)
+        if line is None:
             raise
-        _say(f"{program}: needs {missing}, which is not installed; accepted: {source}")
+        _say(f"{program}: {line}")
         return FAILED
     except KeyboardInterrupt:
         note = getattr(options, "interrupted", "").format(**vars(options))
@@ -120,13 +120,6 @@ def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
     # Only now: a recorder that has a handler for SIGTERM leaves a whole bag.
     with terminations_as_interrupts():
         return int(command.main(options) or 0)
-
-
-def _source_of(module: str) -> str | None:
-    """Return where to get a module that only some commands need; None for any other one."""
-    if module == "rclpy" or module.endswith(("_msgs", "_srvs", "_interfaces")):
-        return "a sourced ROS 2 Jazzy, or pip install 'rx90_emulator[ros]'"
-    return "pip install 'rx90_emulator[sweep]'" if module in {"pyarrow", "distributed"} else None
 
 
 def _say(line: str) -> None:

@@ -18,6 +18,7 @@ from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_ar
 if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask
+    from rx90_controller.trajectory import JointLimits
 
 _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
@@ -81,17 +82,20 @@ def main(options: argparse.Namespace) -> None:
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
-    from rx90_controller.lines.plan import describe_line, plan_line
+    from rx90_controller.law.parameters import load_controller
+    from rx90_controller.lines.plan import check_plan, describe_line, plan_line
     from rx90_controller.trajectory.message import message_content
 
     files = RobotFiles.of_options(options)
-    plan = plan_line(load_robot(files.urdf, files.tool), _task(options), 1.0 / options.set_point_rate)
+    robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
+    plan, limits = plan_line(robot, _task(options), period), load_controller(files.controller).limits(robot)
     _say(describe_line(plan))
+    check_plan(plan, limits, period, plan.start_pose)
     if options.output is not None:
         write_text(options.output, yaml_text(message_content(plan.joint_names, plan.points)))
         _say(f"written to {options.output}")
     if not options.dry_run:
-        _send(plan, files, options)
+        _send(plan, limits, options)
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -123,18 +127,16 @@ def _task(options: argparse.Namespace) -> LineTask:
     return LineTask(**(usual | given))
 
 
-def _send(plan: LinePlan, files: RobotFiles, options: argparse.Namespace) -> None:
+def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> None:
     from rx90_common.exchange.environment import prepare
 
     prepare()
     # Here, because planning alone needs no ROS.
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.law.parameters import load_controller
     from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
-    tolerance = load_controller(files.controller).start_tolerance
-    delivery = Delivery(options.node, options.start_time, tolerance, approach)
+    delivery = Delivery(options.node, options.start_time, limits, 1.0 / options.set_point_rate, approach)
     with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 

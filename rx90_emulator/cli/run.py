@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, check_place
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import REFERENCE_TASK
 from rx90_emulator.cli.options import add_robot_arguments
@@ -66,6 +66,9 @@ def main(options: argparse.Namespace) -> None:
         raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
     if options.arrays is not None and options.arrays.exists():
         raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
+    for path in (options.output, options.arrays):
+        if path is not None:
+            check_place(path)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.application import with_parameters

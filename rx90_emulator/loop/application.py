@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, check_type
+from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
@@ -42,7 +43,7 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
             try:
                 place.check(value)
             except ConfigError as error:
-                raise ConfigError(f"'{path}': {error}") from error
+                raise ConfigError(f"{quoted(path)}: {error}") from error
             leaves.update(dict.fromkeys(place.leaves, value))
     return _changed(setup, _sections(leaves))
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, check_type
+from rx90_common.base.quoting import quoted
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
@@ -168,7 +169,7 @@ class Catalogue:
         """
         match = _PATH.fullmatch(path)
         if match is None:
-            raise ConfigError(f"'{path}' is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
+            raise ConfigError(f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
         wanted = match["names"].split(".")
         keys = [key for key in self._names if _matches(key, wanted)]
         if not keys:
@@ -176,7 +177,8 @@ class Catalogue:
         places = [place for key in keys for place in self._indexed(path, key, match["index"])]
         units = sorted({place.unit for place in places})
         if len(units) > 1:
-            raise ConfigError(f"'{path}' names values of different units ({', '.join(units)}); accepted: one unit")
+            found = f"values of different units ({', '.join(units)})"
+            raise ConfigError(f"{quoted(path)} names {found}; accepted: one unit")
         return tuple(places)
 
     def _indexed(self, path: str, key: Key, index: str | None) -> list[Place]:
@@ -184,11 +186,11 @@ class Catalogue:
         unit, size = self._units[keys[0]], np.size(self._values[keys[0]])
         if np.ndim(self._values[keys[0]]) == 0:
             if index is not None:
-                raise ConfigError(f"'{path}': {name} is one value; accepted: {name}, without an index")
+                raise ConfigError(f"{quoted(path)}: {name} is one value; accepted: {name}, without an index")
             return [Place(name, tuple(Leaf(k) for k in keys), unit)]
         if index is None or (index != "*" and int(index) >= size):
             raise ConfigError(
-                f"'{path}': {name} is {size} numbers; accepted: {name}[0] to {name}[{size - 1}], or {name}[*]"
+                f"{quoted(path)}: {name} is {size} numbers; accepted: {name}[0] to {name}[{size - 1}], or {name}[*]"
             )
         chosen = range(size) if index == "*" else (int(index),)
         return [Place(f"{name}[{i}]", tuple(Leaf(k, i) for k in keys), unit) for i in chosen]
@@ -199,12 +201,12 @@ class Catalogue:
             known = [key for key in self._names if _matches(key[:depth], wanted[:depth])]
             below = sorted({key[depth] for key in known if len(key) > depth})
             if depth == len(wanted):
-                return f"'{path}' is a group of values; accepted: {path} and one of .{', .'.join(below)}"
+                return f"{quoted(path)} is a group of values; accepted: {path} and one of .{', .'.join(below)}"
             if not below:
-                return f"'{path}' goes on after a value; accepted: {'.'.join(wanted[:depth])}"
+                return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
-        return f"'{path}' names nothing: '{wanted[depth]}' is unknown; accepted there: {', '.join(below)}"
+        return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
 
 
 def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:

@@ -27,6 +27,7 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import ConfigError, FailureError, SweepError
 from rx90_common.base.quoting import quoted
+from rx90_common.base.requirements import missing_module
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
 
 LARGEST_CHUNK = 8
@@ -121,8 +122,10 @@ def _import(module: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        missing = (error.name or module).partition(".")[0]
-        raise FailureError(f"{missing} is not installed; accepted: pip install 'rx90_emulator[sweep]'") from error
+        line = missing_module(error)
+        if line is None:
+            raise
+        raise FailureError(line) from error
 
 
 def _pool(sweep: Sweep, workers: int | None, scheduler: str | None) -> AbstractContextManager[Pool]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import path_error
-from rx90_common.description.robot import RigidChain
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import SETTLING
 from rx90_emulator.loop.result import RunResult
@@ -62,7 +62,7 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
     path = path_error(tip, np.array(task.start), np.array(task.end)).perpendicular
     error = slow.tracking_error[rows, 0]
     power = slow.friction_states[rows, 1] * slow.friction_states[rows, 2]
-    work = np.asarray(np.trapezoid(power, dx=result.setup.rates.position_period, axis=0))
+    work = (result.setup.rates.position_period * (power[1:] + power[:-1]) / 2.0).sum(axis=0)
     return (
         float(path.max()),
         _rms(path),

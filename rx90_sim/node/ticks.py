@@ -62,7 +62,8 @@ class Ticks:
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self.lockstep = LockstepSimulation(self._channel, log.info)
         ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
-        self.listeners = Listeners(self._publishers, ticks, self.control.interrupting)
+        self.listeners = Listeners(self._publications.publishers, ticks, self.control.interrupting)
+        self.listeners.add([self._channel.publisher], self._channel.answering)
         timeout = round(parameters.command_timeout * rates.base_hz)
         self.held = HeldCommand(self._channel, self._torques, timeout, log.info)
 

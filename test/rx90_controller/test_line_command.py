@@ -104,6 +104,11 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     [
         ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 2, "out of reach"),
         ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 2, "two different points"),
+        (
+            "--from-file task/reference_line.yaml --acceleration 40 --dry-run",
+            2,
+            "would refuse the line: point 2: joint_1 has",
+        ),
         ("--from-file nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
         ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
         ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),

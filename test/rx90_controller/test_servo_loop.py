@@ -179,6 +179,7 @@ def test_skipped_ticks_come_later(rig: Rig) -> None:
 def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
     """A stamp of the wall clock, or one beyond the horizon, is one line with both times and what is accepted."""
     rig.loop.hold(rig.states(400))
+    rig.around.lines.clear()
     rig.loop.offer(rig.trajectory(0.1, stamp=(1_795_000_000, 250_000_000)))
     assert rig.around.lines == [
         "trajectory rejected: start time 1795000000.250 s, the controller's time is 0.100 s; accepted: 0 for now, "
@@ -194,6 +195,7 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
 def test_an_end_is_told_once(rig: Rig) -> None:
     """What is accepted is published with its start; the end of the motion is one line with its time."""
     rig.loop.hold(rig.states(0))
+    rig.around.lines.clear()
     rig.loop.offer(rig.trajectory(0.1, stamp=(0, 500_000)))
     assert rig.around.taken == [(1, 1_000_000)]
     rig.run(0, 4004)
@@ -208,6 +210,7 @@ def test_an_end_is_told_once(rig: Rig) -> None:
 def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, named: bool) -> None:
     """Position and velocity of the set-points go on without a jump, then the place is held; two lines tell it."""
     rig.loop.hold(rig.states(0))
+    rig.around.lines.clear()
     rig.loop.offer(rig.trajectory(0.2))
     rig.run(0, 1600)
     rig.loop.offer(rig.empty(rig.names[::-1] if named else (), stamp=(0, 420_000_000)))
@@ -227,6 +230,7 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
 def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
     """Names that are not all of the arm's joints stop nothing."""
     rig.loop.hold(rig.states(0))
+    rig.around.lines.clear()
     rig.loop.offer(rig.trajectory(0.2))
     rig.loop.offer(rig.empty(["joint_1"]))
     assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")

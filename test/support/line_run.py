@@ -64,7 +64,6 @@ def run_both_ways(
     task = load_task(file)
     write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
-    recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
     of_simulation = {
@@ -79,8 +78,10 @@ def run_both_ways(
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
     line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
-    recorder.wait_for("ready: all")
     assert line.wait() == 0
+    # Only now: whoever sent the trajectory is gone before anybody records.
+    recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
+    recorder.wait_for("ready: all")
     client.simulation.pause(False)
     assert simulation.wait() == 0
     recorder.signal(signal.SIGINT)

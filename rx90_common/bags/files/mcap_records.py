@@ -34,7 +34,7 @@ class Op(IntEnum):
     DATA_END = 0x0F
 
 
-class Place(NamedTuple):
+class RecordPlace(NamedTuple):
     """Where a record stands: its content is [start, end), HEAD_BYTES before it the record begins."""
 
     op: int
@@ -42,7 +42,7 @@ class Place(NamedTuple):
     end: int
 
 
-def walk(data: bytes, start: int, end: int) -> Iterator[Place]:
+def walk(data: bytes, start: int, end: int) -> Iterator[RecordPlace]:
     """Yield the records between two places, which they must fill.
 
     Args:
@@ -60,7 +60,7 @@ def walk(data: bytes, start: int, end: int) -> Iterator[Place]:
         content = start + HEAD_BYTES
         if content + length > end:
             raise DamagedError(f"the record at byte {start} is {length:,} bytes long, {end - content:,} are left")
-        yield Place(op, content, content + length)
+        yield RecordPlace(op, content, content + length)
         start = content + length
 
 
@@ -103,7 +103,7 @@ class Fields:
         return part
 
 
-class Schema(NamedTuple):
+class McapSchema(NamedTuple):
     """A type of messages."""
 
     name: str
@@ -111,7 +111,7 @@ class Schema(NamedTuple):
     data: bytes
 
 
-class Channel(NamedTuple):
+class McapChannel(NamedTuple):
     """What messages are published on; `schema` is 0 where there is none."""
 
     schema: int
@@ -126,8 +126,8 @@ class Dictionary:
     """The schemas and channels of a file by their numbers; each record of one must be as the others."""
 
     def __init__(self) -> None:
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, McapSchema] = {}
+        self.channels: dict[int, McapChannel] = {}
 
     def add(self, op: int, content: bytes) -> None:
         """Take a record that is a schema or a channel; others are not looked at.
@@ -140,15 +140,15 @@ class Dictionary:
         fields = Fields(content)
         (number,) = fields.numbers(_ID)
         if op == Op.SCHEMA:
-            schema = Schema(fields.text(), fields.text(), fields.block())
+            schema = McapSchema(fields.text(), fields.text(), fields.block())
             same = self.schemas.setdefault(number, schema) == schema
         else:
-            channel = Channel(fields.numbers(_ID)[0], fields.text(), fields.text())
+            channel = McapChannel(fields.numbers(_ID)[0], fields.text(), fields.text())
             same = self.channels.setdefault(number, channel) == channel
         if not same:
             raise DamagedError(f"{Op(op).name.lower()} {number} is described in two ways")
 
-    def type_of(self, channel: Channel) -> str:
+    def type_of(self, channel: McapChannel) -> str:
         """Return the name of a channel's type, empty without one.
 
         Raises:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from rx90_common.bags.files.contents import DamagedError
-from rx90_common.bags.files.mcap_records import HEAD_BYTES, MAGIC, Dictionary, Fields, Op, Place, walk
+from rx90_common.bags.files.mcap_records import HEAD_BYTES, MAGIC, Dictionary, Fields, Op, RecordPlace, walk
 
 _CHUNK = struct.Struct("<QQQI")
 _LONG = struct.Struct("<Q")
@@ -41,7 +42,7 @@ class IndexPart(NamedTuple):
 
 
 @dataclass
-class Block:
+class McapBlock:
     """A chunk, or messages without one.
 
     Attributes:
@@ -83,12 +84,14 @@ class Structure:
         blocks: chunks and messages without one, as they stand in the file.
         data_end: the record that ends the section.
         trusted: whether a checksum says that the summary is whole.
+        listed: what the summary says of schemas and channels.
     """
 
     dictionary: Dictionary
-    blocks: list[Block]
-    data_end: Place
+    blocks: list[McapBlock]
+    data_end: RecordPlace
     trusted: bool = False
+    listed: Dictionary = field(default_factory=Dictionary)
 
 
 def read_structure(data: bytes) -> Structure:
@@ -98,7 +101,7 @@ def read_structure(data: bytes) -> Structure:
         DamagedError: if they do not follow each other as they must.
     """
     dictionary = Dictionary()
-    blocks: list[Block] = []
+    blocks: list[McapBlock] = []
     before = 0
     for place in walk(data, len(MAGIC), len(data) - len(MAGIC)):
         op = place.op
@@ -122,7 +125,7 @@ def read_structure(data: bytes) -> Structure:
     raise DamagedError("the data section does not end")
 
 
-def _chunk(data: bytes, place: Place) -> Block:
+def _chunk(data: bytes, place: RecordPlace) -> McapBlock:
     fields = Fields(data[place.start : min(place.end, place.start + 256)])
     first, last, size, crc = fields.numbers(_CHUNK)
     compression = fields.text()
@@ -130,10 +133,10 @@ def _chunk(data: bytes, place: Place) -> Block:
     start = place.start + fields.position()
     if start + length != place.end:
         raise DamagedError(f"the chunk at byte {place.start} has {length:,} bytes, its record {place.end - start:,}")
-    return Block(place.start - HEAD_BYTES, place.end, first, last, (start, place.end), compression, size, crc)
+    return McapBlock(place.start - HEAD_BYTES, place.end, first, last, (start, place.end), compression, size, crc)
 
 
-def _index_part(data: bytes, place: Place) -> IndexPart:
+def _index_part(data: bytes, place: RecordPlace) -> IndexPart:
     fields = Fields(data[place.start : place.end])
     (channel,) = fields.numbers(_INDEX_CHANNEL)
     entries = fields.block()
@@ -142,13 +145,13 @@ def _index_part(data: bytes, place: Place) -> IndexPart:
     return IndexPart(channel, place.start - HEAD_BYTES, place.end - len(entries), place.end)
 
 
-def _add_message(blocks: list[Block], data: bytes, place: Place) -> None:
+def _add_message(blocks: list[McapBlock], data: bytes, place: RecordPlace) -> None:
     """Add a message without a chunk to the block of those before it."""
     _, _, log_ns, _ = Fields(data[place.start : min(place.end, place.start + _MESSAGE.size)]).numbers(_MESSAGE)
     start = place.start - HEAD_BYTES
     last = blocks[-1] if blocks else None
     if last is None or last.compression is not None or last.end != start or place.end - last.start > _CRC_STEP:
-        blocks.append(Block(start, place.end, log_ns, log_ns, (start, place.end)))
+        blocks.append(McapBlock(start, place.end, log_ns, log_ns, (start, place.end)))
         return
     last.end, last.content = place.end, (last.start, place.end)
     last.first_ns, last.last_ns = min(last.first_ns, log_ns), max(last.last_ns, log_ns)
@@ -171,7 +174,7 @@ def check_data_crc(data: bytes, structure: Structure) -> None:
         raise DamagedError("the checksum of its data is another one")
 
 
-def check_summary(data: bytes, structure: Structure) -> Place | None:
+def check_summary(data: bytes, structure: Structure) -> RecordPlace | None:
     """Compare the summary with the data section, and take its schemas and channels; return the statistics, if any.
 
     Raises:
@@ -183,7 +186,8 @@ def check_summary(data: bytes, structure: Structure) -> Place | None:
         raise DamagedError("it does not end with a footer")
     _check_footer(data, structure, places)
     for place in places:
-        structure.dictionary.add(place.op, data[place.start : place.end])
+        for dictionary in (structure.dictionary, structure.listed):
+            dictionary.add(place.op, data[place.start : place.end])
     indexes = [data[place.start : place.end] for place in places if place.op == Op.CHUNK_INDEX]
     chunks = [block for block in structure.blocks if block.compression is not None]
     if indexes and sorted(map(_index_of, indexes)) != sorted(map(_expected_index, chunks)):
@@ -194,7 +198,7 @@ def check_summary(data: bytes, structure: Structure) -> Place | None:
     return next((place for place in places if place.op == Op.STATISTICS), None)
 
 
-def _check_footer(data: bytes, structure: Structure, places: list[Place]) -> None:
+def _check_footer(data: bytes, structure: Structure, places: list[RecordPlace]) -> None:
     footer = places[-1]
     if footer.end - footer.start != _FOOTER.size:
         raise DamagedError(f"its footer is {footer.end - footer.start} bytes long")
@@ -208,13 +212,12 @@ def _check_footer(data: bytes, structure: Structure, places: list[Place]) -> Non
     structure.trusted = crc != 0
 
 
-def _check_offset(data: bytes, place: Place, places: list[Place]) -> None:
+def _check_offset(data: bytes, place: RecordPlace, places: list[RecordPlace]) -> None:
     op, start, length = Fields(data[place.start : place.end]).numbers(_SUMMARY_OFFSET)
     if op not in (Op.SCHEMA, Op.CHANNEL, Op.CHUNK_INDEX, Op.STATISTICS):
         return  # leads to no messages; rosbags once pointed it elsewhere
-    group = [p for p in places if start <= p.start - HEAD_BYTES < start + length]
-    whole = group and (group[0].start - HEAD_BYTES, group[-1].end) == (start, start + length)
-    if not whole or group != [p for p in places if p.op == op]:
+    group = [p for p in places if p.op == op]
+    if group and (group[0].start - HEAD_BYTES, group[-1].end) != (start, start + length):
         raise DamagedError("its summary offsets do not point to what they should")
 
 
@@ -235,7 +238,7 @@ def _index_of(content: bytes) -> _Index:
     )  # type: ignore[return-value]  # fmt: skip
 
 
-def _expected_index(block: Block) -> _Index:
+def _expected_index(block: McapBlock) -> _Index:
     offsets = sorted((part.channel, part.record) for part in block.index)
     return (
         block.start, block.end - block.start, block.first_ns, block.last_ns, offsets, block.index_end - block.end,
@@ -243,7 +246,22 @@ def _expected_index(block: Block) -> _Index:
     )  # fmt: skip
 
 
-def check_statistics(data: bytes, place: Place, structure: Structure, counts: Counter[int]) -> None:
+def check_channels(structure: Structure, used: Collection[int]) -> None:
+    """Check that the summary, if it lists channels, lists those that have messages, and their schemas.
+
+    Raises:
+        DamagedError: naming one that it lacks.
+    """
+    listed = structure.listed
+    for number in used if listed.channels else ():
+        if number not in listed.channels:
+            raise DamagedError(f"its summary lacks channel {number}, which has messages")
+        schema = listed.channels[number].schema
+        if schema and listed.schemas and schema not in listed.schemas:
+            raise DamagedError(f"its summary lacks schema {schema}, of which channel {number} is")
+
+
+def check_statistics(data: bytes, place: RecordPlace, structure: Structure, counts: Counter[int]) -> None:
     """Compare the statistics with the messages that there are, by channel.
 
     Raises:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rx90_common.bags.files.compression import ZSTD_MAGIC, ZSTD_MESSAGES, decompress_message
 from rx90_common.bags.files.contents import DamagedError, FileTopic, full_type
+from rx90_common.base.quoting import plain
 
 _FOREIGN = (
     "SELECT count(*) FROM messages WHERE typeof(timestamp) != 'integer' OR typeof(data) != 'blob' "
@@ -32,9 +33,9 @@ class SqliteFile:
         self.compression = ""
         try:
             self.topics = self._topics()
-        except (sqlite3.Error, DamagedError) as error:
+        except (sqlite3.Error, UnicodeDecodeError, DamagedError) as error:
             self._database.close()
-            raise DamagedError(str(error)) from error
+            raise DamagedError(plain(error)) from error
 
     def close(self) -> None:
         """Close the file."""
@@ -60,8 +61,8 @@ class SqliteFile:
                 if data.startswith(ZSTD_MAGIC):
                     self.compression = ZSTD_MESSAGES
                 yield key, log_ns, decompress_message(data)
-        except sqlite3.Error as error:
-            raise DamagedError(str(error)) from error
+        except (sqlite3.Error, UnicodeDecodeError) as error:  # the second is raised for a message with bytes in it
+            raise DamagedError(plain(error)) from error
 
     def _topics(self) -> list[FileTopic]:
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}

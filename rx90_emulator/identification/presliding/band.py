@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.fft import prev_fast_len, rfft, rfftfreq
+from scipy.fft import rfft, rfftfreq
 from scipy.signal.windows import tukey
 
 from rx90_common.base.arrays import Array
@@ -27,6 +27,15 @@ def block_means(values: Array) -> Array:
     return np.asarray(values[:length].reshape(-1, BLOCK, *values.shape[1:]).mean(axis=1))
 
 
+def fast_length(longest: int) -> int:
+    """Return the largest length up to `longest` >= 1 whose real Fourier transform is fast: 2^i 3^j 5^k.
+
+    scipy.fft.prev_fast_len(longest, real=True) is the same, from SciPy 1.14 on.
+    """
+    odd: list[int] = [3**j * 5**k for j in range(longest.bit_length()) for k in range(longest.bit_length())]
+    return max(n << (longest // n).bit_length() - 1 for n in odd if n <= longest)
+
+
 def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
     """Return Fourier coefficients in the band of micro-oscillations (Tukey window), and their frequencies.
 
@@ -38,7 +47,7 @@ def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
         Real parts above imaginary parts, shape (r, k), scaled so that white noise keeps the standard deviation that
         it has in a single step; frequencies, Hz, shape (r,).
     """
-    length = prev_fast_len(len(torque), real=True)
+    length = fast_length(len(torque))
     window = tukey(length, _TAPER)
     frequency = rfftfreq(length, BLOCK * step)
     band = (frequency >= _LOWEST) & (frequency <= _HIGHEST)

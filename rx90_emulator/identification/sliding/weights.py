@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, diags_array, eye_array
+from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.sliding.rows import SlidingRows
@@ -87,8 +87,8 @@ class Weights:
         rows = len(self.cluster)
         count = np.bincount(self.cluster)
         members = csr_array((np.ones(rows), (self.cluster, np.arange(rows))), shape=(len(count), rows))
-        less = eye_array(rows) - members.T @ diags_array(self.share / count) @ members
-        return csr_array(diags_array(self.factor) @ less)
+        less = _diagonal(np.ones(rows)) - members.T @ _diagonal(self.share / count) @ members
+        return csr_array(_diagonal(self.factor) @ less)
 
 
 def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) -> Array:
@@ -121,6 +121,12 @@ def speed_design_effect(rows: SlidingRows, weights: Weights, residual: Array) ->
             together = float(np.sum(np.bincount(number, along[mine]) ** 2))
             factor[rows.group == g] = max(1.0, together / power)
     return factor
+
+
+def _diagonal(values: Array) -> csr_array:
+    """Return a diagonal matrix; scipy.sparse.diags_array and eye_array are younger than SciPy 1.11."""
+    place = np.arange(len(values))
+    return csr_array((values, (place, place)), shape=(len(values), len(values)))
 
 
 def _spread(values: Array) -> float:

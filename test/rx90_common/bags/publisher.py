@@ -43,6 +43,7 @@ def main() -> None:
     publishers = {topic: node.create_publisher(JointState, topic, qos) for topic in (*FAST, *SLOW)}
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    accepted = node.create_publisher(JointTrajectory, "rx90_controller/trajectory_accepted", latched)
     trajectory = node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", qos)
     fast = [publishers[topic].publish for topic in FAST]
     slow = [publishers[topic].publish for topic in SLOW]
@@ -55,6 +56,7 @@ def main() -> None:
         message = JointTrajectory(joint_names=list(NAMES))
         message.header.stamp.nanosec = 100_000_000
         trajectory.publish(message)
+        accepted.publish(message)
         publish(range(tick, tick + ticks), rate, fast, slow)
         tick += ticks
         print("done", flush=True)

@@ -13,8 +13,16 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.bulk_storage import BulkWriter
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
 from rx90_common.bags.writing import typestore
 from rx90_common.base.stamps import cdr_stamp_ns
+
+
+class Theirs(Writer):
+    """rosbags' writer, message by message; checksums are put in afterwards."""
+
+    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedMcapWriter}
+
 
 CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", "sensor_msgs/msg/JointState"), ("/c", "std_msgs/msg/String"))
 
@@ -50,7 +58,7 @@ def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
     messages = [random.bytes(int(size)) for size in sizes]
     log_ns = random.integers(0, 2**62, len(messages))
     channel = random.integers(1, 1 + len(CHANNELS), len(messages))
-    for folder, kind in (("theirs", Writer), ("ours", BulkWriter)):
+    for folder, kind in (("theirs", Theirs), ("ours", BulkWriter)):
         writer = kind(tmp_path / folder / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()])
         with writer:
             connections = [writer.add_connection(*each, typestore=typestore()) for each in CHANNELS]

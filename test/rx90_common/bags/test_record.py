@@ -25,8 +25,9 @@ from processes import wait_until
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import SUITE_TOPICS
+from rx90_common.base.errors import BagError
 
 pytest.importorskip("rclpy")
 pytestmark = pytest.mark.ros
@@ -128,7 +129,7 @@ def record_suite(start: Start, folder: Path, storage: str) -> Path:
     recorder.signal(signal.SIGINT)
     code, out, err = recorder.finish()
     assert (code, err) == (0, "")
-    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 2} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
+    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 3} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * 7} repetitions" in out
     publisher.child.kill()
     return folder / "bag"
@@ -147,9 +148,10 @@ def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, stor
                 assert (message.data, log_ns) == ("<robot/>", 0)
             else:
                 assert message.header.stamp.nanosec + message.header.stamp.sec * 10**9 == log_ns
-        (latched,) = (c for c in reader.connections if c.topic == "/robot_description")
+        latched = next(c for c in reader.connections if c.topic == "/robot_description")
         assert latched.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
-    once = {"/robot_description": 1, "/rx90_controller/joint_trajectory": 1}
+    trajectories = ("/rx90_controller/joint_trajectory", "/rx90_controller/trajectory_accepted")
+    once = dict.fromkeys(("/robot_description", *trajectories), 1)
     fast = dict.fromkeys(("/motor_states", "/motor_commands"), TICKS)
     assert counts == dict.fromkeys([f"/{t}" for t in SUITE_TOPICS], TICKS // 4) | fast | once
     motors = read_joint_states(bag, "motor_states")
@@ -222,17 +224,17 @@ def test_topics_that_are_only_listened_to(tmp_path: Path, start: Start) -> None:
     state = start_recorder(start, tmp_path / "state", "state")
     command.wait_for("ready: all 1 topics")
     state.wait_for("waiting for /state")
-    for recorder in (command, state):
+    for recorder, name in ((command, "command"), (state, "state")):
         recorder.signal(signal.SIGINT)
         code, out, err = recorder.finish()
-        assert (code, err) == (0, "")
+        assert (code, err) == (1, f"nothing recorded: no message came on {name}\n")
         assert "ready" not in out
 
 
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("moment", ["handler", "folder", "waiting"])
 def test_signal_while_starting(tmp_path: Path, start: Start, storage: str, moment: str) -> None:
-    """A signal at any moment of the start leaves a valid, if empty, bag and exit code 0."""
+    """A signal at any moment of the start leaves a valid bag; that it is empty is a line and exit code 1."""
     recorder = start_recorder(start, tmp_path / "bag", "joint_states", "-s", storage)
     if moment == "handler":
         wait_until(lambda: catches_sigterm(recorder), "the handler")
@@ -243,7 +245,7 @@ def test_signal_while_starting(tmp_path: Path, start: Start, storage: str, momen
     recorder.signal(signal.SIGINT)
     recorder.signal(signal.SIGINT)
     code, _, err = recorder.finish()
-    assert (code, err) == (0, "")
+    assert (code, err) == (1, "nothing recorded: no message came on joint_states\n")
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0
 
@@ -272,6 +274,8 @@ def test_mistakes_leave_nothing_behind(tmp_path: Path, start: Start, arguments: 
     assert [p.name for p in place.rglob("*")] == ["taken", "notes.txt"]
 
 
+HALF = "; what was written before stays, and rx90_bag info says how much of it is whole"
+
 CRAMPED = """
 import resource, sys
 from rx90_emulator.cli.frame import run
@@ -287,8 +291,9 @@ def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) ->
     recorder.wait_for("ready: all 1 topics")
     publisher.tell("20000 4000")
     code, _, err = recorder.finish()
-    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large)")
-    assert any((tmp_path / "bag").iterdir())
+    assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){HALF}")
+    with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
+        pass
 
 
 def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 from rx90_common.description.branch import BRANCHES, Branch
+from rx90_common.description.chain import RigidChain
 from rx90_common.description.inverse import (
     SphericalWristArm,
     nearest_turn,
@@ -18,7 +19,7 @@ from rx90_common.description.inverse import (
     solve_near,
 )
 from rx90_common.description.kinematics import bias_acceleration, decompose, forward, jacobian, path_error
-from rx90_common.description.robot import RigidChain, RobotModel, load_robot
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_emulator.loop.setup import Setup
 
 

@@ -11,8 +11,9 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import forward
-from rx90_common.description.robot import RigidChain, RobotModel, load_robot
+from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
 
@@ -11,7 +12,7 @@ from ros_client import Client
 local_link = pytest.importorskip("rx90_common.exchange.local_link", reason="needs rclpy", exc_type=ImportError)
 from sensor_msgs.msg import JointState  # noqa: E402
 
-from rx90_common.base.errors import ConfigError  # noqa: E402
+from rx90_common.base.errors import ConfigError, ExchangeError  # noqa: E402
 from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
 from rx90_common.exchange.topics import TICK_QOS  # noqa: E402
 
@@ -70,8 +71,10 @@ def test_a_wait_ends_with_a_message_or_a_wake(client: Client) -> None:
 
 
 def test_ends_that_do_not_meet_are_refused(client: Client) -> None:
-    """A remap or a namespace of one node alone is named with both topics."""
+    """A remap or a namespace of one node alone is named with both topics; a second pair on the same ones is refused."""
     link = local_link.LocalLink()
     link.end(client.node, "states", "commands", QOS)
     with pytest.raises(ConfigError, match=r"publishes /states, .* receives /other; accepted: the same"):
         link.end(client.node, "commands", "other", QOS)
+    with pytest.raises(ExchangeError, match=f"/states in ROS_DOMAIN_ID .* by process {os.getpid()}; accepted: one"):
+        local_link.LocalLink().end(client.node, "states", "commands", QOS)

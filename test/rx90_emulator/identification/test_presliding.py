@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from benchmarks.presliding_runs import outcomes, random_bristles, recorded, run_presliding, sliding_covariance
 from benchmarks.synthetic_sweeps import Noise
@@ -18,6 +19,7 @@ from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.presliding.band import fast_length
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.presliding.group_model import joint_groups
 from rx90_emulator.identification.records.record import JointRecord
@@ -27,6 +29,14 @@ Array = NDArray[np.float64]
 
 WRIST = ["joint_5", "joint_6", "joints_5_6_against"]
 FOURTH = 3  # joint 4: its index, and its element's
+
+
+def test_the_transform_s_length_is_the_next_fast_one_below() -> None:
+    """SciPy calls each length fast that is used, and none between it and the number of block means."""
+    lengths = [*range(1, 200), 12345, 65537]
+    for longest in lengths:
+        length = fast_length(longest)
+        assert next_fast_len(length, real=True) == length <= longest < next_fast_len(length + 1, real=True)
 
 
 def micro_records(setup: Setup, groups: Sequence[str], noise: float, *seeds: int) -> list[list[JointRecord]]:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio_chain import pinocchio_chain
 
 from rx90_common.base.errors import ConfigError, LineError, Rx90Error
-from rx90_common.description.robot import rigid_chain
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.application import apply
@@ -71,7 +71,7 @@ def test_link_values_reach_chain_and_model(shipped: Setup, task: LineTask, catal
     """A changed link is the same body in the compiled chain and in Pinocchio's model, the others untouched."""
     values = {"arm.link_3.mass": 20.0, "arm.link_3.com[2]": 0.15, "arm.link_5.inertia[0]": 0.0028}
     setup, _ = apply(shipped, task, leaves(catalogue, values))
-    again = rigid_chain(setup.robot.model, setup.robot.tcp_frame)
+    again = pinocchio_chain(setup.robot.model, setup.robot.tcp_frame)
     for name in ("mass", "com", "inertia"):
         np.testing.assert_allclose(getattr(setup.robot.chain, name), getattr(again, name), rtol=0, atol=1e-12)
     changed = setup.robot.chain.mass != shipped.robot.chain.mass

@@ -8,27 +8,15 @@ import pytest
 
 from rx90_common.bags.comparison import Scope, Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
-from rx90_common.bags.tolerance import Tolerances
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.line import path_accuracy, run_line
 from rx90_emulator.loop.result import write_bag
 from rx90_emulator.loop.setup import Setup
+from tools.digests import committed, digests
 
 REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
 """Written by `rx90_run --slow-only --decimation 20`; see the README beside it."""
-
-# Another processor or C library may round the last bit of a planned point or a coefficient differently. That moves
-# an encoder edge by a tick here and there; one count is worth 3.8e-6 rad at joint 6 and, through the servo's gains,
-# some tenths of a newton metre for a millisecond. Anything beyond is a change of the model.
-TOLERANCES = (
-    "position=2e-5",
-    "velocity=5e-3",
-    "effort=15",
-    "rx90_controller/reference:position=1e-9",
-    "rx90_controller/reference:velocity=1e-9",
-    "rx90_controller/reference:effort=1e-6",
-)
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +26,16 @@ def task() -> LineTask:
 
 
 def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:
-    """Joint, friction, reference and error series stay within what rounding can do."""
+    """Joint, friction, reference and error series are those of the reference bag to the last bit."""
     write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
-    tolerances = Tolerances.parse(*TOLERANCES)
-    comparison = compare_bags(tmp_path / "new", REFERENCE, tolerances, Scope(same_range=True))
+    comparison = compare_bags(tmp_path / "new", REFERENCE, scope=Scope(same_range=True))
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == 7
+
+
+def test_constants_set_points_and_runs_have_the_committed_digests() -> None:
+    """Constants, planned lines, set-points and runs are, bit for bit, those of every machine and library version."""
+    assert digests() == committed()
 
 
 def test_the_reference_task_stays_within_a_tenth_of_a_millimetre(shipped: Setup, task: LineTask) -> None:

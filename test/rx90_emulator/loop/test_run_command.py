@@ -12,10 +12,13 @@ from rx90_emulator.cli.frame import run
 
 def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A decimation of 0, a start without end and a bag that exists are one line each, and nothing is simulated."""
+    (tmp_path / "file").touch()
     for words, complaint in (
         (["--decimation", "0"], "--decimation is 0; accepted: a whole number >= 1"),
         (["--start-time", "inf"], "start time is inf s; accepted: a finite number up to 2.14748e+09 s"),
         (["--output", str(tmp_path)], f"--output is {tmp_path}, which exists; accepted: a new folder"),
+        (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
+        (["--arrays", f"{tmp_path}/file/a.npz"], f"{tmp_path}/file/a.npz: cannot be written (Not a directory)"),
     ):
         assert run("rx90_run", words) == 2
         out, err = capsys.readouterr()

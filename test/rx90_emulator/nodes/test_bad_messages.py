@@ -68,12 +68,15 @@ def test_a_lag_after_a_malformed_message_is_only_a_line(processes: Processes, cl
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    ("rate", "complaint"),
+    ("mode", "rate", "complaint"),
     [
-        ("position_rate:=500", r"rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation"),
-        ("base_rate:=2000", r"rx90_controller: base_rate is 2000 Hz here and 4000 Hz in the simulation"),
+        (
+            MODES[0],
+            "position_rate:=500",
+            r"rx90_controller: position_rate is 500 Hz here and 1000 Hz in the simulation",
+        ),
+        (MODES[1], "base_rate:=2000", r"rx90_controller: base_rate is 2000 Hz here and 4000 Hz in the simulation"),
     ],
 )
 def test_other_rates_in_the_controller_end_it(processes: Processes, mode: str, rate: str, complaint: str) -> None:

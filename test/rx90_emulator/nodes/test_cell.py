@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from itertools import pairwise
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,8 @@ from ros_client import Client, seconds
 
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
+from rx90_common.base.errors import ConfigError
+from rx90_emulator.cell.composition import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 IN_CELL_1 = ("--ros-args", "-r", "__ns:=/cell_1")
@@ -31,12 +33,10 @@ def test_one_process_gives_the_closed_loops_bits(
 
 @pytest.mark.ros
 def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Processes) -> None:
-    """In a namespace both nodes are asked and heard as ever; kill -9 leaves nothing behind, and Ctrl-C ends with 0."""
-    client = Client("/cell_1")
-    try:
-        cell = processes.start(
-            "rx90_cell", *IN_CELL_1, *("-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=8")
-        )
+    """In a namespace, in either time: services and diagnostics of both nodes, kill -9 and a new start, Ctrl-C."""
+    paused = ("-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=8")
+    with closing(Client("/cell_1")) as client:
+        cell = processes.start("rx90_cell", *IN_CELL_1, *paused)
         states, commands = client.listen("motor_states"), client.listen("motor_commands")
         diagnostics = client.listen("/diagnostics", DiagnosticArray)
         for _ in range(2):
@@ -44,37 +44,25 @@ def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Proce
         client.spin_until(lambda: len(states) == len(commands) == 16, "16 ticks")
         for heard in (states, commands):
             assert [seconds(message) for message in heard] == pytest.approx([k * 250e-6 for k in range(16)])
-        second = processes.run("rx90_sim", *IN_CELL_1)
-        assert (second.returncode, f"process {cell.pid};" in second.stderr) == (3, True)
         client.spin_until(lambda: len({m.status[0].name for m in diagnostics}) == 2, "diagnostics of both nodes")
         cell.signal(signal.SIGKILL)
+        cell.wait()
 
-        cell = processes.start("rx90_cell", *IN_CELL_1, "-p", "rx90_sim:real_time_factor:=0.1")
-        joints = client.listen("joint_states")
-        client.spin_until(lambda: len(joints) > 10, "time to run again")
+    with closing(Client("/cell_1")) as client:
+        cell = processes.start("rx90_cell", *IN_CELL_1, "-p", "rx90_sim:time_mode:=free_running")
+        joints, reference = client.listen("joint_states", depth=1), client.listen("rx90_controller/reference", depth=1)
+        client.spin_until(lambda: bool(joints) and max(joints[-1].effort) > 0.0, "the drives' torque")
+        client.send([(0.3, [0.02] * 6)])
+        end = pytest.approx([0.02] * 6, abs=1e-12)
+        client.spin_until(lambda: bool(reference) and list(reference[-1].position) == end, "the end of the motion")
         client.enable(False)
-        client.spin_until(lambda: len(commands[-1].effort) == 0, "commands without torque")
+        client.spin_until(lambda: list(joints[-1].effort) == [0.0] * 6, "no torque")
+        before = seconds(joints[-1])
         client.simulation.reset()
-        client.spin_until(lambda: any(seconds(b) < seconds(a) for a, b in pairwise(joints)), "time to go back")
+        client.spin_until(lambda: seconds(joints[-1]) < before, "time to go back")
         cell.signal(signal.SIGINT)
         assert cell.wait() == 0
         assert "Traceback" not in cell.output
-    finally:
-        client.close()
-
-
-@pytest.mark.ros
-def test_free_running_time_in_one_process(processes: Processes, client: Client) -> None:
-    """By the wall clock the brakes open and a motion comes to its end; SIGTERM ends with 0."""
-    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:time_mode:=free_running")
-    reference = client.listen("rx90_controller/reference", depth=1)
-    cell.wait_for("the brakes open")
-    client.send([(0.3, [0.02] * 6)])
-    end = pytest.approx([0.02] * 6, abs=1e-12)
-    client.spin_until(lambda: bool(reference) and list(reference[-1].position) == end, "the end of the motion")
-    cell.signal(signal.SIGTERM)
-    assert cell.wait() == 0
-    assert "Traceback" not in cell.output
 
 
 @pytest.mark.ros
@@ -83,3 +71,12 @@ def test_other_rates_in_the_other_section_end_it(processes: Processes) -> None:
     done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:position_rate:=500")
     assert done.returncode == 3
     assert "rx90_cell: position_rate is 500 Hz here and 1000 Hz in the simulation" in done.stderr
+
+
+def test_a_parameter_of_another_node_is_refused() -> None:
+    """A parameter goes to the node that it names, whatever the namespace; a node that is not there is refused."""
+    words = ["--ros-args", "-p", "rx90_sim:a:=1", "-p", "b:=rx90_sim:c", "--param", "rx90_controller:d:=x:=y"]
+    own = own_parameters(words)
+    assert own == {"rx90_sim": ["--ros-args", "-p", "a:=1"], "rx90_controller": ["--ros-args", "-p", "d:=x:=y"]}
+    with pytest.raises(ConfigError, match="'rx90_simulation:a:=1': no such node here; accepted: rx90_sim, rx90_cont"):
+        own_parameters(["-p", "rx90_simulation:a:=1"])

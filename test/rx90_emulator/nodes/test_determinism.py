@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from line_run import TOPICS, run_both_ways
 from processes import Processes
 from ros_client import Client
+from rosbags.highlevel import AnyReader
 
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
+from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.setup import Setup
 
 
@@ -19,9 +23,20 @@ from rx90_emulator.loop.setup import Setup
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
-    """With both cores busy, every recorded number equals the closed loop without ROS, to the last bit."""
+    """With both cores busy, every recorded number equals the closed loop without ROS, to the last bit.
+
+    The bag tells which trajectory ran and from when on, although its sender is gone before the recorder begins.
+    """
     for _ in range(2):
         processes.start(sys.executable, "-c", "while True: pass")
     comparison = run_both_ways(processes, client, shipped, tmp_path)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
+    plan = plan_line(shipped.robot, load_task(tmp_path / "task.yaml"))
+    with AnyReader([tmp_path / "recorded"]) as reader:
+        sent = {c.topic: list(reader.messages([c])) for c in reader.connections if "/trajectory" in c.topic}
+        ((connection, log_ns, data),) = sent["/rx90_controller/trajectory_accepted"]
+        taken: Any = reader.deserialize(data, connection.msgtype)
+    assert (taken.header.stamp.nanosec, log_ns) == (100_000_000, 100_000_000)
+    assert taken.joint_names == list(plan.joint_names)
+    assert [point.positions.tolist() for point in taken.points] == plan.position.tolist()

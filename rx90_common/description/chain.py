@@ -1,0 +1,116 @@
+"""The arm of a URDF as a chain of six rigid bodies, the constants that compiled code and kinematics use.
+
+Pinocchio gives the same numbers to rounding, and other last bits in each of its builds.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.description.rotations import dot, length, outer, product, rotated, rpy_rotation, transposed
+from rx90_common.description.urdf import JOINT_COUNT, UrdfFile
+
+_GRAVITY = (0.0, 0.0, -9.81)
+
+
+class RigidChain(NamedTuple):
+    """The arm in link frames that are all parallel to the base at q = 0.
+
+    Link i rotates about `axis[i]` through `origin[i]`, both constant in the frame of link i-1 (the base for
+    the first), so that no fixed rotation is left: R_i = R_(i-1)·Rot(axis_i, q_i) and
+    p_i = p_(i-1) + R_(i-1)·origin_i.
+    A NamedTuple, because numba takes one as an argument. The arrays are left writable, because numba
+    compiles a kernel a second time for read-only ones; nothing writes to them.
+
+    Attributes:
+        origin: (6, 3) joint centre in the frame before it, m; the first from the base.
+        axis: (6, 3) unit vectors.
+        mass: (6,) kg, with everything fixed to the link, the tool on the last one.
+        com: (6, 3) centre of mass in the link frame, m.
+        inertia: (6, 6) Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m².
+        gravity: (3,) acceleration in the base frame, m/s².
+        tcp_position: (3,) tool centre point in the last link frame, m.
+        tcp_rotation: (3, 3) its axes in the last link frame, hence in the base at q = 0.
+    """
+
+    origin: Array
+    axis: Array
+    mass: Array
+    com: Array
+    inertia: Array
+    gravity: Array
+    tcp_position: Array
+    tcp_rotation: Array
+
+
+class _Frame(NamedTuple):
+    """Of a link, in the base at q = 0: origin in m, axes, and how many moving joints lie before it."""
+
+    position: Array
+    rotation: Array
+    joints: int
+
+
+class _Body(NamedTuple):
+    """Of a link, in base axes at q = 0: mass, its centre in the base in m, inertia about that centre, moving joints."""
+
+    mass: float
+    center: Array
+    inertia: Array
+    joints: int
+
+
+def rigid_chain(file: UrdfFile, tcp_link: str) -> RigidChain:
+    """Return the chain of a checked URDF; its tool centre point is the frame of the link `tcp_link`."""
+    frames = {file.base_link: _Frame(np.zeros(3), np.eye(3), 0)}
+    position, axis = np.zeros((JOINT_COUNT, 3)), np.zeros((JOINT_COUNT, 3))
+    for joint in file.placements():
+        before = frames[joint.parent]
+        place = before.position + rotated(before.rotation, np.array(joint.xyz))
+        turn, index = product(before.rotation, rpy_rotation(joint.rpy)), before.joints
+        if joint.name in file.limits:
+            direction = rotated(turn, np.array(joint.axis))
+            position[index], axis[index] = place, direction / length(direction)
+            index += 1
+        frames[joint.child] = _Frame(place, turn, index)
+    bodies = [_body(frames[body.link], body.mass, body.xyz, body.rpy, body.inertia) for body in file.bodies()]
+    links = [_together([body for body in bodies if body.joints == i + 1]) for i in range(JOINT_COUNT)]
+    tcp = frames[tcp_link]
+    return RigidChain(
+        origin=np.diff(position, axis=0, prepend=np.zeros((1, 3))),
+        axis=axis,
+        mass=np.array([body.mass for body in links]),
+        com=np.array([body.center for body in links]) - position,
+        inertia=np.array([body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]] for body in links]),
+        gravity=np.array(_GRAVITY),
+        tcp_position=tcp.position - position[-1],
+        tcp_rotation=np.ascontiguousarray(tcp.rotation),
+    )
+
+
+def _body(
+    frame: _Frame, mass: float, xyz: tuple[float, ...], rpy: tuple[float, ...], inertia: tuple[float, ...]
+) -> _Body:
+    """Return the body of a link from its <inertial>."""
+    xx, yy, zz, xy, xz, yz = inertia
+    turn = product(frame.rotation, rpy_rotation(rpy))
+    tensor = product(product(turn, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])), transposed(turn))
+    return _Body(mass, frame.position + rotated(frame.rotation, np.array(xyz)), tensor, frame.joints)
+
+
+def _together(bodies: list[_Body]) -> _Body:
+    """Return bodies fixed to each other as one (parallel axes: Huygens and Steiner)."""
+    mass, moment = 0.0, np.zeros(3)
+    for body in bodies:
+        mass += body.mass
+        moment = moment + body.mass * body.center
+    center, inertia = moment / mass, np.zeros((3, 3))
+    if len(bodies) == 1:
+        center = bodies[0].center
+    for body in bodies:
+        arm = body.center - center
+        inertia = inertia + body.inertia + body.mass * (dot(arm, arm) * np.eye(3) - outer(arm, arm))
+    return _Body(mass, center, inertia, bodies[0].joints)

@@ -1,0 +1,51 @@
+"""The elementary functions for numbers and arrays of Python: for all that is computed before compiled code runs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.elementary import arctangent, exponential, exponential_less_one, sine_cosine
+
+_Array = NDArray[np.float64]
+
+
+def sines_cosines(angle: ArrayLike) -> tuple[_Array, _Array]:
+    """Return sine and cosine of angles, rad, of any shape."""
+    angles = np.array(angle, dtype=np.float64)
+    sine, cosine = np.empty(angles.size), np.empty(angles.size)
+    _sines_cosines(angles.ravel(), sine, cosine)
+    return sine.reshape(angles.shape), cosine.reshape(angles.shape)
+
+
+def angles_of(y: ArrayLike, x: ArrayLike) -> _Array:
+    """Return the angles of points, rad, from -pi to pi; the shapes are broadcast."""
+    points = np.stack(np.broadcast_arrays(np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64)))
+    angle = np.empty(points[0].size)
+    _angles(points[0].ravel(), points[1].ravel(), angle)
+    return angle.reshape(points[0].shape)
+
+
+@kernel
+def exponential_of(x: float) -> float:
+    """Return exp(x) for x up to 708; below -708 it is 0."""
+    return exponential(x)
+
+
+@kernel
+def exponential_less_one_of(x: float) -> float:
+    """Return exp(x) - 1 for x up to 708, without cancellation next to 0."""
+    return exponential_less_one(x)
+
+
+@kernel
+def _sines_cosines(angle: _Array, sine: _Array, cosine: _Array) -> None:
+    for i in range(angle.size):
+        sine[i], cosine[i] = sine_cosine(angle[i])
+
+
+@kernel
+def _angles(y: _Array, x: _Array, angle: _Array) -> None:
+    for i in range(y.size):
+        angle[i] = arctangent(y[i], x[i])

@@ -1,0 +1,130 @@
+"""Bags of others: what is not needed may be unknown, missing or told in two ways, and the bag is read all the same."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from bag_making import JOINT_STATE, ROS1, ROS2, STORAGES, joint_state, series
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from rx90_common.bags.reading import BagReader, read_joint_series, read_joint_states
+from rx90_common.bags.summary import summarise
+from rx90_common.bags.writing import write_joint_states
+from rx90_emulator.cli.frame import run
+
+STAMPS = list(range(0, 40_000_000, 1_000_000))
+
+
+def write_foreign(path: Path, storage: str = "mcap", compression: CompressionMode = CompressionMode.NONE) -> Path:
+    """Write joint states beside a service event, whose definition rosbags does not parse, and text of a ROS 1 kind."""
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
+    if compression is not CompressionMode.NONE:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    event, no_hash = "int64 a\nint64 b\n---\nint64 sum\n", "RIHS01_" + "0" * 64
+    with writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS2)
+        kind = "example_interfaces/srv/AddTwoInts_Event"
+        events = writer.add_connection("/add/_service_event", kind, msgdef=event, rihs01=no_hash)
+        old = writer.add_connection(
+            "/old", "sensor_msgs/JointState", msgdef="x", rihs01=no_hash, serialization_format="ros1"
+        )
+        for stamp in STAMPS:
+            message = joint_state(stamp, ["a"], [stamp * 1e-9])
+            writer.write(joints, stamp, ROS2.serialize_cdr(message, JOINT_STATE))
+        writer.write(events, 5, b"\0\1\0\0" + bytes(16))
+        writer.write(old, 7, bytes(ROS1.serialize_ros1(joint_state(9, ["b"], [2.0], store=ROS1), JOINT_STATE)))
+    return path
+
+
+def edit(bag: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change metadata.yaml."""
+    path = bag / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    change(content["rosbag2_bagfile_information"])
+    path.write_text(yaml.safe_dump(content))
+
+
+def first_topic(content: dict[str, Any]) -> Any:
+    """Return what the metadata say of the first topic."""
+    return content["topics_with_message_count"][0]["topic_metadata"]
+
+
+OTHERWISE: dict[str, Callable[[Path], object]] = {
+    "quality of service": lambda bag: edit(bag, lambda c: first_topic(c).update(offered_qos_profiles=[])),
+    "no quality of service": lambda bag: edit(bag, lambda c: first_topic(c).pop("offered_qos_profiles")),
+    "another type hash": lambda bag: edit(bag, lambda c: first_topic(c).update(type_description_hash="RIHS01_0")),
+    "another encoding": lambda bag: edit(bag, lambda c: first_topic(c).update(serialization_format="other")),
+    "another storage": lambda bag: edit(bag, lambda c: c.update(storage_identifier="other")),
+    "a later version": lambda bag: edit(bag, lambda c: c.update(version=99)),
+    "no metadata": lambda bag: (bag / "metadata.yaml").unlink(),
+}
+
+
+@pytest.mark.parametrize("otherwise", OTHERWISE)
+def test_what_the_metadata_say_beside_the_counts_is_not_needed(tmp_path: Path, otherwise: str) -> None:
+    """Metadata that differ from the storage in what no message needs, or are not there, keep no message back."""
+    write_joint_states(tmp_path / "bag", [series(30)])
+    OTHERWISE[otherwise](tmp_path / "bag")
+    read = read_joint_states(tmp_path / "bag", "joint_states")
+    assert read.position is not None
+    np.testing.assert_array_equal(read.position, series(30).position)
+    with BagReader(tmp_path / "bag") as bag:
+        note = "metadata.yaml is missing; read as they are: bag.mcap"
+        assert bag.notes == ([note] if otherwise == "no metadata" else [])
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+@pytest.mark.parametrize("mode", ["NONE", "MESSAGE", "FILE", "STORAGE"])
+def test_types_that_cannot_be_parsed_and_compressed_bags(
+    tmp_path: Path, storage: str, mode: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Topics of unknown types are listed and left aside; storage and compression are named; a file alone will do."""
+    if (storage, mode) == ("sqlite3", "STORAGE"):
+        return  # sqlite3 has no compression of its own
+    bag = write_foreign(tmp_path / "bag", storage, CompressionMode[mode])
+    kind = {"mcap": "mcap", "sqlite3": "db3"}[storage]
+    words = {"NONE": "", "MESSAGE": "zstd messages", "FILE": "zstd files", "STORAGE": "zstd chunks"}[mode]
+    (file,) = (file for file in bag.iterdir() if file.name != "metadata.yaml")
+    for path in (bag, shutil.copy(file, tmp_path / "alone")):
+        summary = summarise(path)
+        assert (summary.storage, summary.compression) == (kind, words)
+        assert {t.topic: t.count for t in summary.topics} == {"/joint_states": 40, "/add/_service_event": 1, "/old": 1}
+        assert read_joint_states(path, "joint_states").stamp_ns.tolist() == STAMPS
+        (old,) = read_joint_series(path, ["old"])["/old"]
+        assert (old.names, old.stamp_ns.tolist()) == (("b",), [9])
+    assert run("rx90_bag", ["compare", str(bag), str(bag)]) == 0
+    assert "not compared, as they are no JointState: /add/_service_event\n" in capsys.readouterr().out
+    assert run("rx90_bag", ["info", str(bag)]) == 0
+    assert f"{bag}: {kind}{f' ({words})' * bool(words)}, " in capsys.readouterr().out
+
+
+def test_several_files_are_read_as_one(tmp_path: Path) -> None:
+    """Files of one folder, whose times overlap, come in the order of log time, with metadata or without."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    whole = series(60)
+    for i, part in enumerate((slice(0, 60, 2), slice(1, 60, 2))):
+        write_joint_states(tmp_path / f"part_{i}", [whole.take(part)])
+        shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", folder / f"bag_{i}.mcap")
+    np.testing.assert_array_equal(read_joint_states(folder, "joint_states").stamp_ns, whole.stamp_ns)
+
+
+def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A topic with line breaks in its name, or of thousands of characters, is one short row of the summary."""
+    hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
+    write_joint_states(tmp_path / "bag", [series(3, topic=hostile)])
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 3
+    assert len(out) < 1500
+    assert "/a\\n[INFO]" in out
+    assert run("rx90_bag", ["compare", "--topics", "/b", "--", *[str(tmp_path / "bag")] * 2]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert len(err) < 1000

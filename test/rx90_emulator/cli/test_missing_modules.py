@@ -1,0 +1,138 @@
+"""An executable whose packages are missing or broken says in one line which, and what can be done."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from rx90_common.base import requirements
+from rx90_common.base.requirements import SOURCES, is_ros, missing_module
+from rx90_common.base.sources import ROOT
+from rx90_emulator.cli.frame import EXECUTABLES
+
+CALLS = {
+    "rx90_sim": ([], "numpy yaml numba pinocchio rclpy"),
+    "rx90_controller": ([], "numba rclpy"),
+    "friction_bench": ([], "yaml numba serial rclpy"),
+    "friction_ramp": (["--output", "out"], "numpy tqdm matplotlib"),
+    "friction_rig_emulator": ([], "numpy yaml numba"),
+    "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
+    "rx90_demo": ([], "numba"),
+    "rx90_experiment": (["plan"], "numba rosbags"),
+    "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
+    "rx90_line": (["--from-file", "task/reference_line.yaml"], "yaml numba"),
+    "rx90_run": ([], "yaml numba pinocchio"),
+    "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
+}
+"""A call of each executable that begins its work, and packages without which that cannot be done."""
+
+CHILD = """
+import json, os, sys, tempfile
+from rx90_emulator.cli import frame
+
+class Blocked:
+    def __init__(self, package, broken):
+        self.package, self.broken = package, broken
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == self.package:
+            if self.broken:  # as an extension module that finds another NumPy than it was built for
+                raise ImportError("NumPy 1.26.4\\nis too old", name=f"{name}._core")
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+for program, words, package, broken in json.load(sys.stdin):
+    with tempfile.TemporaryFile("w+") as errors:
+        child = os.fork()
+        if child == 0:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            os.dup2(errors.fileno(), 2)
+            sys.meta_path.insert(0, Blocked(package, broken))
+            try:
+                code = frame.run(program, words)
+            finally:
+                os._exit(code if "code" in locals() else 1)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        errors.seek(0)
+        print(json.dumps([code, errors.read()]), flush=True)
+"""
+
+
+class Case(NamedTuple):
+    """One call of an executable without a package, or with one that cannot be loaded."""
+
+    program: str
+    words: list[str]
+    package: str
+    broken: bool = False
+
+
+def test_every_executable_says_what_is_missing(tmp_path: Path) -> None:
+    """Without a package each executable, a node too, ends with 3 and a line: package, distribution, how to get it."""
+    assert set(CALLS) == set(EXECUTABLES)
+    cases = [Case(name, words, package) for name, (words, given) in CALLS.items() for package in given.split()]
+    cases += [Case("rx90_sim", [], "numba", broken=True), Case("rx90_sweep", ["info", "x"], "pyarrow", broken=True)]
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD],
+        input=json.dumps(cases),
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    for case, (code, errors) in zip(cases, answers, strict=True):
+        assert (code, errors.count("\n")) == (3, 1), (case, errors)
+        if case.broken:
+            start = f"{case.program}: {case.package} cannot be loaded (NumPy 1.26.4 is too old); accepted: a version"
+        else:
+            start = f"{case.program}: needs {case.package}, which is not installed; accepted: "
+            where = "a sourced ROS 2 Jazzy" if is_ros(case.package) else SOURCES[case.package].pip
+            assert where in errors.removeprefix(start), errors
+        assert errors.startswith(start), errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_each_source_is_a_distribution_of_the_set_up() -> None:
+    """What pip is told to install is what setup.py requires, or offers as an extra."""
+    named = set(re.findall(r'"([A-Za-z0-9]+)>=', (ROOT / "setup.py").read_text(encoding="utf-8")))
+    assert {source.pip for source in SOURCES.values()} <= named
+
+
+def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:
+    """A name that a module of the project lacks stays an error with its traceback."""
+    with pytest.raises(ImportError) as caught:
+        exec("from rx90_common.base.errors import Nothing")
+    assert missing_module(caught.value) is None
+
+
+@pytest.mark.parametrize(
+    ("module", "managed", "apt", "advice"),
+    [
+        ("numba", False, False, f"{sys.executable} -m pip install numba"),
+        ("numba", True, True, "a virtual environment with numba in it, as in README.md, With ROS 2 Jazzy"),
+        ("scipy", True, True, "sudo apt install python3-scipy"),
+        ("pinocchio", False, True, "sudo apt install ros-jazzy-pinocchio"),
+        ("pinocchio", False, False, f"{sys.executable} -m pip install pin"),
+        ("rclpy", True, True, "a sourced ROS 2 Jazzy"),
+    ],
+)
+def test_the_advice_can_be_followed(
+    module: str, managed: bool, apt: bool, advice: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A system's own Python is not told to use pip, which it refuses, nor one that cannot see apt's packages apt."""
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
+    monkeypatch.setattr(sys, "prefix", sys.base_prefix if managed else str(tmp_path))
+    monkeypatch.setattr(sys, "path", [*sys.path, requirements._APT_FOLDER] if apt else ["/nowhere"])
+    monkeypatch.setenv("ROS_DISTRO", "jazzy")
+    line = missing_module(ModuleNotFoundError(name=module))
+    assert line == f"needs {module}, which is not installed; accepted: {advice}"

@@ -1,0 +1,36 @@
+"""The rigid chain of a robot as Pinocchio has it: the oracle of the project's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from rx90_common.description.chain import RigidChain
+from rx90_common.description.urdf import JOINT_COUNT
+
+
+def pinocchio_chain(model: Any, tcp_frame: str) -> RigidChain:
+    """Re-express a Pinocchio model of six revolute joints in link frames parallel to the base at q = 0."""
+    data = model.createData()
+    zero = np.zeros(JOINT_COUNT)
+    pin.framesForwardKinematics(model, data, zero)
+    pin.computeJointJacobians(model, data, zero)
+    # At q = 0 the angular part of column i, in base axes, is the axis of joint i.
+    axis = np.array(data.J[3:, :].T)
+    position = np.array([data.oMi[i + 1].translation for i in range(JOINT_COUNT)])
+    rotation = np.array([data.oMi[i + 1].rotation for i in range(JOINT_COUNT)])
+    bodies = [model.inertias[i + 1] for i in range(JOINT_COUNT)]
+    tensors = [r @ body.inertia @ r.T for r, body in zip(rotation, bodies, strict=True)]
+    tcp = data.oMf[model.getFrameId(tcp_frame)]
+    return RigidChain(
+        origin=np.diff(position, axis=0, prepend=np.zeros((1, 3))),
+        axis=np.ascontiguousarray(axis / np.linalg.norm(axis, axis=1, keepdims=True)),
+        mass=np.array([body.mass for body in bodies]),
+        com=np.array([r @ body.lever for r, body in zip(rotation, bodies, strict=True)]),
+        inertia=np.array([[t[0, 0], t[1, 1], t[2, 2], t[0, 1], t[0, 2], t[1, 2]] for t in tensors]),
+        gravity=np.array(model.gravity.linear),
+        tcp_position=np.array(tcp.translation - position[-1]),
+        tcp_rotation=np.ascontiguousarray(tcp.rotation),
+    )
