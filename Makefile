@@ -25,12 +25,12 @@ test: environment-dev
 	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 # What does not hang on the versions of libraries (DDS, firmware, processes) is left to `make test`.
-JAZZY := rx90_sim rx90_controller rx90_common/bags rx90_common/friction rx90_common/description \
-  rx90_emulator/loop rx90_emulator/identification rx90_emulator/perturbation rx90_emulator/sweep/test_metrics.py
+JAZZY := test/rx90_sim test/rx90_controller test/rx90_common/bags test/rx90_common/friction test/rx90_common/description \
+  test/rx90_emulator/loop test/rx90_emulator/identification test/rx90_emulator/perturbation
 test-jazzy: environment-jazzy
 	@.venv-jazzy/bin/python -m tools.digests
 	@.venv-jazzy/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware" \
-	  $(or $(ARGS),$(addprefix test/,$(JAZZY)))
+	  $(or $(ARGS),$(JAZZY))
 
 firmware:
 	@$(MAKE) --no-print-directory -C firmware

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.lockstep import slope
 from benchmarks.report import merge, print_table, spread
-from rx90_common.bags.comparison import Scope, Verdict, compare_bags
+from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.share import REFERENCE_TASK, resolve_config
@@ -105,7 +105,7 @@ def check(bag: Path, closed_loop: Path) -> None:
     Raises:
         ExchangeError: if a message is missing or a bit differs.
     """
-    comparison = compare_bags(bag, closed_loop, scope=Scope(same_range=True))
+    comparison = compare_bags(bag, closed_loop)
     if comparison.verdict is not Verdict.SAME:
         raise ExchangeError(f"the recorded run is not the closed loop's:\n{comparison_text(comparison)}")
 

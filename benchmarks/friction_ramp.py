@@ -116,6 +116,7 @@ def experiment(job: tuple[Cell, int]) -> Outcome:
         truth = getattr(cell, quantity)
         errors[method, quantity] = estimate.value / truth - 1.0
         hits[method, quantity] = estimate.low <= truth <= estimate.high
+    assert found.source is not None  # `long_enough` sees to it
     expected = np.mean([cell.inertia * record.slope / cell.viscous for record in records])
     return Outcome(errors, hits, found.source.coulomb.value - cell.coulomb, float(expected))
 

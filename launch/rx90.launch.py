@@ -1,79 +1,101 @@
-"""Start simulation and controller, in a process each or in one, and, when asked, robot_state_publisher and RViz."""
+"""Start simulation and controller, in a process each or in one, and, when asked, robot_state_publisher and RViz.
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+When one of the nodes ends, the others are ended too, and the launch ends with its exit code.
+"""
+
+from pathlib import Path
+
+from launch import Action, Condition, LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.conditions import IfCondition, UnlessCondition
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration, OrSubstitution
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED
+from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
+from rx90_common.process.exit_code import end_with
 
-PACKAGE = "rx90_emulator"
-FILES = ("tool", "drives", "friction", "controller")
-OF_SIMULATION = ("time_mode", "tool", "drives", "friction")
-OF_CONTROLLER = ("drives", "controller")
+PARAMETERS = Path(__file__).with_name("rx90_parameters.yaml")
 ARGUMENTS = (
+    ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
     ("time_mode", "lock_step", "lock_step or free_running"),
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
-    *((name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in FILES),
+    ("initial_position", "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint positions at the start and after a reset, rad"),
+    ("paused", "false", "begin with time standing still"),
+    *((name, file, f"{DESCRIPTIONS[name]}; shipped or your own") for name, file in SHIPPED.items()),
     ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
 )
+# Two robots must not share a clock or their transforms. Without a namespace these are the names that they have anyway.
+OWN = [(f"/{topic}", topic) for topic in ("clock", "tf", "tf_static")]
+
+
+def end(event: ProcessExited, context: LaunchContext) -> Shutdown | None:
+    """End the launch as the node has ended, unless it was ended by the launch."""
+    if context.is_shutdown:
+        return None
+    end_with(event.returncode)
+    return Shutdown(reason=f"{event.process_name} has ended with exit code {event.returncode}")
+
+
+def node(executable: str, condition: Condition) -> Node:
+    """Return one of the suite's executables."""
+    return Node(
+        package="rx90_emulator",
+        executable=executable,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[ParameterFile(str(PARAMETERS), allow_substs=True)],
+        remappings=OWN,
+        output="screen",
+        on_exit=end,
+        condition=condition,
+    )
+
+
+def transforms(context: LaunchContext) -> list[Action]:
+    """Return robot_state_publisher with the robot that the simulation has."""
+    # Here, because it takes a while and most launches do without.
+    from rx90_common.description.robot import load_robot
+
+    files = RobotFiles.named(**{name: LaunchConfiguration(name).perform(context) for name in ("urdf", "tool")})
+    robot = load_robot(files.urdf, files.tool)
+    return [
+        Node(
+            package="robot_state_publisher",
+            executable="robot_state_publisher",
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[{"robot_description": ParameterValue(robot.urdf, value_type=str), "use_sim_time": True}],
+            # The simulation publishes the description under that name.
+            remappings=[*OWN, ("robot_description", "robot_state_publisher/robot_description")],
+            on_exit=end,
+        )
+    ]
 
 
 def generate_launch_description() -> LaunchDescription:
-    urdf = config_path(SHIPPED["urdf"]).read_text(encoding="utf-8")
-
-    def given(*names: str) -> dict[str, ParameterValue]:
-        return {name: ParameterValue(LaunchConfiguration(name), value_type=str) for name in names}
-
-    factor = ParameterValue(LaunchConfiguration("real_time_factor"), value_type=float)
-    apart = UnlessCondition(LaunchConfiguration("composed"))
-    simulation = Node(
-        package=PACKAGE,
-        executable="rx90_sim",
-        output="screen",
-        parameters=[given(*OF_SIMULATION) | {"real_time_factor": factor}],
-        condition=apart,
-    )
-    controller = Node(
-        package=PACKAGE,
-        executable="rx90_controller",
-        output="screen",
-        parameters=[given(*OF_CONTROLLER)],
-        condition=apart,
-    )
-    # Parameters of a launch file's node would go to both nodes of the process.
-    of_both = [("rx90_sim", name) for name in (*OF_SIMULATION, "real_time_factor")]
-    of_both += [("rx90_controller", name) for name in OF_CONTROLLER]
-    cell = Node(
-        package=PACKAGE,
-        executable="rx90_cell",
-        output="screen",
-        ros_arguments=[
-            word for node, name in of_both for word in ("-p", [f"{node}:{name}:=", LaunchConfiguration(name)])
-        ],
-        condition=IfCondition(LaunchConfiguration("composed")),
-    )
     wanted = OrSubstitution(LaunchConfiguration("robot_state_publisher"), LaunchConfiguration("rviz"))
-    transforms = Node(
-        package="robot_state_publisher",
-        executable="robot_state_publisher",
-        parameters=[{"robot_description": ParameterValue(urdf, value_type=str), "use_sim_time": True}],
-        # The simulation publishes the description, with its tool, under that name.
-        remappings=[("robot_description", "robot_state_publisher/robot_description")],
-        condition=IfCondition(wanted),
-    )
+    composed = LaunchConfiguration("composed")
     rviz = Node(
         package="rviz2",
         executable="rviz2",
+        namespace=LaunchConfiguration("namespace"),
         arguments=["-d", str(config_path("rviz/rx90.rviz"))],
         parameters=[{"use_sim_time": True}],
+        remappings=OWN,
         condition=IfCondition(LaunchConfiguration("rviz")),
     )
     declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in ARGUMENTS]
     # A missing package ends the launch: what may be missing comes first, so that no node is left behind then.
-    return LaunchDescription([*declared, transforms, rviz, simulation, controller, cell])
+    return LaunchDescription(
+        [
+            *declared,
+            OpaqueFunction(function=transforms, condition=IfCondition(wanted)),
+            rviz,
+            node("rx90_sim", UnlessCondition(composed)),
+            node("rx90_controller", UnlessCondition(composed)),
+            node("rx90_cell", IfCondition(composed)),
+        ]
+    )

@@ -19,13 +19,10 @@ from scipy.optimize import minimize_scalar
 
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.window import first_motion, refuse_saturated_command, refuse_saturated_current
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
-MOVED_COUNTS = 2.0
-MOVED_SHARE = 1e-3
-"""Break-away is certain after two counts (one may be jitter at an edge) and this share of the ramp's angle
-(presliding moves the shaft a little before)."""
 SETTLED = 6.0
 """The window starts after so many time constants: 0.25 % of the transient is left."""
 ONSET_TICKS = 10
@@ -39,8 +36,6 @@ MOST_POINTS = 100
 ROUGH_POINTS = 30
 """Least squares are solved with at most so many readings, as their cost is cubic; fewer for preliminary fits."""
 CURVATURE_LIMIT = 0.05
-SATURATION_LIMIT = 0.06
-"""Relative shortfall of the measured torque that counts as saturation."""
 
 
 @dataclass(frozen=True)
@@ -66,30 +61,33 @@ class RampFit:
     points: int
 
 
-def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, preliminary: bool = False) -> RampFit:
+class ShortRampError(IdentificationError):
+    """A ramp does not show enough of its asymptote."""
+
+
+def fit_asymptote(record: RampRecord, time_constant: float | None = None) -> RampFit:
     """Fit the asymptote of one ramp.
 
     Args:
         record: the ramp.
         time_constant: J / f_v, s, as identified from two slopes; by default this ramp's own b / a - t_b.
-        preliminary: the time constant is still to be found, so a transient that is not over is no fault.
 
     Raises:
-        IdentificationError: no break-away, too short a ramp, too few points, saturation.
+        ShortRampError: too few readings after the transient.
+        IdentificationError: no break-away, saturation, no straight asymptote.
     """
     time = record.time - record.origin
     angle = record.angle - record.angle[0]
-    _refuse_saturated_command(record, time)
-    first = _first_motion(record, angle)
-    _refuse_saturated_current(record)
+    refuse_saturated_command(record, time)
+    first = first_motion(record, angle)
+    refuse_saturated_current(record)
     T, a, b = _rough(record, time, angle, float(time[first]) - record.tick)
     break_away = _break_away(time, angle, first, record.tick, a, b, time_constant)
     T = time_constant or max(T, b / a - break_away)
     angle = angle - staircase_angle(record, time, break_away, a, T)
     use = time >= break_away + SETTLED * T
     _check_length(record, int(use.sum()), float(time[-1]) - break_away - SETTLED * T, T)
-    most = ROUGH_POINTS if preliminary else MOST_POINTS
-    solution = _solve(time[use], angle[use], record.angle_step, break_away, T, most)
+    solution = _solve(time[use], angle[use], record.angle_step, break_away, T)
     fit = RampFit(
         record=record,
         slope=record.slope,
@@ -100,51 +98,8 @@ def fit_asymptote(record: RampRecord, time_constant: float | None = None, *, pre
         window=(float(time[use][0]), float(time[-1])),
         points=int(use.sum()),
     )
-    if not preliminary:
-        _refuse_curved(fit, time[use], angle[use], T)
+    _refuse_curved(fit, time[use], angle[use], T)
     return fit
-
-
-def _refuse_saturated_command(record: RampRecord, time: Array) -> None:
-    if record.torque is None:
-        return
-    middle = time + record.tick / 2
-    late = np.abs(record.torque - record.slope * middle)
-    allowed = max(1.5 * float(np.abs(np.diff(record.torque)).max(initial=0.0)), 2 * record.slope * record.tick)
-    if late.max() > allowed:
-        when = float(time[int(np.argmax(late))])
-        raise IdentificationError(
-            f"{record.label}: the commanded torque leaves the ramp of {record.slope:.4g} Nm/s by "
-            f"{late.max():.3g} Nm at {when:.2f} s; the command saturates or the slope is wrong"
-        )
-
-
-def _refuse_saturated_current(record: RampRecord) -> None:
-    if record.torque is None or record.measured_torque is None:
-        return
-    n = record.time.size // 5
-    # A reading is taken just before the tick at which the command changes: it belongs to the one before.
-    command, measured = record.torque[:-1], record.measured_torque[1:]
-    scale = float(np.sum(measured[n : 3 * n]) / np.sum(command[n : 3 * n]))
-    shortfall = 1.0 - float(np.mean(measured[-n:]) / np.mean(command[-n:])) / scale
-    if shortfall > SATURATION_LIMIT:
-        raise IdentificationError(
-            f"{record.label}: the measured torque falls {100 * shortfall:.0f} % behind the command at the "
-            "ramp's end; the amplifier saturates, end the ramp earlier"
-        )
-
-
-def _first_motion(record: RampRecord, angle: Array) -> int:
-    """Return the index of the first reading after which the shaft never is back at its start."""
-    moved = angle >= max((MOVED_COUNTS - 0.5) * record.angle_step, MOVED_SHARE * angle[-1])
-    moved[-1] &= angle[-1] >= (MOVED_COUNTS - 0.5) * record.angle_step
-    if not moved[-1]:
-        reached = record.slope * (record.time[-1] - record.origin)
-        raise IdentificationError(f"{record.label}: no break-away up to {reached:.3g} Nm; raise the end torque")
-    first = int(np.argmax(np.logical_and.accumulate(moved[::-1])[::-1]))
-    if first == 0:
-        raise IdentificationError(f"{record.label}: the shaft moves at the first reading; a ramp starts from rest")
-    return first
 
 
 def _break_away(time: Array, angle: Array, first: int, tick: float, a: float, b: float, T: float | None) -> float:
@@ -209,12 +164,12 @@ def _rough(record: RampRecord, time: Array, angle: Array, break_away: float) -> 
 
 def _check_length(record: RampRecord, points: int, length: float, T: float) -> None:
     if points < MIN_POINTS:
-        raise IdentificationError(
+        raise ShortRampError(
             f"{record.label}: the ramp is too short, {points} readings after the transient; "
             f"accepted: at least {MIN_POINTS}; take a slower ramp or a higher end torque"
         )
     if length < MIN_WINDOW * T:
-        raise IdentificationError(
+        raise ShortRampError(
             f"{record.label}: the ramp is too short, {length:.2g} s after a transient with a time constant "
             f"of {T:.2g} s; accepted: at least {MIN_WINDOW:g} time constants"
         )

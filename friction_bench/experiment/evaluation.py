@@ -16,6 +16,7 @@ from friction_bench.experiment.identification import (
 from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.errors import IdentificationError
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class RampTestResult:
     loaded: RampIdentification | None
     joint: JointFrictionEstimate | None
     comparison: FourWay | None
+    failures: tuple[str, ...] = ()
+    """Why a load that was run carries no estimate, one line each."""
 
     @property
     def parts(self) -> list[tuple[str, RampIdentification]]:
@@ -38,16 +41,22 @@ def evaluate(records: Sequence[RampRecord], rig: Rig) -> RampTestResult:
     """Identify friction from all ramps of a measurement, and compare one ramp with the models.
 
     Raises:
-        IdentificationError: if a ramp does not carry an estimate.
+        IdentificationError: if no load carries an estimate.
     """
     parts: dict[bool, RampIdentification] = {}
+    failures = []
     for loaded in (False, True):
         chosen = [record for record in records if record.loaded is loaded]
-        if chosen:
-            parts[loaded] = identify_ramps(chosen, rig.scale_uncertainty)
+        try:
+            if chosen:
+                parts[loaded] = identify_ramps(chosen, rig.scale_uncertainty)
+        except IdentificationError as error:
+            failures.append(str(error))
+    if not parts:
+        raise IdentificationError(failures[0] if failures else "no ramp to identify from")
     joint = joint_friction(parts[False], parts[True], rig) if len(parts) == 2 else None
-    last = parts[max(parts)] if parts else None
-    return RampTestResult(parts.get(False), parts.get(True), joint, _comparison(last, rig) if last else None)
+    comparison = _comparison(parts[max(parts)], rig)
+    return RampTestResult(parts.get(False), parts.get(True), joint, comparison, tuple(failures))
 
 
 def _comparison(part: RampIdentification, rig: Rig) -> FourWay | None:
@@ -55,7 +64,8 @@ def _comparison(part: RampIdentification, rig: Rig) -> FourWay | None:
     best = part.best
     if best.inertia is None or best.inertia.value <= 0.0:
         return None
-    slowest = slopes_of(part.fits)[0]
-    fit = min(part.fits, key=lambda f: abs(f.slope - slowest))
-    model = RampModel(best.coulomb.value, best.viscous.value, best.inertia.value, fit.slope)
-    return compare(fit.record, model, rig.gear_ratio)
+    slowest = slopes_of(part.ramps)[0]
+    ramp = min(part.ramps, key=lambda r: abs(r.slope - slowest))
+    release = max(ramp.break_away * ramp.slope - best.coulomb.value, 0.0)
+    model = RampModel(best.coulomb.value, best.viscous.value, best.inertia.value, ramp.slope, release)
+    return compare(ramp.record, model, rig.gear_ratio)

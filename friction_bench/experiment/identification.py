@@ -1,9 +1,8 @@
-"""From fitted asymptotes to friction: the source's formulas, the exact ones, and their uncertainties.
+"""From ramps to friction: the source's formulas, the exact fit, and their uncertainties.
 
-Per ramp: f_v = m / a, and by the source f_c = m b / a, which is high by J a. The exact f_c = m b / a - J a
-needs J, which needs two slopes. With alpha = 1 / f_v, beta = f_c / f_v, gamma = J / f_v^2 the asymptotes are
-linear, a = alpha m and b = beta + gamma m, so that any number of ramps at any slopes is one least squares
-problem.
+By the source, for each ramp whose asymptote a t - b shows: f_v = m / a and f_c = m b / a, which is high by J a. The
+exact f_c = m b / a - J a needs J, which needs two slopes; it comes from all ramps in one fit (`sliding_fit`), which
+uses a ramp from where the shaft slides. A ramp that cannot be used is left out, and the result says which and why.
 """
 
 from __future__ import annotations
@@ -15,8 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from friction_bench.experiment.asymptote import RampFit, fit_asymptote
+from friction_bench.experiment.asymptote import RampFit, ShortRampError, fit_asymptote
+from friction_bench.experiment.ramp_model import RampModel
 from friction_bench.experiment.record import RampRecord
+from friction_bench.experiment.sliding_fit import RampsFit, fit_sliding
+from friction_bench.experiment.window import SlidingWindow, break_away, sliding_window
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -54,26 +56,52 @@ class RampFriction:
 
 
 @dataclass(frozen=True)
+class UsedRamp:
+    """One ramp that was used; time counts from the zero of the commanded torque.
+
+    Attributes:
+        break_away: time of break-away, s.
+        time, velocity: where it was fitted, s, and the fitted velocity, rad/s, shape (n,).
+        asymptote: by the source's method; None where the ramp is too short for it.
+    """
+
+    record: RampRecord
+    break_away: float
+    time: Array
+    velocity: Array
+    asymptote: RampFit | None
+
+    @property
+    def slope(self) -> float:
+        """Return m, Nm/s."""
+        return self.record.slope
+
+
+@dataclass(frozen=True)
 class RampIdentification:
     """What was identified from a set of ramps under one load.
 
     Attributes:
-        source: the source's f_c = m b / a and f_v = m / a, mean over all ramps.
-        exact: with J from two slopes, intervals from the fits' covariance; None with one slope.
+        source: the source's f_c = m b / a and f_v = m / a, mean over the ramps long enough for it; None without any.
+        exact: fit of all ramps, intervals from its covariance; None with one slope.
         repeated: the same, intervals from the scatter of the repeats; None with fewer than 2 repeats.
-        consistency: p-value of the chi-square test of the ramps' scatter against the fits' covariances.
+        consistency: p-value of the chi-square test of the ramps' scatter against the fit's covariance.
+        stribeck: probability that the friction falls with the velocity after break-away; None with one slope.
+        unused: why each ramp was left out that could not be used, one line each.
     """
 
-    fits: tuple[RampFit, ...]
-    source: RampFriction
+    ramps: tuple[UsedRamp, ...]
+    source: RampFriction | None
     exact: RampFriction | None
     repeated: RampFriction | None
     consistency: float
+    stribeck: float | None
+    unused: tuple[str, ...]
 
     @property
-    def break_away_torque(self) -> float:
-        """Return the mean torque at break-away, Nm: the static friction where it exceeds f_c."""
-        return float(np.mean([fit.break_away * fit.slope for fit in self.fits]))
+    def fits(self) -> tuple[RampFit, ...]:
+        """Return the asymptotes by the source's method."""
+        return tuple(ramp.asymptote for ramp in self.ramps if ramp.asymptote is not None)
 
     @property
     def best(self) -> RampFriction:
@@ -82,6 +110,7 @@ class RampIdentification:
         Its interval is the covariance's, unless the repeats scatter more than that can explain.
         """
         if self.exact is None:
+            assert self.source is not None  # one of them there is: identify_ramps refuses otherwise
             return self.source
         if self.repeated is not None and self.consistency < INCONSISTENT:
             return self.repeated
@@ -107,7 +136,7 @@ def source_formulas(a: float, b: float, m: float) -> tuple[float, float]:
     return m * b / a, m / a
 
 
-def slopes_of(ramps: Iterable[RampRecord | RampFit]) -> list[float]:
+def slopes_of(ramps: Iterable[RampRecord | UsedRamp]) -> list[float]:
     """Return the slopes of some ramps that differ by more than SAME_SLOPE, ascending."""
     distinct: list[float] = []
     for slope in sorted(ramp.slope for ramp in ramps):
@@ -124,32 +153,104 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
         scale_uncertainty: relative standard uncertainty of the torque scale, common to all ramps.
 
     Raises:
-        IdentificationError: if there is no ramp, one cannot be used, or the result is not physical.
+        IdentificationError: if there is no ramp, none can be used, or the result is not physical.
     """
     if not records:
         raise IdentificationError("no ramp to identify from")
-    two_slopes = len(slopes_of(records)) >= 2
-    fits = [fit_asymptote(record, preliminary=two_slopes) for record in records]
-    exact = None
-    consistency = 1.0
-    if two_slopes:
-        fits = _with_common_time_constant(fits)
-        linear, covariance, consistency = _least_squares(fits)
-        exact = _exact(linear, covariance, math.inf, scale_uncertainty)
+    windows, unused = _windows(records)
+    if len(slopes_of(window.record for window in windows)) < 2:
+        return _one_slope(records, scale_uncertainty)
+    fit = fit_sliding(windows)
+    bent = _bent([window.record for window in windows], fit)
+    if bent:
+        unused += bent.values()
+        windows = [window for window in windows if window.record.label not in bent]
+        if len(slopes_of(window.record for window in windows)) < 2:
+            raise IdentificationError(unused[0] + _and_more(unused))
+        fit = fit_sliding(windows)
+    return _from_fit(windows, fit, scale_uncertainty, tuple(unused))
+
+
+def _windows(records: Sequence[RampRecord]) -> tuple[list[SlidingWindow], list[str]]:
+    """Return the windows of the ramps that can be used, and why the others cannot."""
+    windows, unused = [], []
+    for record in records:
+        try:
+            windows.append(sliding_window(record))
+        except IdentificationError as error:
+            unused.append(str(error))
+    if not windows:
+        raise IdentificationError(unused[0] + _and_more(unused))
+    return windows, unused
+
+
+def _and_more(reasons: Sequence[str]) -> str:
+    return f" (and {len(reasons) - 1} more ramps that cannot be used)" if len(reasons) > 1 else ""
+
+
+def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentification:
+    """Identify by the source's method alone: with one slope J is unknown."""
+    ramps, unused = [], []
+    for record in records:
+        try:
+            fit = fit_asymptote(record)
+        except IdentificationError as error:
+            unused.append(str(error))
+            continue
+        time = record.time - record.origin
+        time = time[time >= fit.window[0]]
+        ramps.append(UsedRamp(record, fit.break_away, time, fit.a * time - fit.b, fit))
+    if not ramps:
+        raise IdentificationError(unused[0] + _and_more(unused))
+    source = _by_source([ramp.asymptote for ramp in ramps if ramp.asymptote is not None], scale)
+    return RampIdentification(tuple(ramps), source, None, None, 1.0, None, tuple(unused))
+
+
+def _bent(records: Sequence[RampRecord], fit: RampsFit) -> dict[str, str]:
+    """Return by label why the velocity of a ramp follows no straight asymptote, of the ramps long enough to tell."""
+    reasons = {}
+    for record in records:
+        try:
+            _asymptote(record, fit)
+        except IdentificationError as error:
+            reasons[record.label] = str(error)
+    return reasons
+
+
+def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
+    """Return the asymptote by the source's method, with T of all ramps; None where the ramp is too short for it."""
+    _, viscous, inertia = fit.values
+    try:
+        return fit_asymptote(record, max(float(inertia / viscous), record.tick / 4))
+    except ShortRampError:
+        return None
+
+
+def _from_fit(
+    windows: Sequence[SlidingWindow], fit: RampsFit, scale: float, unused: tuple[str, ...]
+) -> RampIdentification:
+    coulomb, viscous, inertia = (float(value) for value in fit.values)
+    if not (viscous > 0.0 and inertia > 0.0):
+        raise IdentificationError(
+            f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
+            "accepted: > 0"
+        )
+    ramps = []
+    for window, velocity in zip(windows, fit.velocities, strict=True):
+        model = RampModel(coulomb, viscous, inertia, window.record.slope)
+        start = break_away(window.record, model)
+        ramps.append(UsedRamp(window.record, start, window.time, velocity, _asymptote(window.record, fit)))
+    asymptotes = [ramp.asymptote for ramp in ramps if ramp.asymptote is not None]
+    square, freedom = fit.chi_square()
     return RampIdentification(
-        fits=tuple(fits),
-        source=_by_source(fits, scale_uncertainty),
-        exact=exact,
-        repeated=_by_repeats(fits, scale_uncertainty) if two_slopes else None,
-        consistency=consistency,
+        ramps=tuple(ramps),
+        source=_by_source(asymptotes, scale) if asymptotes else None,
+        exact=_friction(fit.values, fit.covariance, math.inf, scale),
+        repeated=_by_repeats(fit, ramps, scale),
+        consistency=float(stats.chi2.sf(square, freedom)),
+        stribeck=fit.stribeck,
+        unused=unused,
     )
-
-
-def _with_common_time_constant(fits: Sequence[RampFit]) -> list[RampFit]:
-    """Fit again with J / f_v from all ramps: from one ramp alone it is a small difference of large numbers."""
-    alpha, _, gamma = _least_squares(fits)[0]
-    shortest = max(fit.record.tick for fit in fits) / 4
-    return [fit_asymptote(fit.record, max(gamma / alpha, shortest)) for fit in fits]
 
 
 def _by_source(fits: Sequence[RampFit], scale: float) -> RampFriction:
@@ -169,60 +270,25 @@ def _by_source(fits: Sequence[RampFit], scale: float) -> RampFriction:
     )
 
 
-def _least_squares(fits: Sequence[RampFit]) -> tuple[Array, Array, float]:
-    """Return (alpha, beta, gamma), their covariance, and the p-value of the residuals' chi-square."""
-    information = np.zeros((3, 3))
-    right = np.zeros(3)
-    rows = []
-    for fit in fits:
-        design = np.array([[fit.slope, 0.0, 0.0], [0.0, 1.0, fit.slope]])
-        weight = np.linalg.inv(fit.covariance)
-        information += design.T @ weight @ design
-        right += design.T @ weight @ (fit.a, fit.b)
-        rows.append((design, weight, np.array([fit.a, fit.b])))
-    covariance = np.linalg.inv(information)
-    linear = covariance @ right
-    square = sum(float((y - X @ linear) @ W @ (y - X @ linear)) for X, W, y in rows)
-    freedom = 2 * len(fits) - 3
-    return linear, np.asarray(covariance), float(stats.chi2.sf(square, freedom))
-
-
-def _friction_of(linear: Array) -> Array:
-    alpha, beta, gamma = linear
-    return np.array([beta / alpha, 1.0 / alpha, gamma / alpha**2])
-
-
-def _exact(linear: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
-    alpha, beta, gamma = linear
-    if alpha <= 0.0:
-        raise IdentificationError(f"the asymptotes give a negative viscous friction (1 / f_v = {alpha:.3g})")
-    to_friction = np.array(
-        [
-            [-beta / alpha**2, 1 / alpha, 0.0],
-            [-1 / alpha**2, 0.0, 0.0],
-            [-2 * gamma / alpha**3, 0.0, 1 / alpha**2],
-        ]
-    )
-    return _friction(_friction_of(linear), to_friction @ covariance @ to_friction.T, freedom, scale)
-
-
 def _friction(values: Array, covariance: Array, freedom: float, scale: float) -> RampFriction:
     errors = np.sqrt(np.diag(covariance))
     estimates = [interval(float(v), float(e), freedom, scale) for v, e in zip(values, errors, strict=True)]
     return RampFriction(estimates[0], estimates[1], estimates[2], covariance, freedom)
 
 
-def _by_repeats(fits: Sequence[RampFit], scale: float) -> RampFriction | None:
-    """Identify each repeat by itself and take the intervals from their scatter, without a model of the noise."""
-    groups: dict[float, list[RampFit]] = {slope: [] for slope in slopes_of(fits)}
-    for fit in fits:
-        nearest = min(groups, key=lambda slope: abs(slope - fit.slope))
-        groups[nearest].append(fit)
-    repeats = min(len(group) for group in groups.values())
-    if repeats < 2:
+def _by_repeats(fit: RampsFit, ramps: Sequence[UsedRamp], scale: float) -> RampFriction | None:
+    """Identify each repeat by itself and take the intervals from their scatter, without a model of the noise.
+
+    A slope that was run once, as the first ramp of a measurement may be, belongs to no repeat.
+    """
+    groups: dict[float, list[int]] = {slope: [] for slope in slopes_of(ramps)}
+    for k, ramp in enumerate(ramps):
+        groups[min(groups, key=lambda slope: abs(slope - ramp.slope))].append(k)
+    repeated = [group for group in groups.values() if len(group) > 1]
+    if len(repeated) < 2:
         return None
-    sets = [[group[i] for group in groups.values()] for i in range(repeats)]
-    values = np.array([_friction_of(_least_squares(chosen)[0]) for chosen in sets])
+    repeats = min(len(group) for group in repeated)
+    values = np.array([fit.subset([group[i] for group in repeated]) for i in range(repeats)])
     covariance = np.cov(values.T) / repeats
     return _friction(values.mean(axis=0), covariance, repeats - 1, scale)
 

@@ -7,22 +7,33 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
 from friction_bench.experiment.evaluation import evaluate
-from friction_bench.experiment.ramp import Readings, run_ramps
-from friction_bench.experiment.record import RampRecord, RecordError, read_csv, read_text, write_csv
+from friction_bench.experiment.planning import plan_from, run_planned
+from friction_bench.experiment.ramp import Readings, run_ramp
+from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, write_csv
 from friction_bench.experiment.report import result_text, write_estimates, write_html, write_yaml
 from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import RigClient
+from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.line import Port
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import ConfigError, FailureError, write_error
+from rx90_common.base.errors import (
+    DONE,
+    VERDICT_NO,
+    ConfigError,
+    FailureError,
+    IdentificationError,
+    Rx90Error,
+    write_error,
+)
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import SHIPPED
@@ -32,8 +43,11 @@ from rx90_common.process.interrupts import interrupts_later
 _LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
 
 
-def run(options: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> int:
     """Measure or read ramps, identify friction, and write the report.
+
+    Returns:
+        The exit code: 1 where a load that was asked for carries no estimate.
 
     Raises:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
@@ -43,8 +57,8 @@ def run(options: argparse.Namespace) -> None:
     base = FrictionFile.read(config_path(SHIPPED["friction"]))
     _check(options, base)
     if options.no_load_file or options.loaded_file:
-        _folder(out)
         records = _read(options, rig)
+        _folder(out)
         origin = f"{len(records)} recorded ramps"
     else:
         plan = _plan(options, rig)
@@ -52,9 +66,14 @@ def run(options: argparse.Namespace) -> None:
     result = evaluate(records, rig)
     write_html(out / "report.html", result, rig, origin)
     write_estimates(out / "estimates.yaml", result)
-    write_yaml(out / "friction.yaml", result, rig, options.element, base)
     print(result_text(result))
-    print(f"report: {out / 'report.html'}\nparameters for rx90_sim: {out / 'friction.yaml'}")
+    print(f"report: {out / 'report.html'}")
+    if result.failures:
+        print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
+        return VERDICT_NO
+    write_yaml(out / "friction.yaml", result, options.element, base)
+    print(f"parameters for rx90_sim: {out / 'friction.yaml'}")
+    return DONE
 
 
 def _check(options: argparse.Namespace, base: FrictionFile) -> None:
@@ -68,6 +87,10 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
             raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
     if options.text and not (options.no_load_file or options.loaded_file):
         raise ConfigError("--text is given without a file; accepted: with --no-load-file or --loaded-file")
+    if options.velocity and options.text != "velocity":
+        raise ConfigError(f"--velocity is {options.velocity}; accepted: with --text velocity alone")
+    if options.output.exists():
+        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
 
 
 def _folder(out: Path) -> None:
@@ -96,12 +119,12 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -> tuple[list[RampRecord], str]:
-    bag = out / "bag"
-    for old in (bag, *sorted(out.glob("ramp_*.csv"))[:1]):
-        if old.exists():
-            raise RecordError(f"{old} exists; accepted: a folder without a measurement, for example --output {out}_2")
     _folder(out)
-    port, couple, close = _open(options, rig)
+    try:
+        port, couple, close = _open(options, rig)
+    except Rx90Error:
+        out.rmdir()  # nothing was measured, and the next try may take the same name
+        raise
     readings = Readings(rig)
     records: list[RampRecord] = []
     loads = _LOADS[options.load]
@@ -113,25 +136,61 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -
             if options.clear:
                 client.clear()
 
-            def progress(seconds: float, label: str) -> None:
-                bar.set_postfix_str(label, refresh=False)
-                bar.update(seconds)
-
-            def keep(record: RampRecord) -> None:
-                records.append(record)
-                write_csv(record, out / f"ramp_{len(records):02d}.csv")
-
             for loaded in loads:
                 couple(loaded, client)
-                run_ramps(client, plan, loaded, readings, progress, keep)
+                try:
+                    _run_load(client, options, plan, loaded, (out, readings, records, bar))
+                except IdentificationError as error:  # what was measured before stands, and is evaluated
+                    bar.write(f"{error}; no more ramps", sys.stderr)
+                    break
     finally:
         with interrupts_later():  # a second Ctrl-C does not cost the readings
             port.close()
             close()
             if readings.samples:
-                write_joint_states(bag, readings.series())
+                write_joint_states(out / "bag", readings.series())
+            elif not records:
+                out.rmdir()  # nothing was measured, and the next try may take the same name
     kind = "emulated rig" if options.port == "emulated" else f"rig at {options.port}"
     return records, f"{len(records)} ramps on the {kind}"
+
+
+def _run_load(
+    client: RigClient,
+    options: argparse.Namespace,
+    plan: RampPlan,
+    loaded: bool,
+    kept: tuple[Path, Readings, list[RampRecord], Any],
+) -> None:
+    """Run the ramps under one load; `kept` is folder, readings, records and bar."""
+    out, readings, records, bar = kept
+
+    def one(slope: float, label: str) -> RampRecord:
+        def keep(sample: Sample) -> None:
+            readings.samples.append(sample)
+            bar.update(client.rig.tick)
+
+        bar.set_postfix_str(label, refresh=False)
+        record = run_ramp(client, slope, plan.end(loaded), loaded, label, keep)
+        records.append(record)
+        write_csv(record, out / f"ramp_{len(records):02d}.csv")
+        return record
+
+    def choose(first: RampRecord) -> RampPlan:
+        chosen = plan_from(first, plan, client.rig)
+        chosen = replace(
+            chosen,
+            slopes=plan.slopes if options.slopes else chosen.slopes,
+            repeats=plan.repeats if options.repeats else chosen.repeats,
+        )
+        if chosen != plan:
+            slopes = " and ".join(f"{slope:g}" for slope in chosen.slopes)
+            text = f"{'loaded' if loaded else 'no-load'}: {slopes} Nm/s, {chosen.repeats} repeats, by the first ramp"
+            bar.write(text, sys.stderr)
+            bar.total = round(bar.total + chosen.duration(loaded) - plan.duration(loaded), 1)
+        return chosen
+
+    run_planned(one, plan, loaded, choose)
 
 
 _BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
@@ -167,10 +226,14 @@ def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:
         for entry in entries:
             slope, file = _split(entry)
             if options.text:
-                records.append(read_text(file, options.text, slope, step, rig.tick, loaded))
+                records.append(read_text(file, _text(options), slope, step, rig.tick, loaded))
             else:
                 records.append(read_csv(file, slope, step, loaded))
     return records
+
+
+def _text(options: argparse.Namespace) -> str:
+    return INSTANTANEOUS if options.velocity == "instantaneous" else str(options.text)
 
 
 def _split(entry: str) -> tuple[float, Path]:

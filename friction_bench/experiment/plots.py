@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from friction_bench.experiment.evaluation import RampTestResult
 from friction_bench.experiment.four_way import EXPERIMENT, FourWay, measured_velocity
 from friction_bench.experiment.identification import SAME_SLOPE, RampIdentification, slopes_of
@@ -13,28 +15,29 @@ _FIT: Any = {"color": "black", "linestyle": "--", "linewidth": 0.9}
 
 
 def velocity_plot(part: RampIdentification) -> str:
-    """Draw the velocities of all repeats with their asymptotes, one panel a slope (figures 4 to 6)."""
-    slopes = slopes_of(part.fits)
+    """Draw the velocities of all repeats with what was fitted, one panel a slope (figures 4 to 6)."""
+    slopes = slopes_of(part.ramps)
     figure, panels = make_figure(len(slopes) + 1, 3.0 + 2.2 * len(slopes), share_x=False)
     for j, (axes, slope) in enumerate(zip(panels, slopes, strict=False)):
-        fits = [fit for fit in part.fits if abs(fit.slope - slope) <= SAME_SLOPE * slope]
-        for k, fit in enumerate(fits):
-            time, velocity = measured_velocity(fit.record)
+        ramps = [ramp for ramp in part.ramps if abs(ramp.slope - slope) <= SAME_SLOPE * slope]
+        for k, ramp in enumerate(ramps):
+            time, velocity = measured_velocity(ramp.record)
             axes.plot(time, velocity, color=COLOURS[k % len(COLOURS)], linewidth=0.7, alpha=0.8)
-            ends = (max(fit.b / fit.a, 0.0), fit.window[1])
-            axes.plot(ends, [fit.a * t - fit.b for t in ends], **_FIT)
-            settled = time >= fit.window[0]
-            deviation = velocity[settled] - (fit.a * time[settled] - fit.b)
-            panels[-1].plot(time[settled], deviation, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.7)
-            axes.axvline(fit.break_away, color=COLOURS[k % len(COLOURS)], linewidth=0.5, linestyle=":")
+            axes.plot(ramp.time, ramp.velocity, **_FIT)
+            fitted = (time >= ramp.time[0]) & (time <= ramp.time[-1])
+            deviation = velocity[fitted] - np.interp(time[fitted], ramp.time, ramp.velocity)
+            panels[-1].plot(time[fitted], deviation, color=COLOURS[j % len(COLOURS)], linewidth=0.6, alpha=0.7)
+            axes.axvline(ramp.break_away, color=COLOURS[k % len(COLOURS)], linewidth=0.5, linestyle=":")
         axes.set_xlabel("time since the torque's zero, s")
         axes.set_ylabel("motor velocity, rad/s")
-        axes.set_title(f"m = {slope:.4g} Nm/s, {len(fits)} repeats", fontsize=9, loc="left")
-    panels[0].plot([], [], label="asymptote a t - b", **_FIT)
+        axes.set_title(
+            f"m = {slope:.4g} Nm/s, {len(ramps)} {'ramp' if len(ramps) == 1 else 'repeats'}", fontsize=9, loc="left"
+        )
+    panels[0].plot([], [], label="fitted velocity", **_FIT)
     panels[0].plot([], [], color="grey", linestyle=":", linewidth=0.8, label="break-away")
     panels[0].legend(frameon=False, loc="upper left")
-    panels[-1].set(xlabel="time since the torque's zero, s", ylabel="less asymptote, rad/s")
-    panels[-1].set_title("all repeats where the transient is over, one colour a slope", fontsize=9, loc="left")
+    panels[-1].set(xlabel="time since the torque's zero, s", ylabel="less fit, rad/s")
+    panels[-1].set_title("all ramps from where the shaft slides, one colour a slope", fontsize=9, loc="left")
     return as_svg(figure)
 
 
@@ -42,10 +45,10 @@ def load_plot(result: RampTestResult) -> str:
     """Draw one no-load and one loaded ramp of each slope on the same axes."""
     figure, (axes,) = make_figure(1, 3.0)
     for k, (name, part) in enumerate(result.parts):
-        for j, slope in enumerate(slopes_of(part.fits)):
-            fit = min(part.fits, key=lambda f: abs(f.slope - slope))
-            time, velocity = measured_velocity(fit.record)
-            torque = time * fit.slope
+        for j, slope in enumerate(slopes_of(part.ramps)):
+            ramp = min(part.ramps, key=lambda r: abs(r.slope - slope))
+            time, velocity = measured_velocity(ramp.record)
+            torque = time * ramp.slope
             style = ("-", "--", ":", "-.")[j % 4]
             label = f"{name}, {slope:.3g} Nm/s"
             axes.plot(torque, velocity, color=COLOURS[k], linewidth=1.0, linestyle=style, label=label)

@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from friction_bench.experiment.record import RampRecord
 from friction_bench.protocol.errors import RigError
-from friction_bench.protocol.messages import State
+from friction_bench.protocol.messages import Command, State
 from friction_bench.rig.client import RigClient, Sample, raise_fault
-from friction_bench.rig.rig_file import RampPlan, Rig
+from friction_bench.rig.rig_file import TRAVEL_UNIT, Rig
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.arrays import Mask
 from rx90_common.base.rates import NANOSECONDS
 
 REST_TICKS = 10
@@ -37,6 +40,33 @@ def wait_for_rest(client: RigClient) -> None:
     raise RigError(f"the shaft does not come to rest within {REST_TIMEOUT:g} s")
 
 
+@dataclass
+class Guard:
+    """Notices, before the firmware trips, that a ramp comes near the rig's limits of travel and speed."""
+
+    travel: float
+    """Counts since arming."""
+    speed: float
+    """Counts per tick."""
+
+    SHARE: ClassVar[float] = 0.9
+    """Of the limits; the rest is for what the shaft does until a stop has arrived."""
+    SMOOTHING: ClassVar[int] = 5
+    """Ticks over which the speed is averaged."""
+
+    @classmethod
+    def of(cls, rig: Rig) -> Guard:
+        """Return the guard of a rig."""
+        travel, speed = rig.limit_codes()
+        return cls(cls.SHARE * travel * TRAVEL_UNIT, cls.SHARE * speed)
+
+    def reached(self, counts: ArrayLike) -> Mask:
+        """Tell for each reading of a ramp whether it lies beyond travel or speed, shape (n,)."""
+        values = np.asarray(counts, dtype=np.float64) - np.asarray(counts)[0]
+        before = np.concatenate((np.zeros(self.SMOOTHING), values))[: values.size]
+        return np.asarray((values > self.travel) | (values - before > self.speed * self.SMOOTHING))
+
+
 def run_ramp(
     client: RigClient,
     slope: float,
@@ -47,7 +77,8 @@ def run_ramp(
 ) -> RampRecord:
     """Arm the rig, run one ramp of `slope` Nm/s up to `end_torque` Nm and return its record.
 
-    The rig is disarmed again when this returns, and stopped when it raises.
+    A ramp that comes near the limits of travel or speed is ended there. The rig is disarmed again when this returns,
+    and stopped when it raises.
 
     Raises:
         RigError: refused, faulted, lost or reset.
@@ -72,18 +103,20 @@ def run_ramp(
 
 def _follow(client: RigClient, first: list[Sample], on_sample: Callable[[Sample], None]) -> list[Sample]:
     samples = [sample for sample in first if sample.report.state == State.RAMPING]
-    ended = False
-    while not ended:
+    guard = Guard.of(client.rig)
+    while True:
         for sample in client.pump():
             raise_fault(sample.report)
-            if sample.report.state == State.RAMPING:
-                samples.append(sample)
-            elif sample.report.ramp_done:
-                ended = True
-            else:
+            if sample.report.ramp_done:
+                return samples
+            if sample.report.state != State.RAMPING:
                 raise RigError("the ramp was stopped before its end")
+            samples.append(sample)
             on_sample(sample)
-    return samples
+        window = [samples[0].counts, *(sample.counts for sample in samples[-guard.SMOOTHING - 1 :])]
+        if len(samples) > guard.SMOOTHING and guard.reached(window)[-1]:
+            client.request(Command.STOP)
+            return samples
 
 
 def _record(samples: list[Sample], rig: Rig, slope: float, loaded: bool, label: str) -> RampRecord:
@@ -132,35 +165,3 @@ class Readings:
             ),
             JointSeries("/friction_bench/joint_commands", names, stamps, effort=commanded[:, None]),
         ]
-
-
-def run_ramps(
-    client: RigClient,
-    plan: RampPlan,
-    loaded: bool,
-    readings: Readings,
-    on_progress: Callable[[float, str], None],
-    on_record: Callable[[RampRecord], None],
-) -> None:
-    """Run all ramps under one load.
-
-    Args:
-        client: greeted.
-        plan: slopes, repeats and end torques.
-        loaded: whether the joint is coupled.
-        readings: where every reading is added.
-        on_progress: called with seconds of ramp time done since the last call, and what is running.
-        on_record: called with each ramp as soon as it is done.
-
-    Raises:
-        RigError: refused, faulted, lost or reset.
-    """
-
-    def keep(sample: Sample) -> None:
-        readings.samples.append(sample)
-        on_progress(client.rig.tick, label)
-
-    for repeat in range(plan.repeats):
-        for slope in plan.slopes:
-            label = f"{'loaded' if loaded else 'no-load'} {slope:g} Nm/s #{repeat + 1}"
-            on_record(run_ramp(client, slope, plan.end(loaded), loaded, label, keep))

@@ -15,6 +15,8 @@ from rx90_common.base.quoting import quoted
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
+VELOCITIES = ("mean", "instantaneous")
+INSTANTANEOUS = "instantaneous velocity"
 
 
 class RecordError(Rx90Error):
@@ -158,13 +160,14 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
 
     A line holds one number, or time (s) and one number; tabs, blanks, commas and semicolons separate.
     The paper does not say what the numbers were, so `kind` does: `increments` (pulses since the last
-    reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading).
+    reading), `counts` (pulses in all), `velocity` (rad/s, mean since the last reading), or `instantaneous velocity`
+    (rad/s, at the reading).
 
     Raises:
         RecordError: naming file and line of what cannot be used.
     """
-    if kind not in TEXT_KINDS:
-        raise RecordError(f"kind of reading is {quoted(kind)}; accepted: {', '.join(TEXT_KINDS)}")
+    if kind not in (*TEXT_KINDS, INSTANTANEOUS):
+        raise RecordError(f"kind of reading is {quoted(kind)}; accepted: {', '.join((*TEXT_KINDS, INSTANTANEOUS))}")
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -199,5 +202,7 @@ def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: floa
     elif kind == "increments":
         angle = np.asarray(np.cumsum(values) * angle_step, dtype=np.float64)
     else:
+        if kind == INSTANTANEOUS:  # by the trapezoidal rule, from a reading at rest before the first one
+            values = (values + np.concatenate(([0.0], values[:-1]))) / 2
         angle = np.asarray(np.cumsum(values * np.diff(time, prepend=time[0] - tick)), dtype=np.float64)
     return RampRecord(time, angle, slope, angle_step, loaded=loaded, label=path.name)

@@ -16,6 +16,10 @@ from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.report.page import render_page
 
+STATIC = (
+    "not identifiable by ramps; torque noise releases the shaft before it is reached, and the friction falls from it "
+    "within one or two readings"
+)
 STIFFNESS_SHARE = 1e-4
 """Presliding of the YAML's bristles, rad: a ramp test does not see it, so it is assumed."""
 
@@ -24,7 +28,8 @@ def friction_rows(result: RampTestResult) -> list[tuple[str, str, RampFriction]]
     """Return load, method and estimate, in the report's order."""
     rows = []
     for name, part in result.parts:
-        rows.append((name, "source, m b / a", part.source))
+        if part.source is not None:
+            rows.append((name, "source, m b / a", part.source))
         if part.exact is not None:
             rows.append((name, "exact, by covariance", part.exact))
         if part.repeated is not None:
@@ -46,7 +51,14 @@ def result_text(result: RampTestResult) -> str:
         for pair in result.comparison.pairs:
             band = f", source ± {pair.band:g} %" if pair.band else ""
             lines.append(f"{pair.first} - {pair.second}: {pair.worst:.2g} % worst{band}")
+    lines.append(f"static friction tau_s: {STATIC}")
+    lines += [f"not used: {reason}" for reason in unused_ramps(result)]
     return "\n".join(lines)
+
+
+def unused_ramps(result: RampTestResult) -> list[str]:
+    """Return why loads and ramps could not be used, one line each."""
+    return [*result.failures, *(reason for _, part in result.parts for reason in part.unused)]
 
 
 def _cell(estimate: IntervalEstimate) -> str:
@@ -73,6 +85,8 @@ def write_html(path: Path, result: RampTestResult, rig: Rig, origin: str) -> Non
         rows=friction_rows(result),
         plots=plots,
         smoothing=SMOOTHING,
+        static=STATIC,
+        unused=unused_ramps(result),
         two_slopes=all(part.exact is not None for _, part in result.parts),
     )
     write_text(path, page)
@@ -86,30 +100,26 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, static: float, viscous: float) -> LuGreElement:
-    """Return a LuGre element: c0 and c1 give a presliding of 0.1 mrad with critical-like damping, assumed."""
+def _lugre(coulomb: float, viscous: float, assumed: LuGreElement) -> LuGreElement:
+    """Return a LuGre element of which tau_c and c2 are measured.
+
+    Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in the
+    element that is replaced.
+    """
     stiffness = coulomb / STIFFNESS_SHARE
+    static = coulomb * assumed.tau_s_positive / assumed.tau_c_positive
     tau_c, tau_s, c0, c1, c2 = (
         float(f"{value:.6g}") for value in (coulomb, static, stiffness, 1e-3 * stiffness, max(viscous, 0.0))
     )
-    return LuGreElement(tau_c, tau_c, tau_s, tau_s, 0.05, 1.0, c0, c1, c2, 1.0)
+    return LuGreElement(tau_c, tau_c, max(tau_s, tau_c), max(tau_s, tau_c), 0.05, 1.0, c0, c1, c2, 1.0)
 
 
-def _static_friction(result: RampTestResult, rig: Rig) -> float:
-    """Return the joint's break-away torque on its own side of the gear, Nm, 0 where it was not measured."""
-    if result.loaded is None or result.unloaded is None:
-        return 0.0
-    at_motor = result.loaded.break_away_torque - result.unloaded.best.coulomb.value
-    return at_motor * rig.gear_ratio * rig.gear_efficiency
-
-
-def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base: FrictionFile) -> None:
+def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:
     """Write friction parameters for rx90_sim.
 
     Args:
         path: file to write.
         result: of the measurement.
-        rig: for the gear.
         element: name of the friction element that the measured joint stands for.
         base: the friction file to put that element into.
 
@@ -118,15 +128,26 @@ def write_yaml(path: Path, result: RampTestResult, rig: Rig, element: str, base:
         Rx90Error: if the file cannot be written.
     """
     if result.joint is not None:
-        coulomb, viscous = result.joint.joint_side_coulomb.value, result.joint.joint_side_viscous.value
+        coulomb, viscous = result.joint.joint_side_coulomb, result.joint.joint_side_viscous
     else:
         best = result.parts[0][1].best
-        coulomb, viscous = best.coulomb.value, best.viscous.value
-    if coulomb <= 0.0:
-        raise IdentificationError(f"the Coulomb friction is {coulomb:.4g} Nm; accepted for a friction file: > 0")
-    measured = _lugre(coulomb, max(coulomb, _static_friction(result, rig)), viscous)
-    source = "ramp test on the friction rig: tau_c, tau_s, c2 of one element identified, its rest assumed"
-    write_text(path, FrictionFile({**base.elements, element: measured}, "identified", source).text())
+        coulomb, viscous = best.coulomb, best.viscous
+    if coulomb.value <= 0.0:
+        raise IdentificationError(f"the Coulomb friction is {coulomb.value:.4g} Nm; accepted for a friction file: > 0")
+    measured = _lugre(coulomb.value, viscous.value, base.elements[element])
+    source = f"ramp test on the friction rig: tau_c and c2 of {element} identified, the rest assumed"
+    known = {
+        "tau_c": {"provenance": "identified", **_interval(coulomb)},
+        "c2": {"provenance": "identified", **_interval(viscous)},
+        "tau_s": {"provenance": "assumed", "value": measured.tau_s_positive, "identifiable": False, "reason": STATIC},
+    }
+    rest = {
+        name: {"provenance": "assumed", "identifiable": False} for name in ("omega_s", "delta", "c0", "c1", "omega_d")
+    }
+    file = FrictionFile(
+        {**base.elements, element: measured}, "assumed", source, {"parameters": {element: {**known, **rest}}}
+    )
+    write_text(path, file.text())
 
 
 def write_estimates(path: Path, result: RampTestResult) -> None:
@@ -152,4 +173,6 @@ def write_estimates(path: Path, result: RampTestResult) -> None:
                 "viscous": _interval(result.joint.joint_side_viscous),
             },
         }
+    document["tau_s"] = {"identifiable": False, "reason": STATIC}
+    document["not_used"] = unused_ramps(result)
     write_text(path, yaml_text(document))

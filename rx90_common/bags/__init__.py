@@ -10,5 +10,6 @@ __all__ = [
     "tables",
     "tolerance",
     "topics",
+    "trajectories",
     "writing",
 ]

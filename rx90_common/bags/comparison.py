@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
 
@@ -14,10 +14,14 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, read_joint_bag
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, absolute
+from rx90_common.bags.trajectories import read_trajectories
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
+
+START = "start"
+TRAJECTORY = "trajectory"
 
 
 class Verdict(IntEnum):
@@ -39,8 +43,9 @@ class ValueDifference:
         at_ns: stamp of that difference; None when it is 0.
         rms: root mean square of the differences of finite values.
         tolerance: the largest difference accepted; 0 asks for equal bits.
-        beyond: number of pairs beyond the tolerance, also those of which only one is NaN or infinite.
-        not_finite: number of pairs of which only one is NaN, or which are infinite and unequal.
+        beyond: number of pairs beyond the tolerance, also those that `not_finite` counts.
+        not_finite: number of pairs of which only one is NaN, or which are infinite and unequal; without a tolerance
+            also those of two NaN with other bits.
     """
 
     joint: str
@@ -90,6 +95,7 @@ class BagComparison:
         topics: the comparison of each topic.
         skipped: names of the topics that are no JointState.
         notes: what was read otherwise than a bag says.
+        shift_ns: what the stamps of the second one were moved by.
     """
 
     path_a: Path
@@ -97,6 +103,7 @@ class BagComparison:
     topics: tuple[TopicComparison, ...]
     skipped: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    shift_ns: int = 0
 
     @property
     def verdict(self) -> Verdict:
@@ -113,14 +120,17 @@ class Scope:
         fields: which of position, velocity, effort.
         start_ns: messages before this stamp are left out.
         end_ns: messages after this stamp are left out.
-        same_range: stamps outside the common range make a difference too.
+        common_range: stamps outside the common range make no difference.
+        align: what the stamps of the second bag are moved by before they are compared: ns, or START, so that both
+            bags begin at the same time, or TRAJECTORY, so that their last trajectories do.
     """
 
     topics: tuple[str, ...] | None = None
     fields: tuple[str, ...] = FIELDS
     start_ns: int | None = None
     end_ns: int | None = None
-    same_range: bool = False
+    common_range: bool = False
+    align: int | str = 0
 
     def __post_init__(self) -> None:
         for field in self.fields:
@@ -131,6 +141,8 @@ class Scope:
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
             window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
+        if isinstance(self.align, str) and self.align not in (START, TRAJECTORY):
+            raise BagError(f"align is {quoted(self.align)}; accepted: {START}, {TRAJECTORY}, or ns")
 
     def cut(self, series: JointSeries) -> JointSeries:
         """Return the part of a series that is compared."""
@@ -168,7 +180,8 @@ def compare_bags(
     for topic in wanted:
         if topic not in both:
             raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
-    series_a, series_b = bag_a.series, bag_b.series
+    shift = _shift(bag_a, bag_b, scope.align)
+    series_a, series_b = bag_a.series, _moved(bag_b.series, shift)
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
         for topic in wanted
@@ -182,7 +195,31 @@ def compare_bags(
         raise BagError(f"neither {there} has a JointState message in the time window")
     skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.is_joint_state}
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
-    return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes)
+    return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
+
+
+def _shift(bag_a: JointBag, bag_b: JointBag, align: int | str) -> int:
+    """Return what to add to the stamps of the second bag, ns."""
+    if isinstance(align, int):
+        return align
+    if align == TRAJECTORY:
+        starts = [read_trajectories(bag.path)[-1].start_ns for bag in (bag_a, bag_b)]
+    else:
+        starts = [_first_stamp(bag) for bag in (bag_a, bag_b)]
+    return starts[0] - starts[1]
+
+
+def _first_stamp(bag: JointBag) -> int:
+    stamps = [int(one.stamp_ns.min()) for found in bag.series.values() for one in found if len(one.stamp_ns)]
+    if not stamps:
+        raise BagError(f"{plain(bag.path)}: holds no JointState message, so it has no start to be aligned")
+    return min(stamps)
+
+
+def _moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
+    if not shift_ns:
+        return series
+    return {topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found] for topic, found in series.items()}
 
 
 def _joint_state_topics(bag: JointBag) -> set[str]:
@@ -258,7 +295,8 @@ def compare_series(
         return _incomparable(a.topic, f"no joint in common: {listed(a.names)} against {listed(b.names)}")
     alignment = align(a, b)
     if not len(alignment.stamp_ns):
-        return _incomparable(a.topic, f"no stamp in common: {_span(a)} against {_span(b)}")
+        spans = f"{_span(a)} against {_span(b)}"
+        return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
     reasons = [*_other_reasons(a, b), *_stamp_reasons(alignment, scope)]
     values: list[ValueDifference] = []
     for field in FIELDS:
@@ -286,12 +324,14 @@ def compare_series(
 def _difference(joint: str, field: str, a: Array, b: Array, alignment: Alignment, tolerance: float) -> ValueDifference:
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
-    same_but_not_finite = (np.isnan(a) & np.isnan(b)) | (a == b)
+    equal_bits = a.view(np.int64) == b.view(np.int64)
+    # Without a tolerance, two NaN with other bits are not the same.
+    both_nan = np.isnan(a) & np.isnan(b)
+    same_but_not_finite = equal_bits | (a == b) | (both_nan if tolerance > 0.0 else False)
     not_finite = int((~finite & ~same_but_not_finite).sum())
     with np.errstate(over="ignore"):
         distance = np.abs(np.where(finite, a, 0.0) - np.where(finite, b, 0.0))
     distance = np.minimum(distance, np.finfo(np.float64).max)
-    equal_bits = a.view(np.int64) == b.view(np.int64)
     beyond = distance > tolerance if tolerance > 0.0 else finite & ~equal_bits
     largest = int(np.argmax(distance))
     maximum = float(distance[largest])
@@ -331,7 +371,7 @@ def _stamp_reasons(alignment: Alignment, scope: Scope) -> list[str]:
                 f"only the {where} bag has {side.missing} messages of the common range, "
                 f"the first at t = {side.first_missing_ns / NANOSECONDS:.9f} s"
             )
-        if scope.same_range and side.outside:
+        if side.outside and not scope.common_range:
             reasons.append(f"only the {where} bag has {side.outside} messages outside the common range")
     return reasons
 

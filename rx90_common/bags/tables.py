@@ -27,6 +27,8 @@ _SUMMARISED = ("topic", "type", "messages", "rate (Hz)", "first (s)", "last (s)"
 def comparison_text(comparison: BagComparison) -> str:
     """Return a table of the differences, topic by topic, and the verdict in the last line."""
     blocks = [_topic_text(topic) for topic in comparison.topics]
+    if comparison.shift_ns:
+        blocks.insert(0, f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s")
     if comparison.skipped:
         blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
     blocks += comparison.notes
@@ -41,6 +43,7 @@ def comparison_json(comparison: BagComparison) -> str:
         "b": str(comparison.path_b),
         "verdict": comparison.verdict.name.lower(),
         "exit_code": int(comparison.verdict),
+        "shift_ns": comparison.shift_ns,
         "topics": [_topic_dict(topic) for topic in comparison.topics],
         "not_compared": list(comparison.skipped),
         "notes": list(comparison.notes),

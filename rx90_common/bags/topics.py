@@ -7,6 +7,10 @@ from typing import Final
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
+JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
+
+TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
+"""A controller's topic: what it follows, stamped with the time at which that starts."""
 
 FIELDS: Final = ("position", "velocity", "effort")
 _USUAL: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import (
@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, STRING, absolute
+from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -36,6 +36,7 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 STORAGES: Final = ("mcap", "sqlite3")
 
+_VECTORS = ("positions", "velocities", "accelerations", "effort")
 _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
@@ -238,6 +239,24 @@ def string_message(topic: str, text: str) -> RawMessage:
     """Return a latched std_msgs/String, such as robot_description."""
     content = typestore().types[STRING](data=text)
     return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
+
+
+def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:
+    """Return a latched trajectory_msgs/JointTrajectory that starts at `start_ns`, from its content as YAML has it."""
+    types = typestore().types
+
+    def time(nanoseconds: int) -> Any:
+        return types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, NANOSECONDS))
+
+    def point(values: dict[str, Any]) -> Any:
+        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in _VECTORS)
+        since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
+        return types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since)
+
+    header = types["std_msgs/msg/Header"](stamp=time(start_ns), frame_id="")
+    message = types[JOINT_TRAJECTORY](header, content["joint_names"], [point(values) for values in content["points"]])
+    cdr = bytes(typestore().serialize_cdr(message, JOINT_TRAJECTORY))
+    return RawMessage(topic, JOINT_TRAJECTORY, start_ns, cdr, transient_local=True)
 
 
 def write_joint_states(

@@ -18,6 +18,7 @@ class Source(NamedTuple):
 
 
 SOURCES = {
+    "backports": Source("rosbags"),  # backports.zstd
     "distributed": Source("distributed"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),

@@ -1,3 +1,15 @@
 """The robot as data: URDF and tool file to constants, kinematics of the tool centre point."""
 
-__all__ = ["branch", "drives", "inverse", "kinematics", "rigid_torque", "robot", "robot_files", "urdf", "wrist"]
+__all__ = [
+    "branch",
+    "chain",
+    "drives",
+    "inverse",
+    "kinematics",
+    "rigid_torque",
+    "robot",
+    "robot_files",
+    "rotations",
+    "urdf",
+    "wrist",
+]

@@ -68,8 +68,12 @@ class Serving:
             self._stopped.wait()
             return
         self._wait_for_mode()
+        mode = self.mode
         while not self._stopped.is_set():
-            if self.mode == FREE_RUNNING:
+            if mode != self.mode:
+                mode = self.mode
+                self._free.begin_anew()
+            if mode == FREE_RUNNING:
                 self._free.serve()
             else:
                 self._lockstep.serve(_WAIT_SLICE)

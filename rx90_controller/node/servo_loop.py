@@ -46,6 +46,7 @@ class ServoLoop:
         self.command = cs7b.command
         self.enabled = True
         self.fault: DriveFault | None = None
+        self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
         self._waiting: Any = None
         self._unpublished = False  # whether the position loop has left something
@@ -71,7 +72,8 @@ class ServoLoop:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
-            if not self.enabled:
+            if self._released or not self.enabled:
+                self._released = False
                 cs7b.reset(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
             slow = cs7b.on_position_tick
@@ -114,6 +116,8 @@ class ServoLoop:
             self.enabled = on
             if on:
                 self.fault = None
+            else:
+                self._released = True
 
     # The executor's thread.
 

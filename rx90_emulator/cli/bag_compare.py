@@ -1,8 +1,8 @@
 """Compare the joint states of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
 
 Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
-count once, and different ones are paired in their order. Stamps inside the common range that only one bag has
-make a difference, and so do joints and arrays that only one bag has.
+count once, and different ones are paired in their order. Stamps, joints and arrays that only one bag has make a
+difference. Bags of runs that began at other times are aligned with --align.
 """
 
 from __future__ import annotations
@@ -37,8 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
     parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")
     parser.add_argument(
-        "--same-range", action="store_true", help="stamps outside the common range make a difference too"
+        "--common-range", action="store_true", help="stamps before or after what both bags have make no difference"
     )
+    parser.add_argument(
+        "--align", default="0", metavar="start|trajectory|S",
+        help="move the stamps of B: so that both bags begin together, so that their last trajectories do, or by a time "
+        "in s (%(default)s)",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
 
 
@@ -60,11 +65,23 @@ def main(args: argparse.Namespace) -> int:
         fields=tuple(args.fields),
         start_ns=_nanoseconds("--from", args.start),
         end_ns=_nanoseconds("--to", args.end),
-        same_range=args.same_range,
+        common_range=args.common_range,
+        align=_alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     return int(comparison.verdict)
+
+
+def _alignment(text: str) -> int | str:
+    from rx90_common.bags.comparison import START, TRAJECTORY
+
+    if text in (START, TRAJECTORY):
+        return text
+    try:
+        return int(Decimal(text) * NANOSECONDS)
+    except (InvalidOperation, ValueError, OverflowError) as error:
+        raise BagError(f"--align is {quoted(text)}; accepted: {START}, {TRAJECTORY}, or a time in s") from error
 
 
 def _nanoseconds(option: str, text: str | None) -> int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from friction_bench.experiment.record import TEXT_KINDS
+from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
 from rx90_common.base.share import SHIPPED_RIG
 
 
@@ -15,8 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--port", default="emulated", help="serial device, URL or 'emulated' (default)")
     parser.add_argument("--baud", type=int, help="line rate (default: the rig file's)")
     parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (default: %(default)s)")
-    parser.add_argument("--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s at the motor")
-    parser.add_argument("--repeats", type=int, help="ramps of each slope")
+    parser.add_argument(
+        "--slopes", type=float, nargs="+", metavar="M", help="slopes, Nm/s (default: by the first ramp)"
+    )
+    parser.add_argument("--repeats", type=int, help="ramps of each slope (default: by the first ramp)")
     parser.add_argument("--end-torque", type=float, help="end of each ramp, Nm at the motor")
     parser.add_argument(
         "--load", choices=("none", "joint", "both"), default="both", help="joint coupled? (default: %(default)s)"
@@ -24,20 +26,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
-    parser.add_argument("--output", type=Path, default=Path("out/friction"), help="folder for bag and report")
+    parser.add_argument("--output", type=Path, default=Path("out/friction"), help="new folder for bag and report")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
     files = parser.add_argument_group("old data instead of a rig")
     files.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
     files.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")
     files.add_argument("--text", choices=TEXT_KINDS, help="files are plain text of this kind, not CSV")
+    files.add_argument(
+        "--velocity",
+        choices=VELOCITIES,
+        help="what --text velocity is: mean since the last reading, as pulses give it (default), or at the reading",
+    )
 
 
-def main(options: argparse.Namespace) -> None:
-    """Measure or read ramps, identify friction, and write the report.
+def main(options: argparse.Namespace) -> int:
+    """Measure or read ramps, identify friction, and write the report; 1 where a load carries no estimate.
 
     Raises:
         Rx90Error: for what is refused; what has been measured until then stands in the folder.
     """
     from friction_bench.experiment.job import run  # here, because --help must not wait for it
 
-    run(options)
+    return run(options)

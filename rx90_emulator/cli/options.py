@@ -67,7 +67,7 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 
 
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
-_FINITE = number("a finite number")
+FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
 
 
@@ -117,7 +117,7 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     other.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
                        help="motor turns per joint turn, negative where they turn against each other; says that "
                        "the messages hold the motors' positions, velocities and efforts (the joints')")  # fmt: skip
-    other.add_argument("--coupling", nargs="+", type=_FINITE, metavar="C",
+    other.add_argument("--coupling", nargs="+", type=FINITE, metavar="C",
                        help="where motors turn with several joints: turns of each motor per joint turn without the "
                        "gears, row by row, n x n; such a motor has a friction element of its own "
                        "(identity)")  # fmt: skip
@@ -127,5 +127,5 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",
                        type=number("0 or a positive number", lambda value: value >= 0.0),
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
-    other.add_argument("--spring", nargs="+", type=_FINITE, metavar="K",
+    other.add_argument("--spring", nargs="+", type=FINITE, metavar="K",
                        help="gravity-compensation springs, torque -K sin(q) on each joint, Nm (0)")  # fmt: skip

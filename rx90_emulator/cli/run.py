@@ -6,13 +6,14 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rx90_common.base.errors import ConfigError, check_place
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import REFERENCE_TASK
-from rx90_emulator.cli.options import add_robot_arguments
+from rx90_emulator.cli.options import FINITE, add_robot_arguments
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.result import RunResult
@@ -26,10 +27,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(interrupted="nothing was written")
     motion = parser.add_mutually_exclusive_group()
     motion.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
+    motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
     motion.add_argument(
-        "--trajectory", type=Path, help="JointTrajectory in YAML, begun at rest in its first point, instead of a task"
+        "--from-bag",
+        type=Path,
+        metavar="BAG",
+        help="the trajectories of a recorded bag, from where the arm began",
     )
-    parser.add_argument("--start-time", type=float, default=0.0, help="start of the trajectory, s (%(default)s)")
+    parser.add_argument(
+        "--initial-position", type=FINITE, nargs=6, metavar="RAD",
+        help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first joint_states)",
+    )  # fmt: skip
+    parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
     parser.add_argument("--output", type=Path, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=Path, help="NumPy file to write (.npz), names with units; must not exist")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
@@ -60,15 +69,7 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: for what cannot be done, before anything has been written.
     """
-    if options.decimation < 1:
-        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
-    if options.output is not None and options.output.exists():
-        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
-    if options.arrays is not None and options.arrays.exists():
-        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
-    for path in (options.output, options.arrays):
-        if path is not None:
-            check_place(path)
+    _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
     from rx90_emulator.loop.application import with_parameters
@@ -93,25 +94,68 @@ def main(options: argparse.Namespace) -> None:
         print(f"arrays: {options.arrays}")
 
 
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what can be seen to be wrong before anything is read.
+
+    Raises:
+        ConfigError: naming the option.
+    """
+    if options.decimation < 1:
+        raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
+    if options.output is not None and options.output.exists():
+        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
+    if options.arrays is not None and options.arrays.exists():
+        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
+    if options.from_bag is not None and options.start_time is not None:
+        raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
+    if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
+        raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
+    for path in (options.output, options.arrays):
+        if path is not None:
+            check_place(path)
+
+
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     """Run what was asked for, and print how well the arm kept to it."""
     from rx90_controller.lines.task import load_task
-    from rx90_emulator.loop.closed_loop import simulate
-    from rx90_emulator.loop.line import SETTLING, run_line
-    from rx90_emulator.loop.trajectory_file import load_trajectory
+    from rx90_emulator.loop.line import run_line
 
-    how = {"start_time": options.start_time, "substeps": options.substeps, "record_fast": not options.slow_only}
-    if options.trajectory is None:
+    how = {"substeps": options.substeps, "record_fast": not options.slow_only}
+    begin = options.start_time or 0.0
+    if options.trajectory is None and options.from_bag is None:
         task = load_task(options.task)
-        line = _timed(lambda: run_line(setup, task, **how))
+        line = _timed(lambda: run_line(setup, task, start_time=begin, **how))
         accuracy = line.path_accuracy
         print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")
         return line
-    points = load_trajectory(options.trajectory, setup.robot.joint_names)
-    duration = options.start_time + float(points.times[-1]) + SETTLING
-    run = _timed(lambda: simulate(setup, points, duration=duration, **how))
+    run = _timed(_trajectory_run(setup, options, begin, how))
     for name, worst in zip(setup.robot.joint_names, abs(run.slow.tracking_error[:, 0]).max(axis=0), strict=True):
         print(f"{name}: worst tracking error {worst * 1e3:.4f} mrad")
+    return run
+
+
+def _trajectory_run(
+    setup: Setup, options: argparse.Namespace, begin: float, how: dict[str, Any]
+) -> Callable[[], RunResult]:
+    """Read the trajectory or bag, say where the arm begins, and return what runs it."""
+    from rx90_emulator.loop.closed_loop import simulate
+    from rx90_emulator.loop.line import SETTLING
+    from rx90_emulator.loop.recorded_run import read_run, replay
+    from rx90_emulator.loop.trajectory_file import load_trajectory
+
+    start = options.initial_position
+    if options.from_bag is not None:
+        recorded = read_run(options.from_bag, setup, start)
+        start = recorded.initial_position
+        told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
+        print(f"trajectories in {options.from_bag}: {len(recorded.commands)}, from {told}")
+        run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
+    else:
+        points = load_trajectory(options.trajectory, setup.robot.joint_names)
+        start = points.position[0] if start is None else start
+        duration = begin + float(points.times[-1]) + SETTLING
+        run = partial(simulate, setup, points, start, duration, begin, **how)
+    print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
     return run
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Record
@@ -10,8 +13,8 @@ from rx90_common.description.wrist import to_joint, to_joint_torque
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.loops import position_loop, velocity_loop
-from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.loop.result import FastSeries, RunResult, SlowSeries, empty_series
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
+from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, SlowSeries, empty_series
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
@@ -114,17 +117,61 @@ def simulate(
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     check_type(setup=(setup, Setup), points=(points, TrajectoryPoints))
-    rates = setup.rates
     end = start_time + float(points.times[-1]) if duration is None else duration
-    start, ticks = rates.start_tick(start_time), rates.ticks_of(end)
+    command = MotionCommand(setup.rates.start_tick(start_time), points)
+    start = points.position[0] if initial_position is None else initial_position
+    return simulate_commands(setup, (command,), start, end, substeps=substeps, record_fast=record_fast)
+
+
+def simulate_commands(
+    setup: Setup,
+    commands: Sequence[MotionCommand],
+    initial_position: ArrayLike,
+    duration: float,
+    *,
+    substeps: int = 1,
+    record_fast: bool = False,
+) -> RunResult:
+    """Run the closed loop without ROS along several trajectories.
+
+    Args:
+        setup: robot, drives, friction, controller, rates.
+        commands: in the order of their start; each replaces the one before it at its start.
+        initial_position: joint positions at rest, rad, shape (6,).
+        duration: simulated time, s.
+        substeps: plant steps in a tick.
+        record_fast: also keep the series on base ticks.
+
+    Raises:
+        ConfigError: if the duration is shorter than a tick, or not finite.
+        TrajectoryError: if a trajectory is refused.
+        DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
+    """
+    rates = setup.rates
+    ticks = rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
-    plant.reset(points.position[0] if initial_position is None else initial_position)
+    plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
-    controller.trajectory.accept(points, 0, start)
     fast, slow = empty_series(ticks, rates.ratio, record_fast)
-    setpoints = controller.trajectory.setpoints(0, len(slow.joint_states))
+    setpoints = _setpoints(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
-    return RunResult(setup, fast if record_fast else None, slow, controller.saturated)
+    return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands))
+
+
+def _setpoints(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+    """Return the set-points of `count` position ticks, shape (count, 3, 6)."""
+    parts, at = [], 0
+    for start, points in commands:
+        begin = min(max(start, at), count)
+        parts.append(generator.setpoints(at, begin - at))
+        at = begin
+        if points is None:
+            generator.stop(begin, start)
+        else:
+            generator.accept(points, begin, start)
+    parts.append(generator.setpoints(at, count - at))
+    return np.concatenate(parts)
 
 
 def run_setpoints(

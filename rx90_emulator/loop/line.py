@@ -95,7 +95,7 @@ def run_line(
     """
     points = plan_line(setup, task).points
     run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
-    return LineRun(run.setup, run.fast, run.slow, run.saturated, task, start_time)
+    return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, task, start_time)
 
 
 def path_accuracy(

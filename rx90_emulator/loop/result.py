@@ -11,12 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.topics import TRAJECTORY_ACCEPTED
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
 from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.message import message_content
 from rx90_emulator.loop.setup import Setup
 
 _ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
+
+
+class MotionCommand(NamedTuple):
+    """A trajectory that the controller follows from a position tick on; None stops the arm."""
+
+    start: int
+    points: TrajectoryPoints | None
 
 
 class FastSeries(NamedTuple):
@@ -69,12 +79,14 @@ class RunResult:
         fast: series on base ticks 0, 1, ...; motor_commands has shape (n, 6), Nm. None if not asked for.
         slow: series on position ticks 0, 1, ...
         saturated: ticks in which each amplifier was at its limit, shape (6,).
+        commands: the trajectories.
     """
 
     setup: Setup
     fast: FastSeries | None
     slow: SlowSeries
     saturated: NDArray[np.int64]
+    commands: tuple[MotionCommand, ...]
 
     @property
     def times(self) -> Array:
@@ -131,16 +143,21 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         ConfigError: if `decimation` is not at least 1.
     """
     check_type(run=(run, RunResult))
-    from rx90_common.bags.writing import string_message, write_joint_states  # takes as long as the plant's import
+    # Here, because it takes as long as the plant's import.
+    from rx90_common.bags.writing import string_message, trajectory_message, write_joint_states
 
-    description = string_message("/robot_description", run.setup.robot.urdf)
+    names, period_ns = run.setup.robot.joint_names, run.setup.rates.period_ns * run.setup.rates.ratio
+    others = [string_message("/robot_description", run.setup.robot.urdf)]
+    for start, points in run.commands:
+        content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
+        others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     series = []
     for topic, one in run.series.items():
         every = decimation * (DETAIL_DECIMATION if topic.rpartition("/")[2] in DETAILS else 1)
         series.append(one if topic in _ON_BASE_TICKS else one.take(slice(None, None, every)))
-    write_joint_states(path, series, storage=storage, messages=[description])
+    write_joint_states(path, series, storage=storage, messages=others)
 
 
 def save_arrays(run: RunResult, file: Path | str) -> None:

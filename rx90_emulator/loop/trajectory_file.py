@@ -29,14 +29,15 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
     # `ros2 topic echo` ends each message with a line of dashes.
     data = load_yaml(file, _ACCEPTED, first=True).content
     try:
-        return points_from_message(robot_joints, _message(data))
+        return points_from_message(robot_joints, message_of(data))
     except TrajectoryError as error:
         raise TrajectoryError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{file}: {error!r}; accepted: {_ACCEPTED}") from error
 
 
-def _message(data: dict[str, Any]) -> SimpleNamespace:
+def message_of(data: dict[str, Any]) -> SimpleNamespace:
+    """Return the content of a JointTrajectory, as YAML has it, with the attributes of a message; without its header."""
     points = [
         SimpleNamespace(
             time_from_start=SimpleNamespace(

@@ -1,4 +1,4 @@
-"""The last command in free-running time, held as a real drive holds it, until it is too old."""
+"""The command in free-running time: held while it is new, waited for when it gets old, given up after a while."""
 
 from __future__ import annotations
 
@@ -7,93 +7,36 @@ from collections import deque
 from collections.abc import Callable
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ExchangeError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import cdr_stamp_ns
+from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import TickChannel
 
+MOST_AGE = 3
+"""Ticks from the states that a command answers to the tick in which it is still applied; docs/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
-_BACKWARD = 3  # commands older than the one before, within _BACKWARD_WINDOW, that make two controllers
-_BACKWARD_WINDOW = 5.0  # s
+_OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers
+_WINDOW = 5.0  # s
+_SLICE = 0.05  # s of a wait after which interruptions are looked at
 
 
-class HeldCommand:
-    """Takes the newest command without waiting.
+class _BrakeLines:
+    """Says when the brakes open and close, a few times in a while; what comes more often is counted."""
 
-    A command ages with the ticks of the plant: while time stands still, it stays as it is.
-
-    Attributes:
-        two_controllers: whether two of them send commands.
-        missed: ticks since a command first came in which no fresh one was there.
-    """
-
-    def __init__(
-        self,
-        channel: TickChannel,
-        decode: Callable[[bytes], Array | None],
-        timeout_ticks: int,
-        announce: Callable[[str], None],
-    ) -> None:
-        """Commands older than `timeout_ticks` ticks are not used; `decode` gives None for "no power"."""
-        self._channel = channel
-        self._decode = decode
-        self._timeout = timeout_ticks
-        self._announce = announce
-        self._torques: Array | None = None
-        self._age: int | None = None
-        self._stamp = -1
-        self._backward: deque[float] = deque(maxlen=_BACKWARD)
-        self.two_controllers = False
-        self._waiting = False
-        self._changes = 0  # of the brakes that have not been announced
+    def __init__(self, channel: TickChannel, timeout: float, announce: Callable[[str], None]) -> None:
+        self._channel, self._timeout, self._announce = channel, timeout, announce
+        self._closed = False
+        self._changes = 0  # that have not been announced
         self._lines: deque[float] = deque(maxlen=_LINES)
-        self.missed = 0
 
-    def forget(self) -> None:
-        """Drop the command, after a reset."""
-        self._torques, self._age = None, None
-
-    def take(self) -> Array | None:
-        """Return the torques to hold in this tick, None for brakes closed."""
-        newest = None
-        while (raw := self._channel.receive(0.0)) is not None:
-            newest = raw
-            stamp = cdr_stamp_ns(raw)
-            if stamp < self._stamp:
-                self._note_backward()
-            self._stamp = stamp
-        if newest is not None:
-            torques = self._decode(newest)
-            self._torques = None if torques is None else torques.copy()
-            self._age = 0
-        elif self._age is not None:
-            self._age += 1
-            self.missed += 1
-        if self.two_controllers:
-            self._note_one_left()
-        stale = self._age is None or self._age > self._timeout
-        self._say(stale)
-        return None if stale or self.two_controllers else self._torques
-
-    def _note_backward(self) -> None:
-        """A controller's stamps grow; when it begins again they go back once."""
-        now = time.monotonic()
-        self._backward.append(now)
-        often = len(self._backward) == _BACKWARD and now - self._backward[0] < _BACKWARD_WINDOW
-        if often and not self.two_controllers and self._channel.matches().publishers > 1:
-            self.two_controllers = True
-            self._announce(f"two controllers publish on {self._channel.subscribe_topic}: no torque until one is left")
-
-    def _note_one_left(self) -> None:
-        if time.monotonic() - self._backward[-1] > _BACKWARD_WINDOW:
-            self.two_controllers = False
-            self._backward.clear()
-            self._announce(f"one controller is left on {self._channel.subscribe_topic}")
-
-    def _say(self, stale: bool) -> None:
-        if stale == self._waiting and not self._changes:
+    def say(self, followed: bool, heard: bool) -> None:
+        """Note whether there is a command to follow, and whether there has ever been one."""
+        if followed != self._closed and not self._changes:
             return
-        if stale != self._waiting:
-            self._waiting = stale
+        if followed == self._closed:
+            self._closed = not followed
             self._changes += 1
         now = time.monotonic()
         if len(self._lines) == _LINES and now - self._lines[0] < _LINES_WINDOW:
@@ -101,12 +44,142 @@ class HeldCommand:
         self._lines.append(now)
         changes, self._changes = self._changes, 0
         count = f" (after {changes - 1} changes without a line)" if changes > 1 else ""
-        self._announce(self._text(stale) + count)
+        self._announce(self._text(followed, heard) + count)
 
-    def _text(self, stale: bool) -> str:
+    def _text(self, followed: bool, heard: bool) -> str:
         topic = self._channel.subscribe_topic
-        if not stale:
+        if followed:
             return f"commands on {topic}: the brakes open"
-        if self._age is None:
+        if not heard:
             return f"waiting for a controller on {topic}: the brakes hold the arm"
-        return f"no fresh command on {topic} for {self._timeout} ticks: torque off, brakes closed"
+        return f"no command on {topic} for {self._timeout:g} s: torque off, brakes closed"
+
+
+class HeldCommand:
+    """Takes the newest command, and waits for one only when the newest is older than `MOST_AGE` ticks.
+
+    A command's age is counted from the states that it answers, by its stamp: it stays the same while time stands still.
+    The loops bear a few ticks of delay and no more. So a controller that is late for longer holds time up rather than
+    leave the arm to an old torque; one that is silent for the whole of the timeout loses the torque, and time runs on.
+
+    Args:
+        channel: receives commands.
+        decode: returns the torques of a message, None for none; raises ExchangeError.
+        period_ns: a tick.
+        timeout: how long to wait for a command, s.
+        announce: prints a line for the user.
+        interrupted: whether somebody waits for the thread that ticks.
+
+    Attributes:
+        two_controllers: whether two of them send commands.
+        missed: ticks since a command first came in which no fresh one was there.
+        waited: ticks that had to wait for one.
+    """
+
+    def __init__(
+        self,
+        channel: TickChannel,
+        decode: Callable[[bytes], Array | None],
+        period_ns: int,
+        timeout: float,
+        announce: Callable[[str], None],
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._channel = channel
+        self._decode = decode
+        self._period_ns = period_ns
+        self._timeout = timeout
+        self._oldest = max(MOST_AGE, round(timeout * NANOSECONDS / period_ns))
+        self._announce = announce
+        self._interrupted = interrupted
+        self._log = ThrottledLog(announce)
+        self._torques: Array | None = None
+        self._answered: int | None = None  # the tick whose states the command answers
+        self._followed = False
+        self._stamp = -1
+        self._out_of_turn: deque[float] = deque(maxlen=_OUT_OF_TURN)
+        self.two_controllers = False
+        self._brakes = _BrakeLines(channel, timeout, announce)
+        self.missed = self.waited = 0
+
+    def forget(self) -> None:
+        """Drop the command, after a reset."""
+        self._torques, self._answered, self._followed = None, None, False
+        self._stamp = -1
+
+    def take(self, tick: int) -> Array | None:
+        """Return the torques to hold in tick `tick`, None for brakes closed."""
+        if self._receive(tick, 0.0):
+            self._followed = True
+        elif self._answered is not None:
+            self.missed += 1
+        if self.two_controllers:
+            self._note_one_left()
+        elif self._followed and self._too_old(tick):
+            self._followed = self._wait(tick)
+        self._brakes.say(self._followed, self._answered is not None)
+        return self._torques if self._followed and not self.two_controllers else None
+
+    def _too_old(self, tick: int) -> bool:
+        return self._answered is None or tick - self._answered > MOST_AGE
+
+    def _wait(self, tick: int) -> bool:
+        """Wait for a command that is new enough; return whether there is one to go on with."""
+        self.waited += 1
+        deadline = time.monotonic() + self._timeout
+        while self._too_old(tick) and not self.two_controllers:
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                return False
+            if self._interrupted():
+                return True
+            self._receive(tick, min(left, _SLICE))
+        return True
+
+    def _receive(self, tick: int, timeout: float) -> bool:
+        """Take what has come, or comes within `timeout` seconds; return whether there was a command to follow."""
+        raw = self._channel.receive(timeout)
+        found = False
+        while raw is not None:
+            try:
+                found = self._use(raw, tick) or found
+            except ExchangeError as error:
+                self._log.say("command", f"{self._channel.subscribe_topic}: {error}; the message is ignored")
+            raw = self._channel.receive(0.0)
+        return found
+
+    def _use(self, raw: bytes, tick: int) -> bool:
+        """Hold a command; return whether it is newer than the one before.
+
+        Raises:
+            ExchangeError: if it is none, or none for this tick.
+        """
+        torques = self._decode(raw)
+        stamp = cdr_stamp_ns(raw)
+        if stamp <= self._stamp:
+            self._note_out_of_turn()
+            return False
+        answered = stamp // self._period_ns
+        if not (stamp >= 0 and 0 <= tick - answered <= self._oldest):
+            raise ExchangeError(
+                f"the stamp is {stamp / NANOSECONDS:.6g} s at {tick * self._period_ns / NANOSECONDS:.6g} s; "
+                f"accepted: that of the states it answers, up to {self._timeout:g} s old"
+            )
+        self._stamp, self._answered = stamp, answered
+        self._torques = None if torques is None else torques.copy()
+        return True
+
+    def _note_out_of_turn(self) -> None:
+        """A controller answers each tick once and in order, but for the moment in which it begins again."""
+        now = time.monotonic()
+        self._out_of_turn.append(now)
+        often = len(self._out_of_turn) == _OUT_OF_TURN and now - self._out_of_turn[0] < _WINDOW
+        if often and not self.two_controllers and self._channel.matches().publishers > 1:
+            self.two_controllers = True
+            self._announce(f"two controllers publish on {self._channel.subscribe_topic}: no torque until one is left")
+
+    def _note_one_left(self) -> None:
+        if time.monotonic() - self._out_of_turn[-1] > _WINDOW:
+            self.two_controllers = False
+            self._out_of_turn.clear()
+            self._announce(f"one controller is left on {self._channel.subscribe_topic}")

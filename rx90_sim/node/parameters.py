@@ -65,7 +65,7 @@ def read_parameters(node: Node) -> SimulationParameters:
             node, "real_time_factor", 1.0, "pace in lock_step, 0 for as fast as it goes", low=0.0, high=1000.0
         ),
         command_timeout=declare(
-            node, "command_timeout", 0.02, "free_running: age of a command from which the brakes close, s",
+            node, "command_timeout", 0.5, "free_running: wait for a late command before the brakes close, s",
             low=0.0, high=10.0,
         ),
         initial_position=tuple(

@@ -114,6 +114,7 @@ class Simulation:
             "late ticks": str(counts.late),
             "dropped ticks": str(counts.dropped),
             "ticks without a fresh command": str(ticks.held.missed),
+            "ticks that waited for a command": str(ticks.held.waited),
             "commands out of turn": str(ticks.lockstep.ignored),
             "brakes": "closed" if plant.brakes_closed else "open",
             "saturated ticks": " ".join(str(n) for n in plant.saturated),

@@ -64,8 +64,14 @@ class Ticks:
         ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
         self.listeners = Listeners(self._publications.publishers, ticks, self.control.interrupting)
         self.listeners.add([self._channel.publisher], self._channel.answering)
-        timeout = round(parameters.command_timeout * rates.base_hz)
-        self.held = HeldCommand(self._channel, self._torques, timeout, log.info)
+        self.held = HeldCommand(
+            self._channel,
+            lambda raw: self._commands.decode(raw)[3],
+            rates.period_ns,
+            parameters.command_timeout,
+            log.info,
+            self.control.interrupting,
+        )
 
     @property
     def time(self) -> float:
@@ -121,7 +127,7 @@ class Ticks:
         self.pacer.wait()
         self._publish_due()
         self._channel.publish(self._encode_states(plant.tick * self._period_ns))
-        plant.step(self.held.take())
+        plant.step(self.held.take(plant.tick))
         return True
 
     def _publish_due(self) -> None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from friction_bench.experiment import job as ramp_job
-from friction_bench.experiment import ramp as experiment
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.plant import JointFriction
 from friction_bench.rig.rig_file import Rig
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.share import config_path
@@ -40,13 +42,19 @@ def test_report_page_is_complete(measured: Path) -> None:
 
 
 def test_friction_file_is_one_that_the_simulation_reads(measured: Path) -> None:
-    """rx90_sim loads the YAML; the joint's element is the identified one, all others the shipped ones."""
+    """rx90_sim loads the YAML: tau_c and c2 of the joint's element are identified, all else is stated as assumed."""
     found = load_friction(measured / "friction.yaml", JOINTS)
     shipped = load_friction(config_path("robot/friction.yaml"), JOINTS)
     index = found.names.index("joint_6")
     assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
     assert found.elements[:index] == shipped.elements[:index]
+    stated = yaml.safe_load((measured / "friction.yaml").read_text())
+    parameters = stated["identification"]["parameters"]["joint_6"]
+    assert stated["provenance"] == "assumed"
+    identified = {name for name, entry in parameters.items() if entry["provenance"] == "identified"}
+    assert identified == {"tau_c", "c2"}
+    assert "torque noise releases the shaft" in parameters["tau_s"]["reason"]
 
 
 def test_estimates_carry_their_intervals(measured: Path) -> None:
@@ -77,8 +85,8 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
     for file, (label, slope) in slopes.items():
         option = "--loaded-file" if label.startswith("loaded") else "--no-load-file"
         arguments += [option, f"{slope!r}:{file}"]
-    assert run("friction_ramp", [*arguments, "--output", str(tmp_path)]) == 0
-    again = yaml.safe_load((tmp_path / "estimates.yaml").read_text())
+    assert run("friction_ramp", [*arguments, "--output", str(tmp_path / "again")]) == 0
+    again = yaml.safe_load((tmp_path / "again" / "estimates.yaml").read_text())
     before = yaml.safe_load((measured / "estimates.yaml").read_text())
     key = "exact, by covariance"
     assert again["loaded"][key]["coulomb"]["value"] == pytest.approx(before["loaded"][key]["coulomb"]["value"])
@@ -101,7 +109,8 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--text", "counts"], "--text is given without a file"),
         (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
         (["--output", "/proc/friction"], "/proc/friction: cannot be written ("),
-        (["--output", "/dev/null"], "/dev/null: cannot be written ("),
+        (["--output", "/dev/null"], "--output is /dev/null, which exists; accepted: a new folder"),
+        (["--velocity", "mean"], "--velocity is mean; accepted: with --text velocity alone"),
         (["--end-torque", "0.02", "--load", "none"], "no break-away"),
         (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
         (["--no-load-file", "nothing.csv"], "accepted: slope:file"),
@@ -129,25 +138,56 @@ def test_a_rig_that_cannot_be_reached_is_a_failure(
     assert f"friction_ramp: {port}: cannot be opened" in capsys.readouterr().err
 
 
-def test_existing_bag_is_not_overwritten(measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A second run into the same folder is refused before the rig moves."""
-    assert run("friction_ramp", [*QUICK, "--output", str(measured)]) == 2
-    assert "bag exists" in capsys.readouterr().err
+def test_existing_folder_is_refused_before_the_rig_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whatever a folder holds, for ramps and for files: exit code 2, no rig is opened, its files are as they were."""
+    monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: pytest.fail("the rig was opened"))
+    (tmp_path / "report.html").write_text("mine")
+    csv = tmp_path / "old.csv"
+    csv.write_text("time,counts\n0,1\n")
+    for arguments in ([], ["--no-load-file", f"0.1:{csv}"]):
+        assert run("friction_ramp", [*arguments, "--output", str(tmp_path)]) == 2
+        assert f"--output is {tmp_path}, which exists; accepted: a new folder" in capsys.readouterr().err
+    assert (tmp_path / "report.html").read_text() == "mine"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.csv", "report.html"]
 
 
-def test_ramps_of_a_run_that_was_killed_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each ramp is a file as soon as it is done; without its bag it still keeps the folder for itself."""
-    (tmp_path / "ramp_01.csv").write_text("time,counts\n")
-    assert run("friction_ramp", [*QUICK, "--output", str(tmp_path)]) == 2
-    assert "ramp_01.csv exists" in capsys.readouterr().err
-    assert (tmp_path / "ramp_01.csv").read_text() == "time,counts\n"
+def test_source_figure_from_its_kind_of_velocity(tmp_path: Path) -> None:
+    """Velocities a t - b give the source's 0.1464 Nm as instantaneous, 0.1403 Nm (m tick / 2 less) as tick means."""
+    time = 0.02 * np.arange(1, 150)
+    path = tmp_path / "source.txt"
+    np.savetxt(path, np.maximum(949.5407 * time - 227.8898, 0.0))
+    for name, options, expected in (("a", [], 0.1403), ("b", ["--velocity", "instantaneous"], 0.1464)):
+        out = tmp_path / name
+        arguments = ["--text", "velocity", "--no-load-file", f"0.61:{path}", *options, "--output", str(out)]
+        assert run("friction_ramp", arguments) == 0
+        found = yaml.safe_load((out / "estimates.yaml").read_text())["no-load"]["source, m b / a"]["coulomb"]["value"]
+        assert found == pytest.approx(expected, abs=5e-5)
+
+
+def test_load_without_an_estimate_does_not_cost_the_other(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A joint too heavy for the motor ends the measurement after one ramp: exit code 1, no-load friction reported."""
+    assert rig.plant is not None
+    heavy = replace(rig, plant=replace(rig.plant, joint=JointFriction(4.0, 0.1)))
+    monkeypatch.setattr(ramp_job, "load_rig", lambda _: heavy)
+    out = tmp_path / "out"
+    assert run("friction_ramp", [*QUICK, "--output", str(out)]) == 1
+    text = capsys.readouterr().out
+    assert "not used: loaded 0.03 Nm/s #1: no break-away up to 0.15" in text
+    assert yaml.safe_load((out / "estimates.yaml").read_text())["no-load"]["exact, by covariance"]
+    assert len(list(out.glob("ramp_*.csv"))) == 5
+    assert "no break-away" in (out / "report.html").read_text()
+    assert not (out / "friction.yaml").exists()
 
 
 def test_interrupted_measurement_keeps_what_it_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 230."""
-    run_ramp = experiment.run_ramp
+    run_ramp = ramp_job.run_ramp
     done = 0
 
     def third_time(*arguments: Any) -> Any:
@@ -157,11 +197,11 @@ def test_interrupted_measurement_keeps_what_it_measured(
             raise KeyboardInterrupt
         return run_ramp(*arguments)
 
-    monkeypatch.setattr(experiment, "run_ramp", third_time)
-    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path)]) == 130
+    monkeypatch.setattr(ramp_job, "run_ramp", third_time)
+    assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path / "out")]) == 130
     assert "switched off" in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.glob("*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
-    assert read_joint_states(tmp_path / "bag", "friction_bench/joint_states").stamp_ns.size > 100
+    assert sorted(path.name for path in tmp_path.glob("out/*.csv")) == ["ramp_01.csv", "ramp_02.csv"]
+    assert read_joint_states(tmp_path / "out" / "bag", "friction_bench/joint_states").stamp_ns.size > 100
 
 
 def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(

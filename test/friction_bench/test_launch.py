@@ -3,47 +3,18 @@
 from __future__ import annotations
 
 import ast
-import runpy
-import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from launch_stub import arguments, build, ending, parameters
 
 from rx90_common.base import share
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import EXECUTABLES
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-class Action(NamedTuple):
-    """A stub of anything that a launch file builds: what it was given."""
-
-    kind: str
-    given: tuple[Any, ...]
-    named: dict[str, Any]
-
-
-def described(monkeypatch: pytest.MonkeyPatch) -> list[Action]:
-    """Return the actions of the launch file's description."""
-    names = {
-        "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument"],
-        "launch.substitutions": ["LaunchConfiguration"],
-        "launch_ros": [],
-        "launch_ros.actions": ["Node"],
-    }
-    for module, kinds in names.items():
-        stub = ModuleType(module)
-        for kind in kinds:
-            setattr(stub, kind, lambda *given, kind=kind, **named: Action(kind, given, named))
-        monkeypatch.setitem(sys.modules, module, stub)
-    file = runpy.run_path(str(REPOSITORY / "launch" / "friction_bench.launch.py"))
-    (actions,) = file["generate_launch_description"]().given
-    return list(actions)
 
 
 def declared_parameters() -> dict[str, Any]:
@@ -67,15 +38,17 @@ def declared_parameters() -> dict[str, Any]:
 
 
 def test_launch_file_starts_the_node_with_parameters_that_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Package, executable and parameters exist, and every argument's default is the node's own."""
-    *arguments, node = described(monkeypatch)
-    assert node.kind == "Node"
+    """Package, executable and parameters exist, every default is the node's own, and its end is the launch's."""
+    actions = build(monkeypatch, "friction_bench.launch.py")
+    (node,) = (action for action in actions if action.kind == "Node")
     assert node.named["package"] == ElementTree.parse(REPOSITORY / "package.xml").findtext("name")
     assert node.named["executable"] in EXECUTABLES
-    parameters = declared_parameters()
-    (given,) = node.named["parameters"]
-    assert set(given) <= set(parameters)
-    for name, configuration in given.items():
-        assert configuration == Action("LaunchConfiguration", (name,), {})
-    assert {a.given[0]: a.named["default_value"] for a in arguments} == {name: parameters[name] for name in given}
-    assert config_path(parameters["rig"]).is_file()
+    declared = declared_parameters()
+    given = parameters(node)
+    assert given == {name: name for name in ("port", "rig", "seed")}
+    assert arguments(actions) == {"namespace": ""} | {name: str(declared[name]) for name in given}
+    assert node.named["namespace"].given == ("namespace",)
+    assert config_path(declared["rig"]).is_file()
+    answer = ending(node, 0)
+    assert answer is not None
+    assert answer.kind == "Shutdown"

@@ -1,4 +1,4 @@
-"""The controller's own clock in free-running time, on a channel and a wall clock made by hand."""
+"""The controller in free-running time, on a channel and a wall clock made by hand."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 from rx90_common.base.rates import Rates
 
 free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
+from rx90_common.exchange.channel import Matches  # noqa: E402
 from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
 from rx90_common.exchange.motor_messages import MotorMessages, MotorStates  # noqa: E402
 from rx90_common.exchange.pacing import Pacer  # noqa: E402
@@ -27,6 +28,8 @@ class Simulation:
 
     def __init__(self) -> None:
         self.now = 100.0
+        self.publishers = 1
+        self.waits = 0
         self.speed = 1.0
         self.tick = 0
         self.inbox: list[bytes] = []
@@ -46,9 +49,14 @@ class Simulation:
             if self.foreign:
                 self.inbox.append(self.foreign.pop())
 
+    def matches(self) -> Matches:
+        """Return the peers."""
+        return Matches(1, self.publishers)
+
     def receive(self, timeout: float) -> bytes | None:
         """Return the next message, or None after the timeout."""
         deadline = self.now + timeout
+        self.waits += timeout > 0.0 and not self.inbox
         while not self.inbox and self.now < deadline:
             self.sleep(TICK)
         return self.inbox.pop(0) if self.inbox else None
@@ -68,6 +76,7 @@ class Loops:
         self.begun: list[int] = []
         self.skipped: list[int] = []
         self.ticks: list[tuple[float, int, int]] = []  # wall clock, own tick, the simulation's
+        self.answered: list[tuple[int, int]] = []  # own tick, that of the states
         self.prepared = 0
         self.command = np.zeros(1)
         self.side = free_running.FreeRunningController(
@@ -96,7 +105,9 @@ class Loops:
 
     def step(self, stamp: int, states: MotorStates) -> bool:
         """Note the tick; the states must be whole, whatever came in between."""
-        assert states.position[0] == states.velocity[0] == states.stamp_ns // RATES.period_ns
+        measured = states.stamp_ns // RATES.period_ns
+        assert states.position[0] == states.velocity[0] == measured
+        self.answered.append((stamp // RATES.period_ns, measured))
         self.ticks.append((self.simulation.now, stamp // RATES.period_ns, self.simulation.tick))
         return True
 
@@ -130,35 +141,41 @@ def test_nothing_is_old_when_the_loops_begin(loops: Loops) -> None:
     assert abs(own - theirs) <= 3
 
 
-@pytest.mark.parametrize("speed", [0.998, 1.0, 1.002])
-def test_the_clock_follows_simulated_time(loops: Loops, speed: float) -> None:
-    """Beside a clock that runs 2000 ppm fast or slow the loops stay within 3 ticks, without leaving out a tick."""
+@pytest.mark.parametrize("speed", [0.9, 1.0, 1.1, 3.0])
+def test_each_tick_answers_its_own_states(loops: Loops, speed: float) -> None:
+    """However fast simulated time runs, the loops run each tick once, with the states of that tick, and soon."""
     loops.simulation.speed = speed
-    loops.run_for(60.0)
+    loops.run_for(5.0)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
-    assert all(abs(own - theirs) <= 3 for _, own, theirs in loops.ticks)
-    periods = np.diff([at for at, _, _ in loops.ticks])
-    assert np.abs(periods / TICK - 1).max() < 0.026
+    assert all(own == measured for own, measured in loops.answered)
+    assert all(theirs - own <= 4 for _, own, theirs in loops.ticks)
     assert len(loops.begun) == 1
 
 
-def test_a_lag_is_caught_up_smoothly(loops: Loops) -> None:
-    """After 0.2 s in which the controller did not run, no tick is left out and none is more than 2.5 % too short."""
-    loops.simulation.sleep(0.2)
-    first = len(loops.ticks)
-    loops.run_for(15.0)
-    later = loops.ticks[first:]
+def test_it_sleeps_until_states_are_due(loops: Loops) -> None:
+    """In time with a simulation, nearly every wake-up finds states, and none waits for the network for long."""
+    before = loops.simulation.waits
+    loops.run_for(10.0)
+    assert loops.simulation.waits - before < 0.1 * 10.0 / TICK
+
+
+def test_a_short_stall_is_caught_up(loops: Loops) -> None:
+    """After 4 ms in which the controller did not run, all ticks come at once, and one command answers them."""
+    loops.simulation.sleep(4 * TICK)
+    sent = len(loops.simulation.commands)
+    loops.side.serve()
+    assert len(loops.simulation.commands) == sent + 1
+    loops.run_for(1.0)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
-    assert np.diff([at for at, _, _ in later]).min() > 0.974 * TICK
-    assert abs(later[-1][1] - later[-1][2]) <= 3
-    assert len(loops.begun) == 1
+    assert loops.skipped == []
+    assert loops.said == []
 
 
 def test_a_longer_lag_is_skipped_and_told(loops: Loops) -> None:
     """After 3 s in which the controller did not run, its time is set forward; the line about it tells by how much."""
     loops.simulation.sleep(3.0)
     loops.run_for(1.0)
-    assert loops.skipped == [pytest.approx(3000, abs=5)]
+    assert loops.skipped == [pytest.approx(3000, abs=10)]
     assert len(loops.begun) == 1
     (line,) = loops.said
     assert "3 s behind the simulation" in line
@@ -166,11 +183,11 @@ def test_a_longer_lag_is_skipped_and_told(loops: Loops) -> None:
 
 
 def test_a_machine_that_is_too_slow_does_not_flood_the_terminal(loops: Loops) -> None:
-    """Where every tick of the loops takes two of the simulation's, lag after lag is skipped; few lines tell it."""
+    """Where the controller runs once in 20 ticks of the simulation's, lag after lag is skipped; few lines tell it."""
     end = loops.simulation.now + 30.0
     while loops.simulation.now < end:
         loops.side.serve()
-        loops.simulation.sleep(2 * TICK)
+        loops.simulation.sleep(20 * TICK)
     assert len(loops.skipped) > 20
     assert len(loops.begun) == 1
     assert 1 <= len(loops.said) <= 8
@@ -178,11 +195,11 @@ def test_a_machine_that_is_too_slow_does_not_flood_the_terminal(loops: Loops) ->
 
 
 def test_the_motion_goes_on_after_a_pause(loops: Loops) -> None:
-    """While simulated time stands still for 10 s the loops rest within 8 ticks, and then go on where they were."""
+    """While simulated time stands still for 10 s the loops rest at once, and then go on where they were."""
     loops.simulation.speed = 0.0
     before = loops.ticks[-1][1]
     loops.run_for(10.0)
-    assert loops.ticks[-1][1] - before <= 8
+    assert loops.ticks[-1][1] - before <= 2
     loops.simulation.speed = 1.0
     loops.run_for(3.0)
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
@@ -199,15 +216,50 @@ def test_a_reset_begins_anew(loops: Loops) -> None:
     assert loops.begun[1] <= 3
 
 
-@pytest.mark.parametrize("ahead", [-2000, 0, 5, 5000])
-@pytest.mark.parametrize("what", ["cut off", "not a number"])
+@pytest.mark.parametrize("ahead", [-2000, -3, 0, 5, 5000, 10**9])
+@pytest.mark.parametrize("what", ["cut off", "not a number", "somebody else's"])
 def test_states_that_cannot_be_used_change_nothing(loops: Loops, ahead: int, what: str) -> None:
-    """A message without usable states, whatever its stamp, costs no tick: the motion goes on."""
-    bad = CODEC.encode((loops.simulation.tick + ahead) * RATES.period_ns, np.full(1, np.nan), np.full(1, 7.0))
+    """Messages without usable states, or with a stamp from elsewhere, cost no tick: the motion goes on."""
     for _ in range(3):
+        stamp = loops.simulation.tick + ahead
+        values = np.full(1, float(stamp))
+        bad = CODEC.encode(stamp * RATES.period_ns, np.full(1, np.nan) if what == "not a number" else values, values)
         loops.simulation.foreign.append(bad[:16] if what == "cut off" else bad)
         loops.run_for(0.5)
+    if what == "somebody else's" and ahead == 0:
+        return  # the states of the next tick: nobody can tell
     assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
     assert len(loops.begun) == 1
-    assert loops.refused
+    assert loops.skipped == []
+    assert loops.refused or loops.said
     assert abs(loops.ticks[-1][1] - loops.ticks[-1][2]) <= 3
+
+
+@pytest.mark.parametrize("raw", [b"", b"\0", b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 60])
+def test_a_burst_of_garbage_costs_no_tick(loops: Loops, raw: bytes) -> None:
+    """A hundred messages that are none, at once, between two states: the motion goes on; one line names the topic."""
+    loops.simulation.inbox += [raw] * 100
+    loops.run_for(0.5)
+    assert all(b[1] - a[1] == 1 for a, b in pairwise(loops.ticks))
+    assert len(loops.begun) == 1
+    assert len(loops.refused) == 1
+    assert loops.refused[0].startswith("/motor_states: ")
+
+
+def test_two_simulations_get_no_commands(loops: Loops) -> None:
+    """Where two simulations send bursts of states in turns, commands stop until one of them is left."""
+    simulation = loops.simulation
+    simulation.publishers = 2
+    for _ in range(10):
+        for tick in range(100, 108):
+            values = np.full(1, float(tick))
+            simulation.inbox.append(CODEC.encode(tick * RATES.period_ns, values, values))
+        loops.run_for(0.1)
+    assert sum("two simulations" in line for line in loops.said) == 1
+    sent = len(simulation.commands)
+    loops.run_for(1.0)
+    assert len(simulation.commands) == sent
+    simulation.publishers = 1
+    loops.run_for(1.0)
+    assert len(simulation.commands) > sent + 500
+    assert "one simulation is left" in loops.said[-1]

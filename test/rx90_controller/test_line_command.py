@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,10 +20,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import approach_time, plan_line
 from rx90_controller.lines.task import load_task
+from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
@@ -314,3 +317,9 @@ def test_a_controller_in_a_namespace_has_its_arm_beside_it(
     out, err = process.communicate(timeout=2 * PATIENCE)
     assert process.returncode == 0, err
     assert "sent 72 points to /cell/rx90_controller/joint_trajectory" in out
+
+
+def test_an_empty_controller_name_is_refused() -> None:
+    """`--node ''` would name a topic in the root namespace, where no controller listens."""
+    with pytest.raises(ConfigError, match="is empty; accepted: a name such as"):
+        TrajectoryClient(SimpleNamespace(), "")  # type: ignore[arg-type]  # refused before it is looked at

@@ -44,7 +44,7 @@ def test_each_joint_has_its_limits(shipped: Setup, joint: int, quantity: str, si
 
 def weak(setup: Setup, following_error: float) -> Setup:
     """Return a setup whose motor 2 is too weak for the motion, with another limit of the following error."""
-    drives = dataclasses.replace(setup.drives, peak_current=setup.drives.peak_current * [1, 0.3, 1, 1, 1, 1])
+    drives = dataclasses.replace(setup.drives, peak_current=setup.drives.peak_current * [1, 0.15, 1, 1, 1, 1])
     controller = dataclasses.replace(setup.controller, following_error=np.full(6, following_error))
     return dataclasses.replace(setup, drives=drives, controller=controller)
 
@@ -52,7 +52,7 @@ def weak(setup: Setup, following_error: float) -> Setup:
 def test_a_run_ends_where_the_error_goes_beyond_its_limit(shipped: Setup) -> None:
     """The closed loop ends with an error in the tick in which the same run without supervision is 0.05 rad off."""
     names, home = shipped.robot.joint_names, np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
-    turn = home + 0.15 * np.array([1, -1, 1, -1, 1, -1])
+    turn = home + 0.08 * np.array([1, -1, 1, -1, 1, -1])
     points = TrajectoryPoints.create(names, names, [0.0, 0.3, 0.6], [home, turn, home], [[0.0] * 6] * 3, [[]] * 3)
     error = simulate(weak(shipped, 10.0), points).slow.tracking_error[:, 0]
     beyond = np.abs(error) > 0.05

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rx90_common.base.errors import Rx90Error, TrajectoryError
+from rx90_common.base.errors import ExchangeError, Rx90Error, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.message import check_trajectory_bytes
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ROW = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
@@ -102,3 +103,21 @@ def test_a_single_point_at_the_start_is_refused() -> None:
     """One point at time 0 is no motion."""
     with pytest.raises(TrajectoryError, match="one point at time_from_start 0"):
         create(times=[0.0], position=[ROW], velocity=[REST], acceleration=[REST])
+
+
+def test_broken_bytes_of_a_trajectory_are_named_by_their_field() -> None:
+    """A whole message passes; cut off anywhere, or with a length beyond its end, it is refused with the field."""
+    # What rclpy makes of one joint "a" and one point at 0.5 rad and 2 s, stamped 1 s.
+    message_bytes = bytes.fromhex(
+        "00010000 01000000 00000000 01000000 00000000 01000000 02000000 61000000 01000000"
+        "01000000 00000000 000000000000e03f 00000000 00000000 00000000 02000000 00000000"
+    )
+    check_trajectory_bytes(message_bytes)
+    for length in range(len(message_bytes)):
+        with pytest.raises(ExchangeError, match="message is cut off"):
+            check_trajectory_bytes(message_bytes[:length])
+    at = message_bytes.index(b"a") + 4
+    for wrong, field in ((at, "points"), (at + 4, r"points\[0\].positions")):
+        broken = message_bytes[:wrong] + b"\xff\xff\xff\x7f" + message_bytes[wrong + 4 :]
+        with pytest.raises(ExchangeError, match=f"cut off in {field}: 2147483647 elements announced"):
+            check_trajectory_bytes(broken)

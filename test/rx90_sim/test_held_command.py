@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -11,37 +13,58 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000
-TIMEOUT = 4
+TIMEOUT = 0.02
 
 
 class Drive:
-    """A held command whose ticks are a quarter of a millisecond of a clock made by hand."""
+    """A held command whose ticks are a quarter of a millisecond of a clock made by hand.
+
+    Who waits for a command gets the next one of `late` after its time.
+    """
 
     subscribe_topic = "/motor_commands"
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 20.0
+        self.number = 0
         monkeypatch.setattr(held_command.time, "monotonic", lambda: self.now)
         self.inbox: list[bytes] = []
+        self.late: list[tuple[float, int]] = []  # seconds of waiting, stamp in ticks
         self.said: list[str] = []
         self.publishers = 1
-        self.held = held_command.HeldCommand(self, lambda raw: CODEC.decode(raw)[3], TIMEOUT, self.said.append)
+        self.held = held_command.HeldCommand(self, lambda raw: CODEC.decode(raw)[3], PERIOD, TIMEOUT, self.said.append)
 
-    def receive(self, _timeout: float) -> bytes | None:
+    def receive(self, timeout: float) -> bytes | None:
         """Return the next command."""
+        if not self.inbox and timeout > 0.0:
+            after, stamp = self.late[0] if self.late else (1e9, 0)
+            waited = min(timeout, after)
+            self.now += waited
+            if self.late:
+                self.late[0] = (after - waited, stamp)
+                if after <= timeout:
+                    self.late.pop(0)
+                    self.inbox.append(command(stamp))
         return self.inbox.pop(0) if self.inbox else None
 
     def matches(self) -> Matches:
         """Return the peers."""
         return Matches(1, self.publishers)
 
-    def tick(self, *stamps: int, count: int = 1) -> float | None:
-        """Run ticks, the first one with commands of these stamps; return what the last one holds."""
-        self.inbox += [CODEC.encode(stamp * PERIOD, effort=np.array([float(stamp)])) for stamp in stamps]
-        for _ in range(count):
+    def tick(self, *stamps: int, to: int | None = None) -> float | None:
+        """Run the next tick, or all up to tick `to`, the first with commands of these stamps; return what is held."""
+        self.inbox += [command(stamp) for stamp in stamps]
+        torques = None
+        for _ in range(1 if to is None else to - self.number):
+            self.number += 1
             self.now += 250e-6
-            torques = self.held.take()
+            torques = self.held.take(self.number)
         return None if torques is None else float(torques[0])
+
+
+def command(stamp: int) -> bytes:
+    """Return a command whose torque is the tick that it answers."""
+    return CODEC.encode(stamp * PERIOD, effort=np.array([float(stamp)]))
 
 
 @pytest.fixture
@@ -50,19 +73,34 @@ def drive(monkeypatch: pytest.MonkeyPatch) -> Drive:
     return Drive(monkeypatch)
 
 
-def test_a_command_is_held_until_it_is_stale(drive: Drive) -> None:
-    """The newest command is held for the timeout's ticks and no tick longer, each change is one line."""
+def test_a_command_is_held_while_it_is_new(drive: Drive) -> None:
+    """The newest command is held for three ticks after the one that it answers; then it is waited for, in vain once."""
     assert drive.tick() is None
     assert drive.tick(1, 2) == 2.0
-    assert drive.tick(count=TIMEOUT) == 2.0
+    assert drive.tick(to=5) == 2.0
+    began = drive.now
     assert drive.tick() is None
-    assert drive.tick(9) == 9.0
+    assert drive.now - began == pytest.approx(250e-6 + TIMEOUT)
+    assert drive.tick(to=500) is None
+    assert drive.now - began == pytest.approx(495 * 250e-6 + TIMEOUT)
+    assert drive.tick(499) == 499.0
     assert [line.split(" on ")[0] for line in drive.said] == [
         "waiting for a controller",
         "commands",
-        "no fresh command",
+        "no command",
         "commands",
     ]
+
+
+def test_a_late_command_holds_time_up(drive: Drive) -> None:
+    """A command that comes within the timeout is waited for; the brakes stay open."""
+    drive.tick(1)
+    drive.late = [(0.005, 2), (0.010, 5)]
+    assert drive.tick(to=5) == 2.0
+    assert drive.tick() == 5.0
+    assert drive.held.waited == 2
+    assert drive.now == pytest.approx(20.0 + 6 * 250e-6 + 0.015)
+    assert drive.said == []
 
 
 def test_a_command_does_not_age_while_time_stands_still(drive: Drive) -> None:
@@ -72,13 +110,37 @@ def test_a_command_does_not_age_while_time_stands_still(drive: Drive) -> None:
     assert drive.tick() == 1.0
 
 
-def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
-    """Of 400 changes within a second a handful of lines is left, and the last state is reported with a count."""
+@pytest.mark.parametrize("stamp", [-1, 3, 10**12, -(10**12), 2**31 * 4000 - 1])
+def test_a_command_from_elsewhere_is_no_command(drive: Drive, stamp: int) -> None:
+    """A stamp before the start, of the future or decades away changes nothing; a new one is named in a line."""
     drive.tick(1)
-    for stamp in range(200):
-        drive.tick(stamp, count=TIMEOUT + 2)
+    raw = bytearray(command(1))
+    seconds, ticks = divmod(stamp, 4000)
+    raw[4:12] = struct.pack("<iI", max(-(2**31), min(seconds, 2**31 - 1)), ticks * PERIOD)
+    drive.inbox = [bytes(raw)]
+    assert drive.tick() == 1.0
+    assert len(drive.said) == (stamp > 0)
+    assert all("/motor_commands: the stamp is" in line and "is ignored" in line for line in drive.said)
+
+
+@pytest.mark.parametrize("raw", [b"", b"\0", b"\0\1\0\0", command(2)[:-3], b"\0\1\0\0" + b"\xff" * 60])
+def test_garbage_is_no_command(drive: Drive, raw: bytes) -> None:
+    """Bytes that are no command, before or after one, are named in a line and change nothing."""
+    drive.tick(1)
+    drive.inbox = [raw]
+    assert drive.tick() == 1.0
+    drive.inbox = [command(3), raw]
+    assert drive.tick() == 3.0
+    (line,) = (line for line in drive.said if "ignored" in line)
+    assert line.startswith("/motor_commands: ")
+
+
+def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
+    """Of 400 changes within some seconds a handful of lines is left, and the last state is reported with a count."""
+    for stamp in range(1, 2000, 10):
+        drive.tick(stamp, to=stamp + 9)
     assert len(drive.said) == 4
-    drive.tick(count=50_000)
+    drive.tick(to=60_000)
     assert len(drive.said) == 5
     assert "brakes closed" in drive.said[-1]
     assert "(after 39" in drive.said[-1]
@@ -87,22 +149,26 @@ def test_brakes_that_flap_do_not_flood_the_terminal(drive: Drive) -> None:
 def test_a_second_controller_is_told_and_takes_the_torque_away(drive: Drive) -> None:
     """Commands of two controllers, recognised by stamps that go back, are not used until one is left."""
     drive.publishers = 2
+    drive.number = 1000
     for k in range(1, 11):
-        torque = drive.tick(1000 + k, k)
+        torque = drive.tick(1000 + k, 990 + k)
     assert torque is None
     assert drive.held.two_controllers
     assert [line for line in drive.said if "two controllers" in line] == drive.said[-1:]
     for k in range(30_000):
-        torque = drive.tick(2000 + k)
-    assert torque == 31_999.0
+        torque = drive.tick(1011 + k)
+    assert torque == 31_010.0
     assert not drive.held.two_controllers
     assert "one controller is left" in drive.said[-1]
 
 
-def test_a_controller_that_begins_again_is_no_second_one(drive: Drive) -> None:
-    """One step back of the stamps, beside a dead controller that is still in the graph, changes nothing."""
-    drive.publishers = 2
-    drive.tick(1000)
-    assert drive.tick(1) == 1.0
-    assert drive.tick(2) == 2.0
+def test_a_reset_takes_the_command_away(drive: Drive) -> None:
+    """After a reset, commands from before it that are still on their way are ignored; the first new one is followed."""
+    drive.number = 1000
+    assert drive.tick(1000) == 1000.0
+    drive.held.forget()
+    drive.number = 0
+    drive.publishers = 2  # a dead controller may still be in the graph
+    assert drive.tick(1001) is None
+    assert drive.tick(1002, 2) == 2.0
     assert not drive.held.two_controllers

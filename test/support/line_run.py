@@ -10,7 +10,7 @@ import yaml
 from processes import Processes
 from ros_client import Client
 
-from rx90_common.bags.comparison import BagComparison, Scope, compare_bags
+from rx90_common.bags.comparison import BagComparison, compare_bags
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
@@ -86,4 +86,4 @@ def run_both_ways(
     assert simulation.wait() == 0
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
-    return compare_bags(folder / "recorded", folder / "closed_loop", scope=Scope(same_range=True))
+    return compare_bags(folder / "recorded", folder / "closed_loop")

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from rx90_common.bags.comparison import Scope, TopicComparison, Verdict, compare_series
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.tolerance import Tolerances, parse_rule
-from rx90_common.bags.writing import write_joint_states
+from rx90_common.bags.writing import trajectory_message, write_joint_states
 from rx90_emulator.cli.frame import run
 
 
@@ -103,17 +103,64 @@ def test_special_numbers(one: float, other: float, exact: str, within_1: str) ->
 
 
 def test_missing_messages() -> None:
-    """A stamp missing inside the common range differs; outside it is counted, and differs only when asked."""
+    """A stamp that only one bag has differs, wherever it lies, or is only counted when asked."""
     a = series(20)
     inside, outside = np.arange(20) != 7, np.arange(20) < 15
     result = compared(a, a.take(inside))
     assert result.verdict is Verdict.DIFFERS
     assert result.reasons == ("only the first bag has 1 messages of the common range, the first at t = 0.007000000 s",)
-    result = compared(a.take(outside), a)
+    result = compared(a.take(outside), a, common_range=True)
     assert result.verdict is Verdict.SAME
     assert result.b is not None
     assert result.b.outside == 5
-    assert compared(a.take(outside), a, same_range=True).verdict is Verdict.DIFFERS
+    assert compared(a.take(outside), a).verdict is Verdict.DIFFERS
+    lonely = compared(a.take(slice(0, 1)), a)
+    assert lonely.verdict is Verdict.DIFFERS
+    assert lonely.reasons == ("only the second bag has 19 messages outside the common range",)
+
+
+def test_two_nan_with_other_bits_differ_unless_a_tolerance_is_given() -> None:
+    """Without a tolerance bits count, also those of a NaN; with one, NaN is NaN."""
+    quiet, other = np.array([0x7FF8000000000000, 0x7FF8000000000001]).view(np.float64)
+    a, b = changed(series(), 3, 1, quiet), changed(series(), 3, 1, other)
+    result = compared(a, b)
+    assert result.verdict is Verdict.DIFFERS
+    assert value_of(result, NAMES[1], "position").not_finite == 1
+    assert compared(a, a).verdict is Verdict.SAME
+    assert compared(a, b, "position=1e-9").verdict is Verdict.SAME
+
+
+@pytest.mark.parametrize(
+    ("align", "code", "said"),
+    [
+        ("start", 0, "moved by -0.500000000 s"),
+        ("trajectory", 0, "moved by -0.500000000 s"),
+        ("-0.5", 0, "moved by -0.500000000 s"),
+        ("-0.4", 1, "moved by -0.400000000 s"),
+        ("0", 2, "no stamp in common"),
+        ("later", 2, "--align is 'later'; accepted: start, trajectory, or a time in s"),
+    ],
+)
+def test_bags_of_runs_that_began_at_other_times_are_aligned(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], align: str, code: int, said: str
+) -> None:
+    """The second bag's stamps are moved by start, by trajectory or by a time, and the text says by how much."""
+    one = series(400)
+    for name, shift in (("a", 0), ("b", 500_000_000)):
+        content = {"joint_names": list(NAMES), "points": []}
+        start = trajectory_message("/rx90_controller/trajectory_accepted", 3_000_000 + shift, content)
+        write_joint_states(tmp_path / name, [replace(one, stamp_ns=one.stamp_ns + shift)], messages=[start])
+    words = ["compare", str(tmp_path / "a"), str(tmp_path / "b"), f"--align={align}"]
+    assert run("rx90_bag", words) == code
+    out, err = capsys.readouterr()
+    assert said in out + err
+
+
+def test_a_bag_without_trajectory_cannot_be_aligned_by_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is missing is named, with what records it."""
+    write_joint_states(tmp_path / "a", [series()])
+    assert run("rx90_bag", ["compare", str(tmp_path / "a"), str(tmp_path / "a"), "--align", "trajectory"]) == 2
+    assert "no trajectory in it; accepted: a bag with rx90_controller/trajectory_accepted" in capsys.readouterr().err
 
 
 def test_repeated_messages() -> None:
@@ -294,7 +341,9 @@ def test_counts_of_stamps(stamps_a: list[int], stamps_b: list[int]) -> None:
     assert result.b.missing == len((b - a) & common)
     assert result.a.outside == len(a - common)
     assert result.a.repeats == len(stamps_a) - len(a)
-    assert (result.verdict is Verdict.SAME) == (a & common == b & common)
+    assert (result.verdict is Verdict.SAME) == (a == b)
+    within = compared(make(stamps_a), make(stamps_b), common_range=True)
+    assert (within.verdict is Verdict.SAME) == (a & common == b & common)
 
 
 def test_empty_topics_are_no_difference(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from rx90_emulator.cli.frame import EXECUTABLES
 CALLS = {
     "rx90_sim": ([], "numpy yaml numba pinocchio rclpy"),
     "rx90_controller": ([], "numba rclpy"),
+    "rx90_cell": ([], "numba rclpy"),
     "friction_bench": ([], "yaml numba serial rclpy"),
     "friction_ramp": (["--output", "out"], "numpy tqdm matplotlib"),
     "friction_rig_emulator": ([], "numpy yaml numba"),

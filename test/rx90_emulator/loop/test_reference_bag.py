@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.bags.comparison import Scope, Verdict, compare_bags
+from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.share import config_path
 from rx90_controller.lines.task import LineTask, load_task
@@ -28,7 +28,7 @@ def task() -> LineTask:
 def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:
     """Joint, friction, reference and error series are those of the reference bag to the last bit."""
     write_bag(run_line(shipped, task), tmp_path / "new", decimation=20)
-    comparison = compare_bags(tmp_path / "new", REFERENCE, scope=Scope(same_range=True))
+    comparison = compare_bags(tmp_path / "new", REFERENCE)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert len(comparison.topics) == 7
 

@@ -7,7 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rx90_common.bags.reading import read_bag
+from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.result import MotionCommand
+from rx90_emulator.loop.setup import Setup
 
 
 def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -15,7 +20,12 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
     (tmp_path / "file").touch()
     for words, complaint in (
         (["--decimation", "0"], "--decimation is 0; accepted: a whole number >= 1"),
-        (["--start-time", "inf"], "start time is inf s; accepted: a finite number up to 2.14748e+09 s"),
+        (["--start-time", "1e10"], "start time is 10000000000.0 s; accepted: a finite number up to 2.14748e+09 s"),
+        (
+            ["--initial-position", *"000000"],
+            "--initial-position with a task; accepted: with --trajectory or --from-bag",
+        ),
+        (["--from-bag", "x", "--start-time", "1"], "--start-time with --from-bag; accepted: the times in the bag"),
         (["--output", str(tmp_path)], f"--output is {tmp_path}, which exists; accepted: a new folder"),
         (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
         (["--arrays", f"{tmp_path}/file/a.npz"], f"{tmp_path}/file/a.npz: cannot be written (Not a directory)"),
@@ -75,3 +85,40 @@ def test_a_file_that_is_no_trajectory_is_one_line(
     assert err.startswith(f"rx90_run: {file}: ")
     assert complaint in err
     assert err.count("\n") == 1
+
+
+LATER = """
+joint_names: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
+points:
+- {positions: [0.05, 0.05, 0.1, 0.0, 0.05, 0.1], time_from_start: {sec: 0, nanosec: 400000000}}
+"""
+
+
+def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From a bag alone come trajectory, start and initial position; the new bag has the same bits."""
+    file, first, second = tmp_path / "move.yaml", tmp_path / "first", tmp_path / "second"
+    file.write_text(LATER)
+    zero = ["--initial-position", *["0.0"] * 6]
+    assert run("rx90_run", ["--trajectory", str(file), *zero, "--start-time", "0.2", "--output", str(first)]) == 0
+    assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 0
+    assert f"trajectories in {first}: 1, from 0.200 s" in capsys.readouterr().out
+    assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
+    position = read_bag(first)["joint_states"].position
+    assert position is not None
+    assert position[0].tolist() == [0.0] * 6
+    assert position[-1] == pytest.approx([0.05, 0.05, 0.1, 0.0, 0.05, 0.1], abs=1e-3)
+
+
+def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -> None:
+    """Of three commands each replaces the one before at its start; the third stops the second on its way."""
+    rest = np.zeros((1, 6))
+    there = TrajectoryPoints(np.array([0.5]), np.full((1, 6), 0.1), rest, rest)
+    back = TrajectoryPoints(np.array([0.5]), np.zeros((1, 6)), rest, rest)
+    commands = (MotionCommand(0, there), MotionCommand(600, back), MotionCommand(800, None))
+    run_ = simulate_commands(shipped, commands, np.zeros(6), 1.5)
+    reference = run_.slow.reference
+    assert reference[599, 0] == pytest.approx(np.full(6, 0.1))
+    assert np.all((reference[-1, 0] > 1e-3) & (reference[-1, 0] < 0.099))
+    assert np.all(reference[-1, 1] == 0.0)
+    speed = np.abs(reference[:, 1])
+    assert np.abs(np.diff(reference[:, 0], axis=0)).max() <= 1.01e-3 * speed.max()

@@ -18,6 +18,7 @@ MODES = ("real_time_factor:=1.0", "time_mode:=free_running")
 GARBAGE = (
     b"\x00\x01\x00\x00" + struct.pack("<iI", 1, 0) + b"\xff" * 40,
     b"\x00\x01\x00\x00",
+    b"\x00",
     JointStateCodec(["elbow"]).encode(250_000),
     JointStateCodec(MOTOR_NAMES).encode(500_000),
     JointStateCodec(MOTOR_NAMES[:5]).encode(750_000),

@@ -65,19 +65,20 @@ def test_a_mode_that_comes_late_costs_no_trajectory(processes: Processes, client
     stamps = count()
 
     def simulate() -> bool:
-        """Publish the states of the next tick, as a simulation does that steps slowly."""
+        """Publish the states of the next ticks, as a simulation does that gets to run now and then."""
         message = JointState(name=list(MOTOR_NAMES), position=[0.0] * 6, velocity=[0.0] * 6, effort=[0.0] * 6)
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(next(stamps) * 50_000_000, NANOSECONDS)
-        states.publish(message)
+        for _ in range(16):
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(next(stamps) * 250_000, NANOSECONDS)
+            states.publish(message)
         return False
 
     client.spin_until(lambda: states.get_subscription_count() > 0, "the controller")
     for _ in range(4):
         simulate()
-    client.send([(0.5, [0.1] * len(JOINTS))])
+    client.send([(0.1, [0.005] * len(JOINTS))])
     controller.wait_for("a trajectory waits for the simulation's first tick")
     mode = client.node.create_publisher(String, "time_mode", LATCHED_QOS.profile)
     mode.publish(String(data=TimeMode(FREE_RUNNING, Rates()).text))
     client.spin_until(
-        lambda: simulate() or (bool(reference) and reference[-1].position[0] > 0.099), "the end of the motion"
+        lambda: simulate() or (bool(reference) and reference[-1].position[0] > 0.00499), "the end of the motion"
     )

@@ -2,60 +2,73 @@
 
 from __future__ import annotations
 
-import runpy
-import sys
+import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
 
 import pytest
+import yaml
+from launch_stub import Action, arguments, build, ending
 
 from rx90_common.description.robot_files import SHIPPED
+from rx90_common.process import exit_code
 
-FILE = Path(__file__).resolve().parents[3] / "launch" / "rx90.launch.py"
-
-
-class Action(NamedTuple):
-    """A stub of anything that a launch file builds: what it was given."""
-
-    kind: str
-    given: tuple[Any, ...]
-    named: dict[str, Any]
+FILE = "rx90.launch.py"
 
 
-def test_the_launch_file_hands_each_robot_file_to_its_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every file that describes the robot is an argument with its shipped name, and a parameter of who reads it.
+def nodes(actions: list[Action]) -> dict[str, Action]:
+    """Return the nodes by their executables."""
+    return {action.named["executable"]: action for action in actions if action.kind == "Node"}
 
-    In one process, each parameter is given to its own node.
-    """
-    names = {
-        "launch": ["LaunchDescription"],
-        "launch.actions": ["DeclareLaunchArgument"],
-        "launch.conditions": ["IfCondition", "UnlessCondition"],
-        "launch.substitutions": ["LaunchConfiguration", "OrSubstitution"],
-        "launch_ros": [],
-        "launch_ros.actions": ["Node"],
-        "launch_ros.parameter_descriptions": ["ParameterValue"],
+
+def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files, time mode, pace, start and namespace are arguments with the nodes' defaults, and reach their nodes."""
+    actions = build(monkeypatch, FILE)
+    defaults, made = arguments(actions), nodes(actions)
+    assert {name: defaults[name] for name in SHIPPED} == SHIPPED
+    assert defaults.keys() - SHIPPED == {
+        *("namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
+        *("robot_state_publisher", "rviz"),
     }
-    for module, kinds in names.items():
-        stub = ModuleType(module)
-        for kind in kinds:
-            setattr(stub, kind, lambda *given, kind=kind, **named: Action(kind, given, named))
-        monkeypatch.setitem(sys.modules, module, stub)
-    (actions,) = runpy.run_path(str(FILE))["generate_launch_description"]().given
-    arguments = {a.given[0]: a.named["default_value"] for a in actions if a.kind == "DeclareLaunchArgument"}
-    files = {name: file for name, file in SHIPPED.items() if name != "urdf"}
-    assert {name: arguments[name] for name in files} == files
-    nodes = {
-        a.named["executable"]: a.named["parameters"][0].keys()
-        for a in actions
-        if a.kind == "Node" and a.named.get("parameters")
+    for node in made.values():
+        assert node.named["namespace"] == Action("LaunchConfiguration", ("namespace",), {})
+        assert ("/clock", "clock") in node.named["remappings"]
+    for executable in ("rx90_sim", "rx90_controller", "rx90_cell"):
+        (file,) = made[executable].named["parameters"]
+        assert file.named == {"allow_substs": True}
+    text = Path(file.given[0]).read_text(encoding="utf-8")
+    sections = yaml.safe_load(re.sub(r"\$\(var (\w+)\)", r"\1", text))
+    own = ("time_mode", "real_time_factor", "initial_position", "paused", "urdf", "tool", "drives", "friction")
+    assert sections == {
+        "/**/rx90_sim": {"ros__parameters": {name: name for name in own}},
+        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("urdf", "drives", "controller")}},
     }
-    assert {"tool", "drives", "friction"} <= nodes["rx90_sim"]
-    assert {"drives", "controller"} <= nodes["rx90_controller"]
-    (cell,) = (a.named for a in actions if a.kind == "Node" and a.named["executable"] == "rx90_cell")
-    options, values = cell["ros_arguments"][::2], cell["ros_arguments"][1::2]
-    assert set(options) == {"-p"}
-    assert {head + argument.given[0] for head, argument in values} == {
-        f"{node}:{name}:={name}" for node in ("rx90_sim", "rx90_controller") for name in nodes[node]
-    }
+
+
+def test_robot_state_publisher_gets_the_robot_with_its_tool(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is started with the links tool and tcp of the tool that the simulation gets, and with none without a tool."""
+    (opaque,) = (action for action in build(monkeypatch, FILE) if action.kind == "OpaqueFunction")
+    for tool, links in ((SHIPPED["tool"], {"tool", "tcp"}), ("none", set())):
+        (node,) = opaque.named["function"]({"urdf": SHIPPED["urdf"], "tool": tool})
+        (given,) = node.named["parameters"]
+        robot = ET.fromstring(given["robot_description"].given[0])
+        names = {link.get("name") for link in robot.findall("link")}
+        assert names & {"tool", "tcp"} == links
+        assert names >= {"base_link", "tool0"}
+
+
+@pytest.mark.parametrize(("code", "left_with"), [(2, 2), (-9, 137), (0, 0)])
+def test_a_node_that_ends_ends_the_launch_with_its_code(
+    monkeypatch: pytest.MonkeyPatch, code: int, left_with: int
+) -> None:
+    """Each node's end shuts the launch down; the first code that is not 0 stays; ended by the launch, none counts."""
+    left: list[int] = []
+    monkeypatch.setattr(exit_code, "_codes", left)
+    monkeypatch.setattr(exit_code.atexit, "register", lambda _: None)
+    made = nodes(build(monkeypatch, FILE))
+    assert ending(made["rx90_sim"], 3, shutting_down=True) is None
+    for node in (made["rx90_controller"], made["rx90_cell"]):
+        answer = ending(node, code)
+        assert answer is not None
+        assert answer.kind == "Shutdown"
+    assert left == ([left_with] if code else [])

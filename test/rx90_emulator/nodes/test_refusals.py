@@ -23,6 +23,12 @@ from processes import Processes
         ("rx90_sim", ["initial_position:=[0, 9, 0, 0, 0, 0]"], ["joint_2", "9"]),
         ("rx90_sim", ["real_time_facto:=1.0"], ["real_time_facto is unknown", "real_time_factor", "step_ticks"]),
         ("rx90_sim", ["friction:=nowhere.yaml"], ["nowhere.yaml"]),
+        ("rx90_sim", ["qos_overrides./joint_states.publisher.depth:=0"], ["joint_states.publisher.depth is 0", "[1,"]),
+        (
+            "rx90_sim",
+            ["qos_overrides./motor_states.publisher.depth:=5"],
+            ["motor_states.publisher.depth is unknown", "depth, reliability, durability of /clock.publisher"],
+        ),
         ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
         ("rx90_cell", ["paused:=true"], ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),

@@ -1,0 +1,296 @@
+"""Fit f_c, f_v and J to all ramps of one load at once, from where the shaft slides.
+
+The shaft obeys J w' = tau - f_v w - f_c - delta_s exp(-(w / w_s)^e), the last term being what is left of a Stribeck
+effect. Angle and velocity at the beginning of each window are free, so that neither the moment of break-away nor what
+presliding and the release of the stiction did before need a model, and the transient of the release, which dies away
+with T = J / f_v, is part of the fit. With alpha = 1 / f_v, beta = f_c / f_v, kappa = delta_s / f_v and T as
+parameters the angle is linear in all but T, the Stribeck velocity w_s and the exponent e.
+
+Residuals are whitened by a Kalman filter (`whitening`); the intensity of the torque noise is estimated by restricted
+maximum likelihood. T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a grid
+of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that the
+intervals contain that ignorance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from friction_bench.experiment.whitening import SPEED, derivatives, eliminate, respond, whiten
+from friction_bench.experiment.window import SlidingWindow
+from rx90_common.base.arrays import Array
+
+EXPONENTS = (0.7, 1.0, 1.5, 2.0)
+"""Stribeck exponents of the grid: published values lie between these."""
+VELOCITIES = 10
+"""Stribeck velocities of the grid, in equal ratios."""
+HIGHEST_VELOCITY = 1.0 / 6.0
+"""The highest of them as a share of the velocity at the ramps' end: a Stribeck effect is over in their second half. One
+that is not cannot be told from less viscous friction."""
+RISE = 0.5
+"""Standard deviation of the prior of delta_s / f_c about zero."""
+FIRST_NOISE = 1e-2
+"""Intensity of the torque noise over f_v, (rad/s)² s, to begin with."""
+NOISE_RANGE = range(-18, 10, 2)
+"""Logarithms of intensities between which the noise is sought."""
+STEPS = 3
+"""Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
+STEPS_ON = 2
+"""With one, from there on."""
+
+
+class Stribeck(NamedTuple):
+    """What is assumed of a Stribeck effect: velocity rad/s at the motor, infinitely small for none, and exponent."""
+
+    velocity: float = 0.0
+    exponent: float = 1.0
+
+    def share(self, speed: Array) -> Array:
+        """Return what is left of the effect from each reading to the next, shape (n,)."""
+        if not self.velocity:
+            return np.zeros_like(speed)
+        left = np.exp(-((np.maximum(speed, 0.0) / self.velocity) ** self.exponent))
+        return np.asarray(np.append((left[1:] + left[:-1]) / 2, left[-1]))
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where the model is linearised: alpha, beta, T, kappa; angle and velocity at each window's start; velocities."""
+
+    shared: Array
+    starts: Array
+    speeds: list[Array]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one ramp says at a point.
+
+    Attributes:
+        gram: of the whitened residual and its derivatives to (alpha, beta, T, kappa), without what the initial angle
+            and velocity explain, shape (5, 5).
+        starts: that angle and velocity for each of them, shape (2, 5).
+        determinant: logarithm of the determinants of the noise and of the information on the start.
+    """
+
+    gram: Array
+    starts: Array
+    determinant: float
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """The fit for one assumption about the Stribeck effect.
+
+    Attributes:
+        covariance: of the parameters that are used, (alpha, beta, T) first.
+        evidence: logarithm of the marginal likelihood.
+    """
+
+    stribeck: Stribeck
+    point: _Point
+    covariance: Array
+    evidence: float
+
+    def friction(self) -> Array:
+        """Return f_c, f_v and J."""
+        return to_friction(self.point.shared)
+
+    def friction_covariance(self) -> Array:
+        """Return the covariance of f_c, f_v and J, shape (3, 3)."""
+        alpha, beta, T, _ = self.point.shared
+        jacobian = np.array(
+            [[-beta / alpha**2, 1 / alpha, 0.0], [-1 / alpha**2, 0.0, 0.0], [-T / alpha**2, 0.0, 1 / alpha]]
+        )
+        return np.asarray(jacobian @ self.covariance[:3, :3] @ jacobian.T)
+
+
+@dataclass(frozen=True)
+class RampsFit:
+    """What all ramps of one load say.
+
+    Attributes:
+        values: f_c, f_v, J.
+        covariance: theirs, shape (3, 3).
+        stribeck: probability that there is a Stribeck effect.
+        velocities: fitted velocity of each ramp at the readings of its window, rad/s.
+        point: alpha, beta, T, kappa of the likeliest assumption about the Stribeck effect.
+        grams: of each ramp (see _Part) there, shape (K, 5, 5).
+    """
+
+    values: Array
+    covariance: Array
+    stribeck: float
+    velocities: list[Array]
+    point: Array
+    grams: Array
+
+    def subset(self, ramps: Sequence[int]) -> Array:
+        """Return f_c, f_v and J from some of the ramps alone, the Stribeck effect as found from all."""
+        gram = self.grams[list(ramps)].sum(axis=0)
+        change = np.linalg.solve(gram[1:4, 1:4], gram[1:4, 0])
+        return to_friction(self.point + np.append(change, 0.0))
+
+    def chi_square(self) -> tuple[float, int]:
+        """Return by how much alphas and betas of each ramp's own would fit better, and the degrees of freedom."""
+        square = slope = curvature = 0.0
+        for gram in self.grams:
+            own, to_T = gram[1:3, 1:3], gram[1:3, 3]
+            square += float(gram[1:3, 0] @ np.linalg.solve(own, gram[1:3, 0]))
+            slope += float(gram[3, 0] - to_T @ np.linalg.solve(own, gram[1:3, 0]))
+            curvature += float(gram[3, 3] - to_T @ np.linalg.solve(own, to_T))
+        return square + slope**2 / curvature, 2 * len(self.grams) - 2
+
+
+def to_friction(shared: Array) -> Array:
+    """Return f_c, f_v and J of alpha, beta, T (and kappa)."""
+    alpha, beta, T = shared[:3]
+    return np.array([beta / alpha, 1.0 / alpha, T / alpha])
+
+
+def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
+    """Fit all ramps of one load.
+
+    Args:
+        windows: of ramps with at least two slopes.
+    """
+    fit = _Fit(windows)
+    point = fit.start()
+    for _ in range(2):
+        noise = fit.noise(point)
+        none = fit.cell(point, Stribeck(), noise)
+        point = none.point
+    grid = fit.grid()
+    cells = [none, *(fit.cell(point, stribeck, noise) for stribeck in grid)]
+    evidence = np.array([cell.evidence for cell in cells])
+    evidence[1:] -= math.log(max(len(grid), 1))  # no effect, and any effect, are equally likely beforehand
+    weights = np.exp(np.nan_to_num(evidence, nan=-np.inf) - np.nanmax(evidence))
+    weights /= weights.sum()
+    used = [(w, cell.friction(), cell.friction_covariance()) for w, cell in zip(weights, cells, strict=True) if w > 0.0]
+    values = sum(w * v for w, v, _ in used)
+    covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
+    best = cells[int(np.argmax(weights))]
+    grams = np.array([part.gram for part in fit.parts(best.point, best.stribeck, noise)])
+    likely = 1.0 - float(weights[0])
+    return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
+
+
+class _Fit:
+    """The windows, and what is done with them for one assumption about noise and Stribeck effect."""
+
+    def __init__(self, windows: Sequence[SlidingWindow]) -> None:
+        self.windows = windows
+        step = windows[0].record.angle_step
+        self.variance = step**2 / 12
+        self.slowest = step / windows[0].record.tick / 2
+        self.fastest = max(window.last_speed for window in windows) * HIGHEST_VELOCITY
+        self.shortest = windows[0].record.tick / 4
+
+    def grid(self) -> list[Stribeck]:
+        """Return the assumptions about a Stribeck effect, from the slowest that a reading resolves."""
+        if self.fastest <= self.slowest:
+            return []
+        velocities = np.geomspace(self.slowest, self.fastest, VELOCITIES)
+        return [Stribeck(float(velocity), exponent) for exponent in EXPONENTS for velocity in velocities]
+
+    def start(self) -> _Point:
+        """Return a point to begin with, from the velocities at each window's beginning and end."""
+        starts = np.array([(window.angle[0], window.first_speed) for window in self.windows])
+        speeds = [np.full_like(window.time, window.first_speed) for window in self.windows]
+        T = max(10 * self.shortest, 0.05 * max(float(np.ptp(window.time)) for window in self.windows))
+        point = _Point(np.array([1.0, 0.0, T, 0.0]), starts, speeds)
+        point = self._step(point, Stribeck(), FIRST_NOISE, [1, 2]).point
+        return self.cell(point, Stribeck(), FIRST_NOISE).point
+
+    def cell(self, point: _Point, stribeck: Stribeck, noise: float) -> _Cell:
+        """Return the fit for one assumption."""
+        used = [1, 2, 3, 4] if stribeck.velocity else [1, 2, 3]
+        point = point if stribeck.velocity else _Point(point.shared * [1, 1, 1, 0], point.starts, point.speeds)
+        for _ in range(STEPS_ON if stribeck.velocity else STEPS):
+            cell = self._step(point, stribeck, noise, used)
+            point = cell.point
+        return cell
+
+    def noise(self, point: _Point) -> float:
+        """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect."""
+        T = float(point.shared[2])
+        halves = []
+        for window, whole in zip(self.windows, self._columns(point, Stribeck()), strict=True):
+            half = window.time.size // 2
+            time, columns = window.time[half:], whole[:, half:].copy()
+            columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
+            halves.append((time, columns))
+
+        def misfit(logarithm: float) -> float:
+            intensity = math.exp(logarithm)
+            parts = [self._part(time, columns, T, intensity) for time, columns in halves]
+            gram = np.sum([part.gram for part in parts], axis=0)
+            return sum(part.determinant for part in parts) - 2.0 * _solve(gram, [1, 2], np.zeros(2), np.zeros(2))[2]
+
+        # Below the quantisation the likelihood is flat: the minimum is bracketed first.
+        best = min(NOISE_RANGE, key=misfit)
+        return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
+
+    def _columns(self, point: _Point, stribeck: Stribeck) -> list[Array]:
+        """Return the rows of `derivatives` for each ramp."""
+        return [
+            derivatives(window.time, window.angle, window.torque, stribeck.share(speeds), point.shared, start)
+            for window, speeds, start in zip(self.windows, point.speeds, point.starts, strict=True)
+        ]
+
+    def _part(self, time: Array, columns: Array, T: float, noise: float) -> _Part:
+        white, determinant = whiten(time, columns, T, noise, self.variance)
+        gram, starts, more = eliminate(white)
+        return _Part(gram, starts, determinant + more)
+
+    def parts(self, point: _Point, stribeck: Stribeck, noise: float) -> list[_Part]:
+        """Reduce each ramp to what it says about the shared parameters."""
+        pairs = zip(self.windows, self._columns(point, stribeck), strict=True)
+        return [self._part(window.time, columns, float(point.shared[2]), noise) for window, columns in pairs]
+
+    def _step(self, point: _Point, stribeck: Stribeck, noise: float, used: list[int]) -> _Cell:
+        """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
+        parts = self.parts(point, stribeck, noise)
+        gram = np.sum([part.gram for part in parts], axis=0)
+        indices = np.array(used) - 1
+        prior = np.zeros(4)
+        if stribeck.velocity:
+            prior[3] = 1.0 / (RISE * max(abs(float(point.shared[1])), 1e-9)) ** 2
+        change, covariance, evidence = _solve(gram, used, prior[indices], point.shared[indices])
+        starts = point.starts.copy()
+        for k, part in enumerate(parts):
+            starts[k] += part.starts[:, 0] - part.starts[:, used] @ change
+            evidence -= part.determinant / 2
+        shared = point.shared.copy()
+        shared[indices] += change
+        T = point.shared[2]
+        shared[2] = np.clip(shared[2], max(T / 2, self.shortest), 2 * T)
+        speeds = []
+        for k, window in enumerate(self.windows):
+            final = shared[0] * window.torque - shared[1] - shared[3] * stribeck.share(point.speeds[k])
+            speeds.append(respond(window.time, final, starts[k, 1], shared[2])[1])
+        return _Cell(stribeck, _Point(shared, starts, speeds), covariance, evidence)
+
+
+def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float]:
+    """Solve the normal equations with a normal prior about zero.
+
+    Returns the change of the parameters from `at`, their covariance, and the logarithm of the marginal likelihood
+    but for the determinants of the noise's covariances.
+    """
+    information = gram[np.ix_(used, used)] + np.diag(prior)
+    right = gram[used, 0] - prior * at
+    scale = 1.0 / np.sqrt(np.diag(information))
+    scaled = information * scale * scale[:, None]
+    covariance = np.linalg.inv(scaled) * scale * scale[:, None]
+    change = covariance @ right
+    square = float(gram[0, 0] + prior @ at**2 - right @ change)
+    determinant = float(np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum())
+    strength = float(np.log(prior[prior > 0.0]).sum())
+    return change, covariance, -(square + determinant - strength) / 2

@@ -1,0 +1,105 @@
+"""A run found in a bag, so that the closed loop without ROS can do it again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.trajectories import read_trajectories
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import BagError, TrajectoryError, check_type
+from rx90_common.base.quoting import plain
+from rx90_common.base.rates import NANOSECONDS
+from rx90_controller.trajectory.message import points_from_message
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.result import MotionCommand, RunResult
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.trajectory_file import message_of
+
+_AT_REST = 0.01  # rad/s
+_LATEST = 100.0  # s of simulated time before the bag begins; the loop runs through it
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedRun:
+    """What was run.
+
+    Attributes:
+        commands: the trajectories, in the order of their start.
+        initial_position: where the arm rested, rad, shape (6,).
+        duration: simulated time at the end of the bag, s.
+    """
+
+    commands: tuple[MotionCommand, ...]
+    initial_position: Array
+    duration: float
+
+
+def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = None) -> RecordedRun:
+    """Read the trajectories that a recorded controller followed, and where the arm began.
+
+    A bag that begins after time 0 is taken to begin with an arm that has rested there since time 0. A trajectory that
+    another one replaced before it began is among the trajectories.
+
+    Args:
+        bag: recorded by `rx90_bag record`, or written by `write_bag`.
+        setup: the robot, for the names of its joints and its rates.
+        initial_position: rad, shape (6,), instead of the first one of `joint_states`.
+
+    Raises:
+        BagError: if the bag cannot be read, lacks what is needed, or begins with a moving arm or too late.
+        TrajectoryError: if a trajectory is none for this robot.
+    """
+    check_type(setup=(setup, Setup))
+    states = read_joint_states(bag, "joint_states", setup.robot.joint_names)
+    first, last = (int(stamp) for stamp in (states.stamp_ns.min(), states.stamp_ns.max()))
+    if first > _LATEST * NANOSECONDS:
+        raise BagError(
+            f"{plain(bag)}: begins at {first / NANOSECONDS:.3f} s; accepted: a bag that begins within {_LATEST:g} s of "
+            "simulated time"
+        )
+    row = int(np.argmin(states.stamp_ns))
+    if initial_position is None:
+        initial_position = _position_at_rest(bag, states.position, states.velocity, row, setup)
+    commands = []
+    for one in read_trajectories(bag):
+        start = setup.rates.start_tick(one.start_ns / NANOSECONDS)
+        try:
+            points = (
+                points_from_message(setup.robot.joint_names, message_of(one.content)) if one.content["points"] else None
+            )
+        except TrajectoryError as error:
+            raise TrajectoryError(f"{plain(bag)}: {error}") from error
+        commands.append(MotionCommand(start, points))
+    step = setup.rates.position_period
+    return RecordedRun(tuple(commands), initial_position, last / NANOSECONDS + step)
+
+
+def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bool = False) -> RunResult:
+    """Do a recorded run again through the closed loop without ROS.
+
+    Raises:
+        TrajectoryError: if a trajectory is refused.
+        DivergenceError: naming joint and tick.
+        SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
+    """
+    check_type(setup=(setup, Setup), run=(run, RecordedRun))
+    return simulate_commands(
+        setup, run.commands, run.initial_position, run.duration, substeps=substeps, record_fast=record_fast
+    )
+
+
+def _position_at_rest(bag: Path | str, position: Array | None, velocity: Array | None, row: int, setup: Setup) -> Array:
+    if position is None:
+        raise BagError(f"{plain(bag)}: joint_states without positions; accepted: a bag with them")
+    if velocity is not None:
+        joint = int(np.argmax(np.abs(velocity[row])))
+        if not abs(velocity[row, joint]) <= _AT_REST:
+            raise BagError(
+                f"{plain(bag)}: {setup.robot.joint_names[joint]} begins with {velocity[row, joint]:.4g} rad/s; "
+                f"accepted: up to {_AT_REST:g} rad/s, or an initial position of your own"
+            )
+    return np.array(position[row])

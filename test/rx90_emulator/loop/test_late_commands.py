@@ -1,0 +1,216 @@
+"""Free-running time with a controller that is late: plant, law, and both nodes' exchange on a clock made by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import repeat
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
+from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius  # noqa: E402
+from rx90_common.exchange.channel import Matches  # noqa: E402
+from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.lockstep import LockstepController  # noqa: E402
+from rx90_common.exchange.motor_messages import MotorMessages  # noqa: E402
+from rx90_common.exchange.pacing import Pacer  # noqa: E402
+from rx90_common.exchange.topics import MOTOR_NAMES  # noqa: E402
+from rx90_controller.node.servo_loop import ServoLoop  # noqa: E402
+from rx90_emulator.loop.setup import Setup  # noqa: E402
+from rx90_sim.node import held_command  # noqa: E402
+
+Array = NDArray[np.float64]
+TICKS = 5000
+
+
+class Side:
+    """One end of the exchange; who waits on the simulation's lets the controller run."""
+
+    def __init__(self, topic: str) -> None:
+        self.subscribe_topic = topic
+        self.inbox: list[bytes] = []
+        self.peer = self
+        self.serve = lambda: None
+
+    def publish(self, raw: bytes) -> None:
+        """Hand a message over."""
+        self.peer.inbox.append(raw)
+
+    def receive(self, timeout: float) -> bytes | None:
+        """Return the next message."""
+        if not self.inbox and timeout > 0.0:
+            self.serve()
+        return self.inbox.pop(0) if self.inbox else None
+
+    def matches(self) -> Matches:
+        """Return one of each."""
+        return Matches(1, 1)
+
+
+class Nodes:
+    """Both nodes' ticking threads in turns: the controller runs when its time has come, or when it is waited for."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.said: list[str] = []
+        self.plant, cs7b = setup.plant(), setup.cs7b()
+        self.plant.reset(HOME)
+        ours, theirs = Side("/motor_commands"), Side("/motor_states")
+        ours.peer, theirs.peer = theirs, ours
+        self._channel = ours
+        rates = setup.rates
+        outputs = SimpleNamespace(
+            wait_for_subscribers=lambda: None,
+            ready=lambda: None,
+            publish=self._note,
+            info=self.said.append,
+            error=self.said.append,
+        )
+        self.loop = ServoLoop(cs7b, outputs, horizon=60.0)
+        self.cs7b = cs7b
+        messages = MotorMessages("/motor_states", MOTOR_NAMES, rates, cs7b.command, self.said.append)
+        messages.same_rates = True
+        pacer = Pacer(rates.period, 1.0, lambda: 0.0, lambda _: None)
+        self.controller = free_running.FreeRunningController(theirs, messages, self.loop, pacer, self.said.append)
+        lockstep = LockstepController(theirs, messages, self.loop, self.said.append)
+        self._modes = {"free_running": self.controller.serve, "lock_step": lambda: lockstep.serve(0.0)}
+        ours.serve = self.controller.serve
+        self.setup = setup
+        codec, self._encode = (
+            JointStateCodec(MOTOR_NAMES),
+            JointStateCodec(MOTOR_NAMES).encoder(*self.plant.motor_states()),
+        )
+        self.held = held_command.HeldCommand(
+            ours, lambda raw: codec.decode(raw)[3], rates.period_ns, 0.1, self.said.append
+        )
+        self._period_ns = rates.period_ns
+        self.error = np.zeros(6)
+        self.torque = np.zeros(6)
+
+    @property
+    def moving(self) -> bool:
+        """Return whether a trajectory runs."""
+        return self.cs7b.trajectory.moving(self.cs7b.position_tick)
+
+    def follow(self, mode: str) -> None:
+        """Let the controller serve in this mode, as `Serving` does."""
+        self.controller.begin_anew()
+        self._channel.serve = self._modes[mode]
+
+    def _note(self, _stamp: int) -> None:
+        self.error = np.maximum(self.error, np.abs(self.cs7b.tracking_error()[0]))
+
+    def run(self, ticks: int, turns: Iterator[int]) -> None:
+        """Run ticks of the plant; the controller runs again after each of `turns`, in ticks."""
+        turn = next(turns)
+        for _ in range(ticks):
+            tick = self.plant.tick
+            self._channel.publish(self._encode(tick * self._period_ns))
+            turn -= 1
+            if turn <= 0:
+                self._channel.serve()
+                turn = next(turns)
+            self.plant.step(self.held.take(tick))
+            self.torque = np.maximum(self.torque, np.abs(self.plant.motor_states()[2]))
+
+
+@pytest.fixture
+def nodes(shipped: Setup) -> Nodes:
+    """Return nodes that hold the arm, about to move it there and back."""
+    nodes = Nodes(shipped)
+    nodes.run(400, repeat(1))
+    nodes.cs7b.trajectory.accept(motion(shipped, 2), nodes.cs7b.position_tick, None)
+    nodes.error[:] = nodes.torque[:] = 0.0
+    return nodes
+
+
+@pytest.mark.parametrize("turns", ["in time", "often late"])
+def test_a_controller_that_is_late_leaves_no_deviation(nodes: Nodes, shipped: Setup, turns: str) -> None:
+    """Stalls of up to 60 ticks add less than 3 % and 20 urad to the motion's errors, and bring no motor near its limit.
+
+    The oracle is the closed loop without ROS, without any delay.
+    """
+    rng = np.random.default_rng(3)
+    stalls = (int(n) for n in np.minimum(rng.pareto(0.8, 100_000) + 1.0, 60.0))
+    nodes.run(TICKS, repeat(1) if turns == "in time" else stalls)
+    ideal, end = run(shipped, constant(TICKS, 0))
+    assert end == -1
+    assert np.all(nodes.error < 1.03 * ideal[0] + 2e-5)
+    assert np.all(nodes.torque < 0.7 * shipped.drives.peak_torque)
+    assert not [line for line in nodes.said if "torque off" in line or "behind" in line]
+
+
+def test_a_controller_that_stays_away_closes_the_brakes(nodes: Nodes) -> None:
+    """Without a controller no torque is older than a few ticks; back again, it leads the motion on without a fault."""
+    nodes.run(1500, repeat(1))
+    nodes._channel.serve = lambda: None
+    nodes.held._timeout = 0.0
+    nodes.run(1000, repeat(10_000))
+    assert nodes.plant.brakes_closed
+    assert "torque off, brakes closed" in nodes.said[-1]
+    nodes._channel.serve = nodes.controller.serve
+    nodes.held._timeout = 0.1
+    nodes.run(TICKS, repeat(1))
+    assert not nodes.plant.brakes_closed
+    assert nodes.loop.fault is None
+    assert any("behind the simulation: a trajectory that runs comes later" in line for line in nodes.said)
+    assert np.abs(nodes.cs7b.tracking_error()[0]).max() < 5e-3
+
+
+def test_a_reset_and_a_new_mode_end_a_motion(nodes: Nodes) -> None:
+    """After a reset, and after each change of `time_mode` under way, the arm is held where it is, without a fault."""
+    nodes.run(1000, repeat(1))
+    assert nodes.moving
+    nodes.plant.reset(HOME)
+    nodes.held.forget()
+    nodes.run(400, repeat(1))
+    assert not nodes.moving
+    assert nodes.plant.joint_states()[0] == pytest.approx(HOME, abs=1e-3)
+    for mode in ("lock_step", "free_running"):
+        nodes.cs7b.trajectory.accept(motion(nodes.setup, 2), nodes.cs7b.position_tick, None)
+        nodes.run(1000, repeat(1))
+        assert nodes.moving
+        nodes.follow(mode)
+        nodes.run(400, repeat(1))
+        assert not nodes.moving
+        assert not nodes.plant.brakes_closed
+        assert nodes.cs7b.tick == nodes.plant.tick
+        assert np.abs(nodes.plant.joint_states()[1]).max() < 0.02
+        nodes.cs7b.reset(nodes.plant.motor_states()[0], nodes.cs7b.tick)
+        nodes.plant.reset(HOME)
+        nodes.held.forget()
+        nodes.run(400, repeat(1))
+    assert nodes.loop.fault is None
+
+
+def test_the_margin_is_that_of_the_phase(shipped: Setup) -> None:
+    """The loop's delay margin by its eigenvalues is that of the continuous loop by its phase, within two ticks."""
+    loop = Loop.of(shipped)
+    frequency = np.geomspace(50.0, 5000.0, 200_000)
+    s = 1j * frequency
+    observer = -np.log(loop.pole) / loop.period
+    # D acts on the observed velocity, and every command waits half a tick; PI waits half a position tick more.
+    damping = loop.kv * s * (observer / (s + observer)) ** 2
+    position = (loop.kv * loop.kp + loop.ki / s) * np.exp(-s * loop.period * loop.ratio / 2)
+    lag = 2 * np.pi * shipped.controller.current_bandwidth
+    open_loop = (damping + position) / s**2 * lag / (s + lag) * np.exp(-s * loop.period / 2)
+    crossing = int(np.argmin(np.abs(np.abs(open_loop) - 1.0)))
+    phase = np.pi + np.angle(open_loop[crossing])
+    margin = phase / frequency[crossing] / loop.period
+    stable = [delay for delay in range(30) if spectral_radius(loop, delay) < 1.0]
+    assert stable == list(range(len(stable)))
+    assert stable[-1] == pytest.approx(margin, abs=2.0)
+
+
+@pytest.mark.parametrize("pattern", [constant, in_turns])
+def test_the_oldest_command_that_is_applied_is_harmless(
+    shipped: Setup, pattern: Callable[[int, int], NDArray[np.int64]]
+) -> None:
+    """Commands as old as is accepted, always or in turns, leave deviation and torque of the motion as they are."""
+    ideal, _ = run(shipped, constant(TICKS, 0))
+    worst, end = run(shipped, pattern(TICKS, held_command.MOST_AGE))
+    assert end == -1
+    assert np.all(worst[0] < ideal[0] + 2e-5)
+    assert np.all(worst[1] < 0.7 * shipped.drives.gear * shipped.drives.peak_torque)
