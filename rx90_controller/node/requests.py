@@ -1,4 +1,4 @@
-"""Trajectories that the controller is asked to follow: taken or refused, stopped, and told of."""
+"""Trajectories sent to the controller: accepted, refused, or stopping the arm; and the lines that say so."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Requests:
 
     Args:
         cs7b: whose generator gets them.
-        log: hears of them.
+        log: gets what became of them.
         horizon: how far ahead of the controller's time, s, a trajectory may start.
 
     Attributes:

@@ -28,12 +28,12 @@ class Schedule(NamedTuple):
 
 @dataclass
 class _Motion:
-    """A spline that begins at position tick `start`; `open` until its end has been told."""
+    """A spline that begins at position tick `start`; `announced` once `ended` has returned its end."""
 
     start: int
     spline: Spline
     period: float
-    open: bool = True
+    announced: bool = False
 
     @property
     def end(self) -> int:
@@ -69,7 +69,7 @@ class TrajectoryGenerator:
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
-        self._current = _Motion(0, _resting(np.array(hold, dtype=np.float64)), self.period, open=False)
+        self._current = _Motion(0, _resting(np.array(hold, dtype=np.float64)), self.period, announced=True)
         self._next: _Motion | None = None
         self.revision += 1
 
@@ -116,9 +116,9 @@ class TrajectoryGenerator:
         """
         self._promote(tick)
         motion = self._current
-        if not motion.open or tick < motion.end:
+        if motion.announced or tick < motion.end:
             return None
-        motion.open = False
+        motion.announced = True
         return motion.end
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
@@ -175,7 +175,7 @@ class TrajectoryGenerator:
 
 
 def _check(spline: Spline, period: float, knots: Array, limits: JointLimits, allowed: Array) -> None:
-    """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+    """Check the set-points of a trajectory, in blocks, so that a long one takes no more memory than a short one."""
     last = _ticks(spline, period)
     for first in range(0, last, _CHECK_BLOCK):
         # The blocks share a set-point, so that the step from one to the next is checked, too.
