@@ -117,3 +117,23 @@ def test_make_refuses_an_unsuitable_python_in_one_line(tmp_path: Path) -> None:
     assert done.returncode != 0
     lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
     assert lines == [f"PYTHON={old} is Python 3.9.18; accepted: CPython 3.10 to 3.13, for example PYTHON=python3.12"]
+
+
+@pytest.mark.parametrize(("own", "others", "chosen"), [(12, (), "python3"), (13, (11, 10), "python3.11")])
+def test_continuous_integration_finds_a_python_for_the_versions_of_ubuntu(
+    own: int, others: tuple[int, ...], chosen: str, tmp_path: Path
+) -> None:
+    """`.ci/run` takes the machine's Python for `make test-jazzy` if it is 3.12 or older, or the newest such."""
+    for name, minor in (("python3", own), *((f"python3.{minor}", minor) for minor in others)):
+        (tmp_path / name).write_text(f"#!/bin/sh\nexit {int(minor > 12)}\n")
+        (tmp_path / name).chmod(0o755)
+    text = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    function = text[text.index("jazzy_python() {") : text.index("\nrun() {")]
+    done = subprocess.run(
+        ["/bin/bash", "-euc", f"{function}\njazzy_python"],
+        env={"PATH": str(tmp_path), "PYTHON": "python3"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == f"{chosen}\n"

@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from importlib.metadata import distribution
+from importlib.metadata import distribution, requires
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,6 +14,7 @@ import pytest
 from catkin_pkg.package import parse_package
 from processes import Processes, script, wait_until
 
+from rx90_common.base.requirements import SOURCES
 from rx90_common.process.children import TIMEOUT, ChildProcess
 from rx90_emulator.cli.frame import EXECUTABLES as TABLE
 
@@ -21,6 +22,16 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "rx90_emulator"
 EXECUTABLES = sorted(e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts")
 NODES = ("rx90_sim", "rx90_controller")
+
+# Keys that rosdep resolves by apt on Ubuntu 24.04 (noble): rosdistro at 8468e88 of 2026-08-22, `ubuntu:` of
+# rosdep/python.yaml without a pip entry, and packages released for noble in jazzy/distribution.yaml. rosdep knows
+# python3-numba there too, but noble has no package of that name.
+RESOLVED_ON_NOBLE = """
+    ament_index_python builtin_interfaces diagnostic_msgs launch launch_ros pinocchio rcl_interfaces rclpy
+    robot_state_publisher rosgraph_msgs rviz2 sensor_msgs std_msgs std_srvs trajectory_msgs type_description_interfaces
+    python3-hypothesis python3-jinja2 python3-matplotlib python3-numpy python3-pytest python3-scipy python3-serial
+    python3-tqdm python3-yaml
+"""
 
 
 def colcon(*arguments: object, folder: Path) -> str:
@@ -81,6 +92,16 @@ def test_package_xml_is_valid_for_ros_tools() -> None:
     assert (warnings, package.get_build_type()) == ([], "ament_python")
     opened = [line for line in (ROOT / "package.xml").read_text().splitlines() if line.count("<") > 2]
     assert opened == []
+
+
+def test_an_installed_jazzy_gets_every_package() -> None:
+    """Rosdep finds each key of package.xml in apt; what a run needs is among them, or in the README's line of pip."""
+    keys = {element.text for element in ElementTree.parse(ROOT / "package.xml").iter() if "depend" in element.tag}
+    assert keys <= set(RESOLVED_ON_NOBLE.split())
+    (by_pip,) = re.findall(r"-m pip install -c \S+constraints-jazzy\.txt (.*)", (ROOT / "README.md").read_text("utf-8"))
+    from_apt = {source.pip for source in SOURCES.values() if source.apt.replace("ros-jazzy-", "") in keys}
+    needed = {re.split("[<>=]", line)[0] for line in requires(PACKAGE) or [] if "extra ==" not in line}
+    assert needed == from_apt | set(by_pip.split())
 
 
 def test_the_version_is_the_same_everywhere() -> None:

@@ -1,9 +1,9 @@
 """The two verbs of the `ros2` command line that the README uses, for an environment without it.
 
-    ros2_stand_in.py topic pub --once TOPIC TYPE YAML
+    ros2_stand_in.py topic pub --once -w COUNT TOPIC TYPE YAML
     ros2_stand_in.py service call SERVICE TYPE YAML
 
-As the real one, `topic pub --once` waits for a subscription and goes when the message is sent.
+As the real one, `topic pub --once -w COUNT` waits for as many subscriptions and goes when the message is sent.
 """
 
 from __future__ import annotations
@@ -41,17 +41,19 @@ def filled(message: Any, values: dict[str, Any]) -> Any:
 
 def main() -> int:
     """Run one verb."""
-    *verb, name, kind, text = [word for word in sys.argv[1:] if word != "--once"]
+    *verb, name, kind, text = sys.argv[1:]
     rclpy.init()
     node = rclpy.create_node("ros2_stand_in")
     deadline = time.monotonic() + _TIMEOUT
-    if verb == ["topic", "pub"]:
+    if verb[:4] == ["topic", "pub", "--once", "-w"]:
+        (wanted,) = map(int, verb[4:])
         publisher = node.create_publisher(interface(kind), name, 10)
-        while not publisher.get_subscription_count() and time.monotonic() < deadline:
+        while publisher.get_subscription_count() < wanted and time.monotonic() < deadline:
             time.sleep(0.05)
         publisher.publish(filled(interface(kind)(), yaml.safe_load(text)))
         time.sleep(0.1)
     else:
+        assert verb == ["service", "call"], verb
         client = node.create_client(interface(kind), name)
         client.wait_for_service(_TIMEOUT)
         future = client.call_async(filled(interface(kind).Request(), yaml.safe_load(text)))
