@@ -22,6 +22,7 @@ SOURCES = {
     "distributed": Source("distributed"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
+    "lz4": Source("rosbags"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),

@@ -17,6 +17,7 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 
+_LONGEST = 4_294_967_296  # s: stamps count so far, and two of them do not overflow 64 bits of ns
 HELP = "compare two bags; exit 0 same, 1 differs, 2 cannot be compared"
 
 
@@ -78,17 +79,19 @@ def _alignment(text: str) -> int | str:
 
     if text in (START, TRAJECTORY):
         return text
-    try:
-        return int(Decimal(text) * NANOSECONDS)
-    except (InvalidOperation, ValueError, OverflowError) as error:
-        raise BagError(f"--align is {quoted(text)}; accepted: {START}, {TRAJECTORY}, or a time in s") from error
+    return _time("--align", text, f"{START}, {TRAJECTORY}, or a time in s, up to {_LONGEST:,} s")
 
 
 def _nanoseconds(option: str, text: str | None) -> int | None:
+    return None if text is None else _time(option, text, f"a time in s, e.g. 1.25, up to {_LONGEST:,} s")
+
+
+def _time(option: str, text: str, accepted: str) -> int:
     """Return a time in ns without the detour over floating point, which spoils stamps of the wall clock."""
-    if text is None:
-        return None
     try:
-        return int(Decimal(text) * NANOSECONDS)
-    except (InvalidOperation, ValueError, OverflowError) as error:
-        raise BagError(f"{option} is {quoted(text)}; accepted: a time in s, e.g. 1.25") from error
+        time = Decimal(text)
+        if abs(time) <= _LONGEST:  # raises for what is no number
+            return int(time * NANOSECONDS)
+    except (InvalidOperation, ValueError):
+        pass
+    raise BagError(f"{option} is {quoted(text)}; accepted: {accepted}")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import shutil
 import sys
+import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from rosbags.rosbag2.storage_mcap import decompress
+import lz4.frame
 
 from rx90_common.bags.files.contents import DamagedError
 from rx90_common.base.errors import write_error
+from rx90_common.base.quoting import quoted
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -21,6 +24,10 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 """With which no CDR message begins."""
 ZSTD_MESSAGES: Final = "zstd messages"
 
+_MOST_BYTES = 256 << 20  # of a message; nothing beside it says how long it is
+_STEP = 1 << 20
+_CHUNKS: dict[str, Callable[[], Any]] = {"zstd": zstd.ZstdDecompressor, "lz4": lz4.frame.LZ4FrameDecompressor}
+
 
 def decompress_chunk(where: str, content: bytes, compression: str, size: int, crc: int) -> bytes:
     """Return what is in a chunk.
@@ -28,10 +35,17 @@ def decompress_chunk(where: str, content: bytes, compression: str, size: int, cr
     Raises:
         DamagedError: if it cannot be decompressed, or has another size or checksum.
     """
+    if compression not in ("", *_CHUNKS):
+        raise DamagedError(f"{where} is compressed as {quoted(compression)}; accepted: {', '.join(_CHUNKS)}")
     try:
-        return decompress(content, compression, size, crc)
-    except Exception as error:  # of zstd, lz4 and rosbags, which have no root in common
-        raise DamagedError(f"{where}: {error or type(error).__name__}") from error
+        data = _decompress(_CHUNKS[compression], content, size) if compression else content
+    except Exception as error:  # of zstd and lz4, which have no root in common
+        raise DamagedError(f"{where}: {str(error) or type(error).__name__}") from error
+    if len(data) != size:
+        raise DamagedError(f"{where} has {len(data):,} bytes, not the {size:,} that its head says")
+    if crc and zlib.crc32(data) != crc:
+        raise DamagedError(f"the checksum of {where} is another one")
+    return data
 
 
 def decompress_message(content: bytes) -> bytes:
@@ -43,9 +57,32 @@ def decompress_message(content: bytes) -> bytes:
     if not content.startswith(ZSTD_MAGIC):
         return content
     try:
-        return zstd.decompress(content)
+        return _decompress(zstd.ZstdDecompressor, content, _MOST_BYTES)
     except (zstd.ZstdError, EOFError) as error:
         raise DamagedError(f"a compressed message: {error}") from error
+
+
+def _decompress(decompressor: Callable[[], Any], content: bytes, most: int) -> bytes:
+    """Return what is in the frames of `content`; a few bytes may stand for more than a memory holds.
+
+    Raises:
+        EOFError: if it is more than `most` bytes, or cut off.
+    """
+    parts: list[bytes] = []
+    length = 0
+    while content:
+        frame = decompressor()
+        while not frame.eof:
+            part = frame.decompress(content, _STEP)
+            content = b""
+            length += len(part)
+            if length > most:
+                raise EOFError(f"is longer than {most:,} bytes")
+            if not part and not frame.eof:
+                raise EOFError("is cut off")
+            parts.append(part)
+        content = frame.unused_data or b""
+    return b"".join(parts)
 
 
 def decompress_file(source: Path, target: Path) -> None:

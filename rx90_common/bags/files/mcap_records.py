@@ -95,6 +95,10 @@ class Fields:
         """Return the place of the next field."""
         return self._at
 
+    def left(self) -> int:
+        """Return how many bytes have not been read."""
+        return len(self._content) - self._at
+
     def _take(self, size: int) -> bytes:
         end = self._at + size
         if end > len(self._content):
@@ -133,7 +137,7 @@ class Dictionary:
         """Take a record that is a schema or a channel; others are not looked at.
 
         Raises:
-            DamagedError: if it is not the same as one before.
+            DamagedError: if it is cut off, or not the same as one before.
         """
         if op not in (Op.SCHEMA, Op.CHANNEL):
             return
@@ -144,6 +148,9 @@ class Dictionary:
             same = self.schemas.setdefault(number, schema) == schema
         else:
             channel = McapChannel(fields.numbers(_ID)[0], fields.text(), fields.text())
+            about = Fields(fields.block())
+            while about.left():  # a reader that follows lengths beyond it misses the messages behind the channel
+                about.text()
             same = self.channels.setdefault(number, channel) == channel
         if not same:
             raise DamagedError(f"{Op(op).name.lower()} {number} is described in two ways")

@@ -186,6 +186,8 @@ def check_summary(data: bytes, structure: Structure) -> RecordPlace | None:
         raise DamagedError("it does not end with a footer")
     _check_footer(data, structure, places)
     for place in places:
+        if place.op in (Op.HEADER, Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX):
+            raise DamagedError(f"the record {Op(place.op).name.lower()} at byte {place.start} stands behind the data")
         for dictionary in (structure.dictionary, structure.listed):
             dictionary.add(place.op, data[place.start : place.end])
     indexes = [data[place.start : place.end] for place in places if place.op == Op.CHUNK_INDEX]

@@ -139,6 +139,8 @@ def test_two_nan_with_other_bits_differ_unless_a_tolerance_is_given() -> None:
         ("-0.4", 1, "moved by -0.400000000 s"),
         ("0", 2, "no stamp in common"),
         ("later", 2, "--align is 'later'; accepted: start, trajectory, or a time in s"),
+        ("1e10", 2, "--align is '1e10'; accepted: start, trajectory, or a time in s, up to 4,294,967,296 s"),
+        ("-1e999999", 2, "--align is '-1e999999'; accepted: "),
     ],
 )
 def test_bags_of_runs_that_began_at_other_times_are_aligned(
@@ -264,6 +266,7 @@ def test_exit_code(bags: Path, arguments: str, code: int, monkeypatch: pytest.Mo
         ("a off --topics elbow", "/elbow is in neither bag; JointState topics: /joint_states"),
         ("a off --from soon", "--from is 'soon'; accepted: a time in s"),
         ("a off --from nan", "--from is 'nan'; accepted: a time in s"),
+        ("a off --from 1e999999", "--from is '1e999999'; accepted: a time in s, e.g. 1.25, up to 4,294,967,296 s"),
         ("a off --from 2 --to 1", "accepted: a start before the end"),
         ("a off --from 100", "in the time window"),
         ("a nowhere", "nowhere: no such bag"),
