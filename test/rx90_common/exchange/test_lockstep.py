@@ -207,6 +207,17 @@ def test_the_simulation_takes_the_command_of_its_tick_alone(channel: FakeChannel
     assert channel.sent == [message(tick) for tick in range(50)]
 
 
+def test_a_command_that_cannot_be_used_leaves_the_tick_to_the_next_one(channel: FakeChannel) -> None:
+    """Of two commands for a tick the second is taken when the first is refused; the states are not sent again."""
+    simulation = lockstep.LockstepSimulation(channel, pytest.fail)
+    channel.inbox.extend([NOT_FINITE[1], message(0), message(1, 1.0), message(1, 1.0)])
+    assert simulation.exchange(PERIOD, message(1), never) == NOT_FINITE[1]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert channel.sent == [message(1)]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert simulation.again(PERIOD, message(1), lambda: True) is None
+
+
 def test_a_silent_controller_gets_the_states_again_once_a_second(channel: FakeChannel) -> None:
     """Silence of a controller that is there is announced once and answered with the same bytes once a second."""
     said: list[str] = []
