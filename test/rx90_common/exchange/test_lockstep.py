@@ -160,6 +160,15 @@ def test_another_tick_is_refused(channel: FakeChannel) -> None:
         controller.hear(*(message(2 * k) for k in range(5)))
 
 
+def test_foreign_states_at_another_pace_do_not_end_a_controller_that_knows_the_rates(channel: FakeChannel) -> None:
+    """The loops begin anew with each of them, and with the simulation's own that follow."""
+    controller = Controller(channel)
+    controller.messages.same_rates = True
+    controller.hear(message(0), message(1), *(message(4000 * k) for k in range(1, 6)), message(2), message(3))
+    assert controller.answered == [0, 1, 4000, 8000, 12000, 16000, 20000, 2, 3]
+    assert controller.begun == [0, 4000, 8000, 12000, 16000, 20000, 2]
+
+
 def test_two_simulations_get_no_commands_until_one_is_left(channel: FakeChannel) -> None:
     """Interleaved states of two publishers are announced once and left unanswered until one publisher is left."""
     controller = Controller(channel)
