@@ -206,7 +206,10 @@ class LockstepController:
                 self._jumped = 0
             self._command = self._messages.encode(stamp, self._loops.step(stamp, states))
             self._stamp, self._state = stamp, raw
-        self._channel.publish(self._command)
+            self._channel.publish(self._command)
+            self._loops.after_command(stamp)
+        else:
+            self._channel.publish(self._command)
         self._heard = time.monotonic()
         assert self._stamp is not None
         self._wait.end(self._stamp)

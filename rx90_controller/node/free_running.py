@@ -128,6 +128,7 @@ class FreeRunningController:
             while self._next <= states.stamp_ns:
                 torque = self._loops.step(self._next, states)
                 command = self._messages.encode(self._next, torque)
+                self._loops.after_command(self._next)
                 self._next += self._period_ns
         if command is not None and not (self._second.there and self._second.look()):
             self._channel.publish(command)

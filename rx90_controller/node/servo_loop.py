@@ -53,6 +53,7 @@ class ServoLoop:
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
         self._waiting: Any = None
+        self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
 
@@ -86,13 +87,23 @@ class ServoLoop:
             if slow:
                 self._requests.note_end()
             cs7b.step(states.position, states.velocity)
-            if slow:
-                self._outputs.publish(stamp_ns)
+            self._unpublished = slow
             if cs7b.fault is None:
                 return True
+            self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
             self._trip(cs7b.fault)
             cs7b.reset(states.position, cs7b.tick)
             return False
+
+    def after_command(self, stamp_ns: int) -> None:
+        """Publish what the last step has left: after its command, for which the simulation waits."""
+        with self._lock:
+            self._publish(stamp_ns)
+
+    def _publish(self, stamp_ns: int) -> None:
+        if self._unpublished:
+            self._unpublished = False
+            self._outputs.publish(stamp_ns)
 
     def _trip(self, fault: DriveFault) -> None:
         self.enabled, self.fault = False, fault

@@ -68,7 +68,11 @@ class Rig:
 
     def run(self, first: int, count: int) -> list[bool]:
         """Run ticks; return for each whether there is torque."""
-        return [self.loop.step(tick * self.period, self.states(tick)) for tick in range(first, first + count)]
+        torques = []
+        for tick in range(first, first + count):
+            torques.append(self.loop.step(tick * self.period, self.states(tick)))
+            self.loop.after_command(tick * self.period)
+        return torques
 
     def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
         """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
@@ -151,6 +155,11 @@ def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> Non
     rig.loop.hold(rig.states(8))
     assert rig.run(8, 8) == [True] * 8
     assert rig.around.published == [8 * rig.period, 12 * rig.period]
+    rig.loop.step(16 * rig.period, rig.states(16))
+    assert len(rig.around.published) == 2  # the simulation waits for the command: it comes first
+    rig.loop.after_command(16 * rig.period)
+    rig.loop.after_command(16 * rig.period)
+    assert rig.around.published[2:] == [16 * rig.period]
 
 
 def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: Rig) -> None:

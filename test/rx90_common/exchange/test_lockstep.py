@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
+from rx90_common.base.stamps import cdr_stamp_ns
 
 lockstep = pytest.importorskip("rx90_common.exchange.lockstep", reason="needs rclpy", exc_type=ImportError)
 from rx90_common.exchange.channel import Matches  # noqa: E402
@@ -92,6 +93,7 @@ class Controller:
         self.said: list[str] = []
         self.refused: list[str] = []
         self.answered: list[int] = []
+        self.reported: list[int] = []
         self.begun: list[int] = []
         self.prepared = 0
         self.channel = channel
@@ -114,6 +116,11 @@ class Controller:
         self.answered.append(stamp // PERIOD)
         self.command[0] = float(len(self.answered))
         return True
+
+    def after_command(self, stamp_ns: int) -> None:
+        """Note that the command of this tick is out."""
+        assert cdr_stamp_ns(self.channel.sent[-1]) == stamp_ns
+        self.reported.append(stamp_ns // PERIOD)
 
     def skip(self, count: int) -> None:
         """Fail: lock-step leaves nothing out."""
