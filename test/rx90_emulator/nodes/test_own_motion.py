@@ -52,7 +52,7 @@ def test_the_newcomers_path_runs_as_written(
 ) -> None:
     """A motion published, recorded, and run again without ROS gives the same bits; the plot is drawn.
 
-    Time stands still in the middle of the motion, too: the samples that come again meanwhile make no difference.
+    Time stands still in the middle of the motion, too: the samples that come again meanwhile are not in the bag.
     """
     monkeypatch.chdir(tmp_path)
     found = blocks()
@@ -73,6 +73,7 @@ def test_the_newcomers_path_runs_as_written(
     simulation.wait_for("trajectory ended")
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
+    assert re.search(r"; \d+ repetitions of the sample before are left out", recorder.output)
     for line in compare:
         done = processes.run(*words(line), timeout=TIMEOUT)
         assert done.returncode == 0, shlex.join(words(line)) + done.stdout + done.stderr
