@@ -1,10 +1,11 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
     python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [perturbation]
-                         [lockstep] [composition] [sweep] [friction_ramp] [friction_ramp_coverage] [identification]
-                         [identification_presliding] [identification_time]
+                         [lockstep] [composition] [speed] [sweep] [friction_ramp] [friction_ramp_coverage]
+                         [identification] [identification_presliding] [identification_time]
 
-Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
+Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
+benchmarks.figures` brings them into README.md and docs/.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ NAMES = (
     "perturbation",
     "lockstep",
     "composition",
+    "speed",
     "sweep",
     "friction_ramp",
     "friction_ramp_coverage",

@@ -52,7 +52,7 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
         for k in range(rounds):
             alone.append(_alone(SIMULATED))
             recorded.append(_recorded(task, plan, folder / f"recorded_{k}"))
-            _check(folder / f"recorded_{k}", closed_loop)
+            check(folder / f"recorded_{k}", closed_loop)
     return spread("composed_real_time_factor", alone) | spread("composed_recorded_real_time_factor", recorded)
 
 
@@ -99,7 +99,12 @@ def _factor(cell: ChildProcess) -> float:
     return slope(stamps)
 
 
-def _check(bag: Path, closed_loop: Path) -> None:
+def check(bag: Path, closed_loop: Path) -> None:
+    """Compare a recorded bag with that of the closed loop without ROS.
+
+    Raises:
+        ExchangeError: if a message is missing or a bit differs.
+    """
     comparison = compare_bags(bag, closed_loop)
     if comparison.verdict is not Verdict.SAME:
         raise ExchangeError(f"the recorded run is not the closed loop's:\n{comparison_text(comparison)}")

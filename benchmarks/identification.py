@@ -77,15 +77,19 @@ class Tally:
         """Return the share of values within 1.96 deviations."""
         return float(np.mean(np.array(self.scores) < 1.96))
 
+    @property
+    def within_2_percent(self) -> float:
+        """Return the share of values less than 2 % off."""
+        return float(np.mean(np.array(self.errors) < TWO_PERCENT))
+
     def row(self, label: str) -> tuple[str, ...]:
         """Return what the table shows."""
         errors = np.array(self.errors)
         sizes = [f"{100.0 * value:.2f}" for value in (np.median(errors), np.quantile(errors, 0.95), errors.max())]
-        within = f"{100.0 * np.mean(errors < TWO_PERCENT):.1f}"
         return (
             label,
             *sizes,
-            within,
+            f"{100.0 * self.within_2_percent:.1f}",
             f"{100 * self.covered:.1f}",
             str(self.lacking),
             f"{np.median(self.seconds):.1f}",
@@ -128,7 +132,13 @@ def main() -> int:
         print(f"beyond 2 %, {label}: {', '.join(outside) or 'none'}")
     for key, label in (("", "no noise"), ("_noisy", "the rig's noise")):
         tally = tallies[label]
-        merge({f"identification{key}_coverage": tally.covered, f"identification{key}_worst_error": max(tally.errors)})
+        merge(
+            {
+                f"identification{key}_coverage": tally.covered,
+                f"identification{key}_within_2_percent": tally.within_2_percent,
+                f"identification{key}_worst_error": max(tally.errors),
+            }
+        )
     merge({"identification_sliding_s": float(np.median(tallies["the rig's noise"].seconds))})
     return 0
 

@@ -196,6 +196,9 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
         def step(self, _stamp: int, _states: MotorStates) -> bool:
             return True
 
+        def after_command(self, _stamp: int) -> None:
+            pass
+
         def skip(self, count: int) -> None:
             pass
 

@@ -18,17 +18,17 @@ from friction_bench.rig.rig_file import RampPlan, Rig
 from rx90_common.base.errors import IdentificationError
 
 LEAST_SLIDING = 1.5
-"""Time, s, and"""
+"""Shortest time for which the shaft slides in the fastest ramp, s."""
 LEAST_CONSTANTS = 8.0
-"""time constants for which the shaft slides in the fastest ramp."""
+"""The same in time constants; the longer of the two counts."""
 LONGEST_CONSTANT = 0.5
-"""A first ramp alone tells the time constant poorly; more than this, s, is not asked for."""
+"""The time constant, s, that is taken if the first ramp shows a longer one: a single ramp tells it poorly."""
 LEAST_RATIO = 1.8
-"""Between fastest and slowest slope."""
+"""Smallest ratio of fastest to slowest slope."""
 RATIO = 2.5
-"""The same where it is chosen here."""
+"""The ratio where the slopes are chosen here."""
 READINGS = 300
-"""Of a sliding shaft, at the fastest slope, in all repeats."""
+"""Fewest readings of a sliding shaft at the fastest slope, all repeats together."""
 MOST_REPEATS = 20
 
 

@@ -10,6 +10,9 @@ Residuals are whitened by a Kalman filter (`whitening`); the intensity of the to
 maximum likelihood. T is found by Gauss-Newton steps. What the Stribeck effect is, the data seldom tell: all of a grid
 of w_s and e, and no effect at all, are averaged by their marginal likelihoods (Bayesian model averaging), so that the
 intervals contain that ignorance.
+
+Units: w in rad/s at the motor; tau, f_c and delta_s in Nm, f_v in Nm s/rad, J in kg m²; hence alpha in rad/(s Nm),
+beta and kappa in rad/s, T in s.
 """
 
 from __future__ import annotations
@@ -31,8 +34,8 @@ EXPONENTS = (0.7, 1.0, 1.5, 2.0)
 VELOCITIES = 10
 """Stribeck velocities of the grid, in equal ratios."""
 HIGHEST_VELOCITY = 1.0 / 6.0
-"""The highest of them as a share of the velocity at the ramps' end: a Stribeck effect is over in their second half. One
-that is not cannot be told from less viscous friction."""
+"""The highest of them over the velocity at the ramps' end: a Stribeck effect that reached into the ramps' second half
+could not be told from less viscous friction."""
 RISE = 0.5
 """Standard deviation of the prior of delta_s / f_c about zero."""
 FIRST_NOISE = 1e-2
@@ -42,7 +45,7 @@ NOISE_RANGE = range(-18, 10, 2)
 STEPS = 3
 """Gauss-Newton steps without a Stribeck effect; the second already changes less than the noise."""
 STEPS_ON = 2
-"""With one, from there on."""
+"""Further steps for each assumption with a Stribeck effect."""
 
 
 class Stribeck(NamedTuple):
@@ -116,7 +119,7 @@ class RampsFit:
     """What all ramps of one load say.
 
     Attributes:
-        values: f_c, f_v, J.
+        values: f_c (Nm), f_v (Nm s/rad), J (kg m²), shape (3,).
         covariance: theirs, shape (3, 3).
         stribeck: probability that there is a Stribeck effect.
         velocities: fitted velocity of each ramp at the readings of its window, rad/s.

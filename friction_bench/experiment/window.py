@@ -21,9 +21,9 @@ SLIDING_COUNTS = 10.0
 MIN_READINGS = 15
 """Fewest readings of a sliding shaft that say something about friction and inertia."""
 ONSET_TICKS = 5
-"""Break-away is fitted to so many readings after the first certain motion."""
+"""Break-away is fitted to this many readings after the first certain motion."""
 EARLIER_TICKS = 25
-"""It is sought over so many readings before that."""
+"""It is sought in this many readings before that."""
 SATURATION_LIMIT = 0.06
 """Relative shortfall of the measured torque that counts as saturation."""
 

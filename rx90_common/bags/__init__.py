@@ -1,6 +1,7 @@
 """Bags: recorded from the running nodes, written from arrays, read back, summarised and compared."""
 
 __all__ = [
+    "batch",
     "comparison",
     "joint_series",
     "ordering",

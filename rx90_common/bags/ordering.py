@@ -6,14 +6,17 @@ and sorted by their stamps, so that equal runs make equal bags.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from collections.abc import Sequence
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rx90_common.base.stamps import cdr_stamp_ns
+import numpy as np
+
+from rx90_common.bags.batch import Int64Array, MessageBatch
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
 _MAX_UNDATED_BYTES = 16 << 20
+_UNKNOWN = -1  # in place of a log time
 
 
 class TimeSource(Enum):
@@ -27,24 +30,68 @@ class TimeSource(Enum):
     """The newest stamp of a clock topic, as they have none."""
 
 
-class Entry(NamedTuple):
-    """A message with its log time in ns; sorts by time, topic, arrival."""
+class Dated(NamedTuple):
+    """n messages with log times.
 
-    log_ns: int
+    Attributes:
+        log_ns: log time, ns, int64 (n,).
+        topic: index of the topic, int64 (n,).
+        messages: what was received.
+    """
+
+    log_ns: Int64Array
+    topic: Int64Array
+    messages: MessageBatch
+
+    def take(self, rows: Int64Array) -> Dated:
+        """Return these messages."""
+        return Dated(self.log_ns[rows], self.topic[rows], self.messages.take(rows))
+
+
+class Arrived(NamedTuple):
+    """n messages of a topic in the order of arrival.
+
+    Attributes:
+        topic: index of the topic.
+        source: where their log time comes from.
+        messages: what was received.
+        received_ns: the wall clock's times of reception, ns, int64 (n,).
+    """
+
     topic: int
-    arrival: int
-    cdr: bytes
+    source: TimeSource
+    messages: MessageBatch
+    received_ns: Int64Array
 
 
-class _Undated(NamedTuple):
-    topic: int
-    arrival: int
-    cdr: bytes
-    received_ns: int
+class _Clock:
+    """The newest log time at any time of reception, and how far it is ahead of the stamps.
+
+    Args:
+        newest: the log time before all these messages, None if there was none.
+        offset: by how much it was ahead.
+        received_ns: times of reception of messages that give the time, int64 (n,).
+        stamps: theirs, int64 (n,).
+        log_ns: their log times, int64 (n,).
+    """
+
+    def __init__(
+        self, newest: int | None, offset: int, received_ns: Int64Array, stamps: Int64Array, log_ns: Int64Array
+    ) -> None:
+        order = np.argsort(received_ns, kind="stable")
+        self._received = received_ns[order]
+        first = _UNKNOWN if newest is None else newest
+        self._newest = np.maximum.accumulate(np.concatenate([[first], log_ns[order]]))
+        self._offset = np.maximum.accumulate(np.concatenate([[offset], (log_ns - stamps)[order]]))
+
+    def date(self, stamps: Int64Array, received_ns: Int64Array) -> Int64Array:
+        """Return log times for stamps, and for 0 the newest one before the time of reception, or _UNKNOWN."""
+        at = np.searchsorted(self._received, received_ns)
+        return np.where(stamps > 0, stamps + self._offset[at], self._newest[at])
 
 
 class LogOrder:
-    """Dates messages and releases them in the order of log time.
+    """Dates messages and releases them in the order of log time, then of their topics, then of arrival.
 
     Messages without a stamp that come before the first one with a stamp get that first stamp. Where no topic
     gives the time, log time is the wall clock's time of reception.
@@ -54,18 +101,19 @@ class LogOrder:
 
     Attributes:
         set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
+        held_bytes: bytes of the messages that are held.
     """
 
     def __init__(self) -> None:
         self._by_reception = False
         self._newest: int | None = None
+        self._first: int | None = None
         self._stamps: dict[int, int] = {}  # newest of each clock topic
         self._epochs: dict[int, int] = {}  # of each clock topic: how often its stamps went back
         self._offsets = [0]  # log time less stamp, for each epoch
         self.set_backs: list[tuple[int, int]] = []
-        self._arrivals = 0
-        self._entries: list[Entry] = []
-        self._undated: list[_Undated] = []
+        self._held: list[Dated] = []
+        self._undated: list[Arrived] = []
         self._undated_bytes = 0
         self._next_release = 0
         self.held_bytes = 0
@@ -79,75 +127,108 @@ class LogOrder:
         """Date by reception: none of the topics will give the time."""
         self._by_reception = True
 
-    def add(self, topic: int, source: TimeSource, cdr: bytes, received_ns: int) -> None:
-        """Take a message; `received_ns` is the wall clock's time of reception."""
-        self._arrivals += 1
-        self.held_bytes += len(cdr)
-        log_ns = self._newest
-        if source is not TimeSource.NEWEST:
-            stamp = max(0, cdr_stamp_ns(cdr))
-            if source is TimeSource.CLOCK:
-                log_ns = stamp + self._offset(topic, stamp)
-                self._advance(log_ns)
-            elif stamp:
-                log_ns = stamp + self._offsets[-1]
-        if log_ns is None and self._by_reception:
-            log_ns = received_ns
-        if log_ns is None:
-            self._undated.append(_Undated(topic, self._arrivals, cdr, received_ns))
-            self._undated_bytes += len(cdr)
-            if self._undated_bytes > _MAX_UNDATED_BYTES:
-                self._date(None)
-        else:
-            self._entries.append(Entry(log_ns, topic, self._arrivals, cdr))
+    def add(self, arrived: Sequence[Arrived]) -> None:
+        """Take the messages that have arrived since the last call."""
+        newest, offset = self._newest, self._offsets[-1]
+        clocks = [each for each in arrived if each.source is TimeSource.CLOCK]
+        dated = [self._add_clock(each) for each in clocks]
+        others = [each for each in arrived if each.source is not TimeSource.CLOCK]
+        if others:
+            fields = zip(*((each.received_ns, *times) for each, times in zip(clocks, dated, strict=True)), strict=True)
+            columns = [np.concatenate(field) for field in fields] or [np.zeros(0, dtype=np.int64)] * 3
+            clock = _Clock(newest, offset, *columns)
+            for each in others:
+                self._add_other(each, clock)
+        self.held_bytes += sum(each.messages.total for each in arrived)
+        if newest is None and self._newest is not None:
+            self._date(self._first)
 
-    def release(self) -> list[Entry]:
-        """Return what is old enough that nothing older can be expected."""
+    def release(self) -> Dated | None:
+        """Return what is old enough that nothing older can be expected, if there is any."""
         newest = self._newest
         if newest is None:
-            return self.release_all() if self._by_reception else []
+            return self.release_all() if self._by_reception else None
         if newest < self._next_release:
-            return []
+            return None
         self._next_release = newest + _HOLD_NS // 2
-        self._entries.sort()
-        end = bisect_right(self._entries, newest - _HOLD_NS, key=lambda entry: entry.log_ns)
-        return self._cut(end)
+        return self._cut(newest - _HOLD_NS)
 
-    def release_all(self) -> list[Entry]:
-        """Return all that is held."""
+    def release_all(self) -> Dated | None:
+        """Return all that is held, if there is any."""
         self._date(self._newest)
-        self._entries.sort()
-        return self._cut(len(self._entries))
+        return self._cut(None)
 
-    def _cut(self, end: int) -> list[Entry]:
-        released, self._entries = self._entries[:end], self._entries[end:]
-        self.held_bytes -= sum(len(entry.cdr) for entry in released)
-        return released
+    def _cut(self, last: int | None) -> Dated | None:
+        """Return what is dated up to `last`, in order, and hold the rest."""
+        if not self._held:
+            return None
+        log_ns, topic, messages = zip(*self._held, strict=True)
+        held = Dated(np.concatenate(log_ns), np.concatenate(topic), MessageBatch.join(messages))
+        order = np.lexsort((held.topic, held.log_ns))  # stable: the rest is in order of arrival
+        end = len(order) if last is None else int(np.searchsorted(held.log_ns[order], last, side="right"))
+        released, rest = held.take(order[:end]), held.take(order[end:])
+        self._held = [rest] if len(rest.log_ns) else []
+        self.held_bytes -= released.messages.total
+        return released if end else None
 
-    def _offset(self, topic: int, stamp: int) -> int:
+    def _hold(self, topic: int, log_ns: Int64Array, messages: MessageBatch) -> None:
+        if len(messages):
+            self._held.append(Dated(log_ns, np.full(len(messages), topic, dtype=np.int64), messages))
+
+    def _add_other(self, arrived: Arrived, clock: _Clock) -> None:
+        """Take messages of a topic that does not give the time."""
+        topic, source, messages, received_ns = arrived
+        stamps = messages.stamps_ns() if source is TimeSource.STAMP else np.zeros(len(messages), dtype=np.int64)
+        log_ns = clock.date(stamps, received_ns)
+        if self._newest is None and self._by_reception:
+            log_ns = np.where(log_ns == _UNKNOWN, received_ns, log_ns)
+        dated = log_ns != _UNKNOWN
+        if dated.all():
+            self._hold(topic, log_ns, messages)
+            return
+        self._hold(topic, log_ns[dated], messages.take(np.flatnonzero(dated)))
+        undated = np.flatnonzero(~dated)
+        self._undated.append(Arrived(topic, source, messages.take(undated), received_ns[undated]))
+        self._undated_bytes += self._undated[-1].messages.total
+        if self._undated_bytes > _MAX_UNDATED_BYTES:
+            self._date(None)
+
+    def _add_clock(self, arrived: Arrived) -> tuple[Int64Array, Int64Array]:
+        """Take messages of a topic that gives the time, from one set-back to the next; return stamps and log times."""
+        topic, _, messages, _ = arrived
+        stamps = messages.stamps_ns()
+        log_ns = np.empty_like(stamps)
+        begin = 0
+        for end in [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]:
+            if end > begin:
+                offset = self._offset(topic, int(stamps[begin]), int(stamps[end - 1]))
+                log_ns[begin:end] = stamps[begin:end] + offset
+                self._advance(int(log_ns[begin]), int(log_ns[end - 1]))
+            begin = end
+        self._hold(topic, log_ns, messages)
+        return stamps, log_ns
+
+    def _offset(self, topic: int, first: int, last: int) -> int:
         """Return log time less stamp; topics go back one after the other, each with its own next message."""
         before = self._stamps.get(topic)
-        self._stamps[topic] = stamp
+        self._stamps[topic] = last
         if before is None:
             self._epochs[topic] = len(self._offsets) - 1
-        elif stamp < before:
+        elif first < before:
             self._epochs[topic] += 1
             if self._epochs[topic] == len(self._offsets):
                 newest = self._newest or 0
-                self.set_backs.append((newest - self._offsets[-1], stamp))
-                self._offsets.append(newest + 1 - stamp)
+                self.set_backs.append((newest - self._offsets[-1], first))
+                self._offsets.append(newest + 1 - first)
         return self._offsets[self._epochs[topic]]
 
-    def _advance(self, log_ns: int) -> None:
-        newest = self._newest
-        if newest is None:
-            self._newest = self._next_release = log_ns
-            self._date(log_ns)
-        elif log_ns > newest:
-            self._newest = log_ns
+    def _advance(self, first: int, last: int) -> None:
+        if self._newest is None:
+            self._first = self._newest = self._next_release = first
+        self._newest = max(self._newest, last)
 
     def _date(self, log_ns: int | None) -> None:
         """Date what is undated, by its time of reception when `log_ns` is None."""
         undated, self._undated, self._undated_bytes = self._undated, [], 0
-        for topic, arrival, cdr, received_ns in undated:
-            self._entries.append(Entry(received_ns if log_ns is None else log_ns, topic, arrival, cdr))
+        for topic, _, messages, received_ns in undated:
+            self._hold(topic, received_ns if log_ns is None else np.full(len(messages), log_ns), messages)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -21,13 +21,12 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.storage_mcap import McapWriter
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
+from rosbags.rosbag2 import StoragePlugin, WriterError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
+from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
@@ -41,6 +40,7 @@ _VECTORS = ("positions", "velocities", "accelerations", "effort")
 _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
+_MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 
 
@@ -65,12 +65,6 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
     )
 
 
-class _Writer(Writer):
-    """The writer of rosbags, with checksums in mcap files."""
-
-    STORAGE_PLUGINS = {**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChecksummedMcapWriter}  # noqa: RUF012 - its own
-
-
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
@@ -93,8 +87,8 @@ class BagWriter:
         self._checkpoint_ns = 0
         self._opened = self._closed = False
         with self._failures():
-            self._writer = _Writer(
-                self.path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
+            self._writer = BulkWriter(
+                self.path, version=BulkWriter.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
             )
             self._writer.open()
         self._opened = True
@@ -129,16 +123,45 @@ class BagWriter:
         Raises:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
-        try:  # written out: a context for each message would cost as much as the message
-            self._writer.write(connection, log_ns, cdr)
-            self._unchecked_bytes += len(cdr)
-            if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
-                self._check_space(log_ns)
-            if log_ns >= self._checkpoint_ns + _CHECKPOINT_NS:
-                self._checkpoint_ns = log_ns
-                self._checkpoint()
-        except (WriterError, OSError, sqlite3.Error) as error:
-            raise self._explained(error) from error
+        number, time = np.array([connection.id], dtype=np.int64), np.array([log_ns], dtype=np.int64)
+        self.write_many(number, time, MessageBatch.of([cdr]))
+
+    def write_many(self, number: Int64Array, log_ns: Int64Array, messages: MessageBatch) -> None:
+        """Write serialised messages in this order.
+
+        Args:
+            number: of the connection of each, as in its `id`, int64 (n,).
+            log_ns: log times, int64 (n,).
+            messages: n messages.
+
+        Raises:
+            BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
+        """
+        begin = 0
+        while begin < len(messages):
+            end = self._next_stop(begin, log_ns, messages)
+            rows = slice(begin, end)
+            batch = MessageBatch(messages.data, messages.start[rows], messages.size[rows])
+            last = int(log_ns[end - 1])
+            with self._failures():
+                self._writer.write_many(number[rows], log_ns[rows], batch)
+                self._unchecked_bytes += batch.total
+                if self._unchecked_bytes > _BYTES_PER_SPACE_CHECK:
+                    self._check_space(last)
+                if last >= self._checkpoint_ns + _CHECKPOINT_NS:
+                    self._checkpoint_ns = last
+                    self._checkpoint()
+            begin = end
+
+    def _next_stop(self, begin: int, log_ns: Int64Array, messages: MessageBatch) -> int:
+        """Return behind which message, from `begin` on, the disk is to be looked at or a checkpoint to be made."""
+        end = len(messages)
+        full = np.cumsum(messages.size[begin:]) + self._unchecked_bytes > _BYTES_PER_SPACE_CHECK
+        due = log_ns[begin:] >= self._checkpoint_ns + _CHECKPOINT_NS
+        for stop in (full, due):
+            if stop.any():
+                end = min(end, begin + int(np.argmax(stop)) + 1)
+        return end
 
     def close(self) -> None:
         """Write index and metadata. A second call does nothing.
@@ -168,11 +191,11 @@ class BagWriter:
     def _checkpoint(self) -> None:
         """Hand what is pending to the system, so that it outlives this process."""
         storage = self._writer.storage
-        if isinstance(storage, McapWriter):
-            if storage.chunk.msgs:
+        if isinstance(storage, BulkMcapWriter):
+            if storage.pending:
                 storage.close_chunk()
             storage.bio.flush()
-        elif isinstance(storage, Sqlite3Writer):
+        elif isinstance(storage, BulkSqlite3Writer):
             storage.conn.commit()
 
     @contextmanager
@@ -270,14 +293,28 @@ def write_joint_states(
         counts = [len(stamp) for stamp in stamps] + [1] * len(messages)
         source = np.repeat(np.arange(len(counts)), counts)
         row = np.concatenate([np.arange(count) for count in counts]) if counts else np.zeros(0, dtype=np.int64)
-        encoders = [_Encoder(one) for one in series]
-        for i in np.argsort(log_ns, kind="stable").tolist():
-            which = int(source[i])
-            if which < len(series):
-                bag.write(connections[which], int(log_ns[i]), encoders[which].encode(int(row[i])))
-            else:
-                message = messages[which - len(series)]
-                bag.write(others[message.topic], message.log_ns, message.cdr)
+        numbers = np.array(
+            [*(each.id for each in connections), *(others[message.topic].id for message in messages)], dtype=np.int64
+        )
+        encoders = [_Encoder(one).encode for one in series]
+        encoders += [MessageBatch.of([message.cdr]).take for message in messages]
+        order = np.argsort(log_ns, kind="stable")
+        for begin in range(0, len(order), _MESSAGES_AT_ONCE):
+            rows = order[begin : begin + _MESSAGES_AT_ONCE]
+            bag.write_many(numbers[source[rows]], log_ns[rows], _encode(encoders, source[rows], row[rows]))
+
+
+def _encode(
+    encoders: Sequence[Callable[[Int64Array], MessageBatch]], source: Int64Array, row: Int64Array
+) -> MessageBatch:
+    """Return the messages with these places in these sources, in this order."""
+    by_source = np.argsort(source, kind="stable")
+    found, counts = np.unique(source, return_counts=True)
+    parts = np.split(row[by_source], np.cumsum(counts)[:-1])
+    batch = MessageBatch.join([encoders[which](part) for which, part in zip(found, parts, strict=True)])
+    place = np.empty_like(by_source)
+    place[by_source] = np.arange(len(by_source))
+    return MessageBatch(batch.data, batch.start[place], batch.size[place])
 
 
 def _add_others(bag: BagWriter, messages: Sequence[RawMessage]) -> dict[str, Connection]:
@@ -295,11 +332,11 @@ class _Encoder:
     def __init__(self, series: JointSeries) -> None:
         self._codec = JointStateCodec(series.names)
         self._series = series
-        self._fields = [
-            None if values is None else np.ascontiguousarray(values)
-            for values in (series.position, series.velocity, series.effort)
-        ]
 
-    def encode(self, row: int) -> bytes:
-        position, velocity, effort = (None if field is None else field[row] for field in self._fields)
-        return self._codec.encode(int(self._series.stamp_ns[row]), position, velocity, effort)
+    def encode(self, rows: Int64Array) -> MessageBatch:
+        """Return the messages of these rows."""
+        series = self._series
+        fields = (None if field is None else field[rows] for field in (series.position, series.velocity, series.effort))
+        data = self._codec.encode_many(series.stamp_ns[rows], *fields)
+        count, size = data.shape
+        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))

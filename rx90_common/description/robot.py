@@ -71,5 +71,7 @@ def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:
         return TCP_LINK
     if file.has_link(MOUNT_LINK):
         return MOUNT_LINK
-    bodies = [f.name for f in model.frames if f.type == pin.BODY and f.parentJoint == JOINT_COUNT]
-    return str(bodies[-1])
+    bodies = [frame for frame in model.frames if frame.type == pin.BODY]
+    # Pinocchio 2 calls it `parent`.
+    parents = [(f.name, f.parentJoint if hasattr(f, "parentJoint") else f.parent) for f in bodies]
+    return str([name for name, joint in parents if joint == JOINT_COUNT][-1])

@@ -1,6 +1,7 @@
 """How nodes exchange ticks over DDS: raw CDR, the lock-step, pacing, and what entry points share."""
 
 __all__ = [
+    "arrivals",
     "cdr_reader",
     "channel",
     "client_node",

@@ -1,22 +1,48 @@
-"""Count a subscription's messages as they arrive, without the interpreter and without the middleware's locks.
+"""What happens when a message arrives, on the middleware's own thread, without the interpreter.
 
-rclpy has no function for rcl's callback for new messages. Asking the middleware again and again instead whether there
-is one takes, each time, the lock that its receiving thread needs to bring it.
+rclpy has no function for rcl's callback for new messages. A channel counts with it: asking the middleware again and
+again whether there is a message takes, each time, the lock that its receiving thread needs to bring it. A recorder
+gathers with it: waking a receiving thread that sleeps costs the publisher more than the message itself, so that thread
+sleeps where nobody wakes it, and finds many messages at once.
 """
 
 from __future__ import annotations
 
 import ctypes
+from typing import Any, Final
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
 from rclpy.subscription import Subscription
 
-from rx90_common.kernels.compiled import c_function
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.kernels.compiled import c_function, inlined
 
 _OK = 0
+_MICROSECONDS = 1_000_000
+
+# The numbers that `_gather` works on: the pause in us, how often there was one, and a slot for each receiving thread:
+# its id, its voluntary context switches after its last pause, when it was here last in ns, and room for what the system
+# answers: a struct timespec or a struct rusage, here of 64-bit numbers.
+_PAUSE: Final = 0
+_PAUSES: Final = 1
+_SLOTS: Final = 2
+_SLOT_LENGTH: Final = 21
+_MOST_THREADS: Final = 16  # further ones do not pause
+_GATHER_LENGTH: Final = _SLOTS + _SLOT_LENGTH * _MOST_THREADS
+_SWITCHES, _LAST, _ANSWER = 1, 2, 3  # in a slot
+_USAGE_SWITCHES: Final = 16  # in struct rusage
+_CLOCK_MONOTONIC: Final = 1
+_RUSAGE_THREAD: Final = 1
+_AT_ONCE_NS: Final = 20_000  # between two messages that were both there; asking for the switches takes half a message
+
+_clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.voidptr))
+_getrusage: Any = types.ExternalFunction("getrusage", types.int32(types.int32, types.voidptr))
+_pthread_self: Any = types.ExternalFunction("pthread_self", types.int64())
+_usleep: Any = types.ExternalFunction("usleep", types.int32(types.uint32))
+
 # Some bytes for each subscription, never freed: the middleware does not say when it has called for the last time.
-_kept: list[ctypes.c_int64] = []
+_kept: list[object] = []
 
 
 @c_function(types.int64(types.voidptr, types.int64))
@@ -30,19 +56,91 @@ def _count(counter_at, _messages):  # type: ignore[no-untyped-def]  # an address
     return 0
 
 
+@inlined
+def _now(answer):  # type: ignore[no-untyped-def]  # an array
+    _clock_gettime(_CLOCK_MONOTONIC, answer.ctypes)
+    return answer[0] * NANOSECONDS + answer[1]
+
+
+@inlined
+def _switches(answer):  # type: ignore[no-untyped-def]  # an array
+    _getrusage(_RUSAGE_THREAD, answer.ctypes)
+    return answer[_USAGE_SWITCHES]
+
+
+@c_function(types.int64(types.voidptr, types.int64))
+def _gather(state_at, _messages):  # type: ignore[no-untyped-def]  # an address and a number
+    """Be the callback: sleep, if this thread has given the processor away since its last pause, to wait for a message.
+
+    A thread that finds the next message already there has not done so, and takes one after the other.
+    """
+    state = carray(state_at, (_GATHER_LENGTH,), np.int64)
+    thread = _pthread_self()
+    at = _SLOTS
+    while state[at] != thread:
+        if state[at] == 0:
+            state[at] = thread
+        else:
+            at += _SLOT_LENGTH
+            if at == _GATHER_LENGTH:
+                return 0
+    slot = state[at : at + _SLOT_LENGTH]
+    answer = slot[_ANSWER:]
+    if _now(answer) - slot[_LAST] > _AT_ONCE_NS and _switches(answer) != slot[_SWITCHES]:
+        _usleep(state[_PAUSE])
+        slot[_SWITCHES] = _switches(answer)
+        state[_PAUSES] += 1
+    slot[_LAST] = _now(answer)
+    return 0
+
+
 def count_arrivals(subscription: Subscription, counter: ctypes.c_int64) -> bool:
     """Add 1 to `counter` with each message that arrives from now on, on the middleware's thread.
 
     Returns:
         Whether messages are counted: not every middleware has such a callback.
     """
+    _kept.append(counter)
+    return _set_callback(subscription, _count, ctypes.addressof(counter))
+
+
+class Gathering:
+    """Lets receiving threads sleep, before a message that they had to wait for, while more messages arrive.
+
+    For subscriptions on which nobody waits: a thread sleeps with the locks of one of them. What arrives in a pause must
+    fit into the socket.
+
+    Args:
+        pause: s.
+    """
+
+    def __init__(self, pause: float) -> None:
+        self._state = np.zeros(_GATHER_LENGTH, dtype=np.int64)
+        self._state[_PAUSE] = round(pause * _MICROSECONDS)
+        _kept.append(self._state)
+
+    @property
+    def pauses(self) -> int:
+        """Return how many pauses there were."""
+        return int(self._state[_PAUSES])
+
+    def include(self, subscription: Subscription) -> bool:
+        """Gather this subscription's messages too; all of a node's share a receiving thread.
+
+        Returns:
+            Whether they are gathered: not every middleware has such a callback.
+        """
+        return _set_callback(subscription, _gather, self._state.ctypes.data)
+
+
+def _set_callback(subscription: Subscription, function: object, argument: int) -> bool:
+    """Let the middleware call a compiled function with this address for each message from now on."""
     try:
         set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback
     except (OSError, AttributeError):
         return False
     set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
     set_callback.restype = ctypes.c_int32
-    _kept.append(counter)
-    callback = ctypes.cast(_count, ctypes.c_void_p)  # type: ignore[arg-type]  # a function of ctypes
+    callback = ctypes.cast(function, ctypes.c_void_p)  # type: ignore[arg-type]  # a function of ctypes
     with subscription.handle:
-        return bool(set_callback(subscription.handle.pointer, callback, ctypes.addressof(counter)) == _OK)
+        return bool(set_callback(subscription.handle.pointer, callback, argument) == _OK)

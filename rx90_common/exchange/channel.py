@@ -59,7 +59,7 @@ class Channel:
         qos: of both.
 
     Attributes:
-        answering: one; see `TickChannel`.
+        answering: 1, the other end's subscription; see `TickChannel`.
 
     Raises:
         ExchangeError: if another process on this machine publishes `publish_topic` through a channel.

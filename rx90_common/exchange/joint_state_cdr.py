@@ -14,6 +14,7 @@ import struct
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
@@ -159,11 +160,42 @@ class JointStateCodec:
         # A default, so that what the addresses belong to lives as long as they are used, also without this codec.
         def encode(stamp_ns: int, _kept: object = (arrays, layout)) -> bytes:
             if not 0 <= stamp_ns <= _MAX_STAMP_NS:
-                raise ExchangeError(f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}")
+                raise ExchangeError(_stamp_text(stamp_ns))
             write_frame(stamp_ns, outgoing_at, first, second, third, shape_at)
             return message.tobytes()
 
         return encode
+
+    def encode_many(
+        self,
+        stamp_ns: NDArray[np.int64],
+        position: Array | None = None,
+        velocity: Array | None = None,
+        effort: Array | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return n messages, uint8 of shape (n, size), with the bytes that `encode` gives for each.
+
+        Args:
+            stamp_ns: header.stamp in nanoseconds, shape (n,).
+            position: float64 array of shape (n, number of names) or None for empty arrays.
+            velocity: as position.
+            effort: as position.
+
+        Raises:
+            ExchangeError: if a stamp is out of range.
+        """
+        wrong = (stamp_ns < 0) | (stamp_ns > _MAX_STAMP_NS)
+        if wrong.any():
+            raise ExchangeError(_stamp_text(int(stamp_ns[np.argmax(wrong)])))
+        layout = self._layouts[position is not None, velocity is not None, effort is not None]
+        messages = np.tile(layout.expected, (len(stamp_ns), 1))
+        stamp = np.stack(np.divmod(stamp_ns, NANOSECONDS), axis=1).astype("<u4")
+        messages[:, ENCAPSULATION:HEAD] = stamp.view(np.uint8)
+        for at, block in zip(layout.shape[2:] - MARGIN, (position, velocity, effort), strict=True):
+            if block is not None:
+                numbers = np.ascontiguousarray(block, dtype=_FLOAT64).view(np.uint8)
+                messages[:, at : at + numbers.shape[1]] = numbers
+        return messages
 
     def _check_array(self, array: Array | None) -> None:
         if array is None:
@@ -200,6 +232,10 @@ class JointStateCodec:
             if view is not None and array is not None:
                 view[:] = array
         return stamp_ns, layout.position, layout.velocity, layout.effort
+
+
+def _stamp_text(stamp_ns: int) -> str:
+    return f"stamp is {stamp_ns} ns; accepted: 0 to {_MAX_STAMP_NS}"
 
 
 def _check_names(names: tuple[str, ...], frame_id: str) -> None:

@@ -10,7 +10,7 @@ from rclpy.publisher import Publisher
 
 from rx90_common.exchange.topics import STATE_QOS, TICK_QOS
 
-_SHARE = 0.75  # of what the publishers keep that is sent before they look who has it
+_SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _SLICE = Duration(nanoseconds=50_000_000)
 _PATIENCE = 6.0  # s; the lease of a process that was killed, in config/dds, is 5 s
 
@@ -41,7 +41,7 @@ class Listeners:
         self._ticks = self._left = int(_SHARE * min(TICK_QOS.depth, STATE_QOS.depth * state_ticks))
 
     def add(self, publishers: Sequence[Publisher], answering: int = 0) -> None:
-        """Wait for the messages of these, too; not if only those `answering` listen, who have what they answer."""
+        """Wait for the messages of these, too, if there are more subscriptions than the `answering` ones."""
         self._watched += [(publisher, answering) for publisher in publishers]
 
     def tick_done(self) -> None:

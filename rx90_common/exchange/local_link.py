@@ -28,7 +28,7 @@ class LocalChannel:
 
     Attributes:
         subscribe_topic: resolved name of the topic that is received.
-        answering: none; see `TickChannel`.
+        answering: 0, because the other end does not subscribe; see `TickChannel`.
     """
 
     def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
@@ -72,7 +72,7 @@ class LocalChannel:
 
     def publish(self, raw: bytes) -> None:
         """Hand a serialised JointState over, and publish it if somebody listens."""
-        # A message costs more than a tick's mathematics. Who is matched gets all that is sent from then on.
+        # Publishing costs more than computing a tick. A listener gets all that is sent from its match on.
         if self._listeners():
             self._publish_raw(raw)
         peer = self._peer
@@ -103,7 +103,7 @@ class LocalChannel:
         return Matches(1, 1)
 
     def look_for_others(self) -> None:
-        """Announce, once for each time that they come, others that publish what only the peer is heard on."""
+        """Warn, each time that they appear, of other publishers of the topic on which only the peer is heard."""
         others = self._node.count_publishers(self.subscribe_topic) - 1
         self._others_seen = self._others_seen + 1 if others > 0 else 0
         if self._others_seen == _LOOKS:

@@ -44,6 +44,9 @@ class ServoLoops(Protocol):
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the tick at `stamp_ns`; return whether `command` is to be applied, else the brakes close."""
 
+    def after_command(self, stamp_ns: int) -> None:
+        """Publish what the last step has left; called after each, in lock-step when its command is on its way."""
+
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points."""
 

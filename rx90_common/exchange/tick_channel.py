@@ -15,7 +15,7 @@ class TickChannel(Protocol):
     """Publishes on one JointState topic and receives from another, as CDR bytes; see `Channel`.
 
     Attributes:
-        answering: subscriptions of the topic that belong to who answers.
+        answering: how many subscriptions of the published topic are the other end's, and not a listener's.
     """
 
     answering: int

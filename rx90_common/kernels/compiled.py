@@ -63,21 +63,23 @@ def inlined(function: _Function) -> _Function:
     return cast(_Function, numba.njit(error_model="numpy", forceinline=True)(function))
 
 
-def c_function(signature: Any) -> Callable[[Callable[..., Any]], Callable[..., int]]:
+def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Callable[..., Any]], Callable[..., int]]:
     """Compile a function of integers and addresses when its module is imported, and keep the result on disk.
 
     Called from Python it costs a fraction of a kernel, whose arguments numba examines one by one, and it holds the
-    interpreter's lock: giving it up and taking it back would cost more than what such a function does.
+    interpreter's lock: giving it up and taking it back would cost more than what such a function mostly does.
 
     Args:
         signature: the numba signature; every argument is an int64 or a voidptr, and so is the result.
+        releases_lock: for a function that takes long: other threads run Python meanwhile.
     """
+    prototype = ctypes.CFUNCTYPE if releases_lock else ctypes.PYFUNCTYPE
 
     def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
         # numba raises no event for this compilation, only for its own functions that are called, such as carray.
         compiled = numba.cfunc(signature, cache=True, error_model="numpy")(function)
         arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
         address: int = compiled.address  # type: ignore[assignment]  # the stubs know it only before compilation
-        return ctypes.PYFUNCTYPE(ctypes.c_int64, *arguments)(address)
+        return prototype(ctypes.c_int64, *arguments)(address)
 
     return compile_now

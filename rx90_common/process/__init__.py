@@ -1,3 +1,3 @@
 """What a process needs: interrupts, standard output, child processes."""
 
-__all__ = ["children", "interrupts", "output"]
+__all__ = ["children", "interrupts", "output", "scheduling"]

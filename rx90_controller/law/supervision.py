@@ -15,7 +15,7 @@ from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, 
 
 @inlined
 def beyond_limits(law: Any, error: Lanes, velocity: Lanes) -> bool:
-    """Return whether a joint is beyond a limit, or one of the numbers is none; six lanes, motor side.
+    """Return whether a joint is beyond a limit, or a value is NaN; six lanes, motor side.
 
     Args:
         law: constants, a record of CONTROLLER_DTYPE.

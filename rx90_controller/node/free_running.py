@@ -1,8 +1,8 @@
 """The controller in free-running time: it answers the simulation's states, which nobody holds back for it.
 
 The loops tick with the states, one tick for each, as drives do that share a cycle with their controller: a set-point is
-compared with what was measured at its own time, however late either process is. Who is late answers what has come
-meanwhile in one go, and sends the newest command alone.
+compared with what was measured at its own time, however late either process is. A controller that
+is late computes all ticks whose states have come meanwhile, and sends the newest command alone.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import TickChannel
 
-_LAG = 0.005  # s behind the states that are caught up; further behind, the simulation has closed the brakes long since
-_CREEP = 0.02  # of a period by which the controller wakes earlier, as long as it finds states that were there before it
+_LAG = 0.005  # s; up to here missed ticks are computed one by one, beyond it time is skipped
+_CREEP = 0.02  # of a period: by so much it wakes earlier each time, until it is there before the states
 _SLICE = 0.1  # s of a wait for states, and at rest after which it is said
 _BACKWARD = 3  # jumps back within _BACKWARD_WINDOW that make two simulations; a reset makes one
 _BACKWARD_WINDOW = 5.0  # s
@@ -86,7 +86,7 @@ class FreeRunningController:
         self._period = rates.period
         self._period_ns, self._slow_ns = rates.period_ns, rates.period_ns * rates.ratio
         self._lag_ns = max(round(_LAG * NANOSECONDS), 2 * self._slow_ns)
-        self._most = self._lag_ns // self._period_ns  # messages that are looked at one by one
+        self._most = self._lag_ns // self._period_ns  # messages of a batch; what came before them lies beyond the lag
         self._next: int | None = None  # the stamp of the next tick, once the loops have begun
         self._elsewhere: int | None = None  # a stamp that does not follow; the next one may go on from there
         self._second = _SecondSimulation(channel, announce)
@@ -128,6 +128,7 @@ class FreeRunningController:
             while self._next <= states.stamp_ns:
                 torque = self._loops.step(self._next, states)
                 command = self._messages.encode(self._next, torque)
+                self._loops.after_command(self._next)
                 self._next += self._period_ns
         if command is not None and not (self._second.there and self._second.look()):
             self._channel.publish(command)

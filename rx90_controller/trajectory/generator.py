@@ -26,14 +26,22 @@ class Schedule(NamedTuple):
     miss: float
 
 
+class End(NamedTuple):
+    """The position tick in which a motion has come to its end, and whether it was a stop."""
+
+    tick: int
+    stop: bool
+
+
 @dataclass
 class _Motion:
-    """A spline that begins at position tick `start`; `open` until its end has been told."""
+    """A spline that begins at position tick `start`; `announced` once `ended` has returned its end."""
 
     start: int
     spline: Spline
     period: float
-    open: bool = True
+    stop: bool = False
+    announced: bool = False
 
     @property
     def end(self) -> int:
@@ -69,7 +77,7 @@ class TrajectoryGenerator:
 
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
-        self._current = _Motion(0, _resting(np.array(hold, dtype=np.float64)), self.period, open=False)
+        self._current = _Motion(0, _resting(np.array(hold, dtype=np.float64)), self.period, announced=True)
         self._next: _Motion | None = None
         self.revision += 1
 
@@ -109,17 +117,17 @@ class TrajectoryGenerator:
         """Return whether a trajectory runs or waits for its start at position tick `tick`."""
         return (self._next or self._current).runs(tick)
 
-    def ended(self, tick: int) -> int | None:
-        """Return the position tick at which a trajectory has come to its end, once for each that does.
+    def ended(self, tick: int) -> End | None:
+        """Return when a trajectory or a stop has come to its end, once for each that does.
 
         To be called in every position tick. A trajectory that another one has replaced has no end.
         """
         self._promote(tick)
         motion = self._current
-        if not motion.open or tick < motion.end:
+        if motion.announced or tick < motion.end:
             return None
-        motion.open = False
-        return motion.end
+        motion.announced = True
+        return End(motion.end, motion.stop)
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
         """Take a trajectory; return when it runs.
@@ -151,7 +159,7 @@ class TrajectoryGenerator:
         """
         begin = self._begin(now, start)
         position, velocity, _ = self._current.setpoints(begin, 1)[0]
-        return self._follow(begin, stop(position, velocity, self.limits.acceleration))
+        return self._follow(begin, stop(position, velocity, self.limits.acceleration), stopping=True)
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
@@ -163,8 +171,8 @@ class TrajectoryGenerator:
         self._promote(now)
         return begin
 
-    def _follow(self, begin: int, spline: Spline) -> Schedule:
-        self._next = _Motion(begin, spline, self.period)
+    def _follow(self, begin: int, spline: Spline, *, stopping: bool = False) -> Schedule:
+        self._next = _Motion(begin, spline, self.period, stopping)
         self.revision += 1
         return Schedule(begin, self._next.end, spline.miss)
 
@@ -175,7 +183,7 @@ class TrajectoryGenerator:
 
 
 def _check(spline: Spline, period: float, knots: Array, limits: JointLimits, allowed: Array) -> None:
-    """Check the set-points of a trajectory, in blocks: a long one needs no memory of its own."""
+    """Check the set-points of a trajectory, in blocks, so that a long one takes no more memory than a short one."""
     last = _ticks(spline, period)
     for first in range(0, last, _CHECK_BLOCK):
         # The blocks share a set-point, so that the step from one to the next is checked, too.

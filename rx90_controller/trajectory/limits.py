@@ -112,7 +112,7 @@ class JointLimits:
         self._refuse(
             acceleration._replace(what="step of the velocity of"), np.diff(v, axis=0) / step, times[1:], point[1:]
         )
-        # Between velocities v0 and v1 an acceleration of up to a leads at most so far from the way (v0 + v1) T/2.
+        # With accelerations up to a, the way between velocities v0 and v1 is (v0 + v1) T/2, within a (T/2)^2.
         most = self.acceleration * (step / 2.0) ** 2
         jump = _Quantity("jump of", "rad", -most, most)
         self._refuse(jump, np.diff(q, axis=0) - step * (v[1:] + v[:-1]) / 2.0, times[1:], point[1:])

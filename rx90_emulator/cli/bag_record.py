@@ -11,6 +11,7 @@ from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.quoting import listed
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
+from rx90_common.process.scheduling import be_nice, run_on
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -26,6 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="bag to make; must not exist")
     parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
+    parser.add_argument("--nice", type=int, metavar="N", help="niceness: above 0 others come first")
+    parser.add_argument("--cpus", metavar="LIST", help="processors to run on, as in 0,2-3")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -34,9 +37,14 @@ def main(args: argparse.Namespace) -> int:
     Raises:
         BagError: if the bag cannot be made or a topic cannot be recorded.
         BagWriteError: if the bag cannot be written on.
+        ConfigError: for a niceness or processors that cannot be had.
     """
     # Before the slow imports: a signal at any moment from here on still leaves a valid bag.
     stop = stop_request()
+    if args.nice is not None:
+        be_nice(args.nice)
+    if args.cpus is not None:
+        run_on(args.cpus)
 
     from rx90_common.bags.writing import BagWriter
 

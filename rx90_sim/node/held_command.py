@@ -32,7 +32,7 @@ class _BrakeLines:
         self._lines: deque[float] = deque(maxlen=_LINES)
 
     def say(self, followed: bool, heard: bool) -> None:
-        """Note whether there is a command to follow, and whether there has ever been one."""
+        """Note whether a command is followed, and whether there has ever been one; announce a change."""
         if followed != self._closed and not self._changes:
             return
         if followed == self._closed:
@@ -64,7 +64,7 @@ class HeldCommand:
 
     Args:
         channel: receives commands.
-        decode: returns the torques of a message, None for none; raises ExchangeError.
+        decode: returns the torques of a message, Nm at the motors, None for torque off; raises ExchangeError.
         period_ns: a tick.
         timeout: how long to wait for a command, s.
         announce: prints a line for the user.
@@ -152,7 +152,7 @@ class HeldCommand:
         """Hold a command; return whether it is newer than the one before.
 
         Raises:
-            ExchangeError: if it is none, or none for this tick.
+            ExchangeError: if it is not a command, or not one for this tick.
         """
         torques = self._decode(raw)
         stamp = cdr_stamp_ns(raw)

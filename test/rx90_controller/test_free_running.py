@@ -92,6 +92,9 @@ class Loops:
         self.prepared += 1
         self.simulation.sleep(0.5)
 
+    def after_command(self, stamp_ns: int) -> None:
+        """Publish nothing."""
+
     def skip(self, count: int) -> None:
         """Note the ticks left out."""
         self.skipped.append(count)

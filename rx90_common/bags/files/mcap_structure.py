@@ -171,14 +171,14 @@ def check_data_crc(data: bytes, structure: Structure) -> None:
     for start in range(0, place.start - HEAD_BYTES, _CRC_STEP):
         crc = zlib.crc32(data[start : min(start + _CRC_STEP, place.start - HEAD_BYTES)], crc)
     if crc != expected:
-        raise DamagedError("the checksum of its data is another one")
+        raise DamagedError("the checksum of its data does not match")
 
 
 def check_summary(data: bytes, structure: Structure) -> RecordPlace | None:
     """Compare the summary with the data section, and take its schemas and channels; return the statistics, if any.
 
     Raises:
-        DamagedError: if they differ, or the summary's checksum is another one.
+        DamagedError: if they differ, or the summary's checksum does not match.
     """
     start = structure.data_end.end
     places = list(walk(data, start, len(data) - len(MAGIC)))
@@ -210,7 +210,7 @@ def _check_footer(data: bytes, structure: Structure, places: list[RecordPlace]) 
     if summary not in ((start,) if len(places) > 1 else (start, 0)) or offsets not in (first, 0):
         raise DamagedError("its footer does not point to its summary")
     if crc and crc != zlib.crc32(data[start : footer.end - _CRC.size]):
-        raise DamagedError("the checksum of its summary is another one")
+        raise DamagedError("the checksum of its summary does not match")
     structure.trusted = crc != 0
 
 

@@ -5,43 +5,27 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
-from rclpy.impl.implementation_singleton import rclpy_implementation
-
+from rx90_common.bags.ordering import Arrived
 from rx90_common.bags.recorder.stream import Stream
 from rx90_common.base.errors import BagWriteError
 
-_NAP_S = 0.005  # gathers some dozen messages per wake-up; a wake-up for each message costs three times the time
-_WAIT_NS = 50_000_000
+_NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, whatever it brings
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
 _QUIET_S = 0.2  # without a message after the end was asked for: nothing is under way any more
 _MAX_DRAIN_S = 2.0
 
 
-class ReceivedMessage(NamedTuple):
-    """A raw message, its topic, and the wall clock's time of reception in ns."""
-
-    stream: Stream
-    cdr: bytes
-    received_ns: int
-
-
 class MessageReader(threading.Thread):
-    """Reads what arrives, counts it, and keeps it until it is collected.
+    """Reads what arrives, counts it, and keeps it until it is collected."""
 
-    Args:
-        context: the rclpy context of the subscriptions.
-    """
-
-    def __init__(self, context: Any) -> None:
+    def __init__(self) -> None:
         super().__init__(name="message reader", daemon=True)
-        self._context = context
         self._end = threading.Event()
         self._streams: tuple[Stream, ...] = ()
         self._lock = threading.Lock()
-        self._queue: list[ReceivedMessage] = []
+        self._queue: list[Arrived] = []
         self._queued_bytes = 0
         self._error: Exception | None = None
 
@@ -49,7 +33,7 @@ class MessageReader(threading.Thread):
         """Read the messages of this topic too."""
         self._streams = (*self._streams, stream)
 
-    def collect(self) -> list[ReceivedMessage]:
+    def collect(self) -> list[Arrived]:
         """Return what was read since the last call.
 
         Raises:
@@ -70,24 +54,11 @@ class MessageReader(threading.Thread):
     def run(self) -> None:
         """Read messages until `finish` is called."""
         try:
-            while not self._end.is_set():
-                streams = self._streams
-                if streams and self._wait(streams):
-                    self._round(streams)
-                self._end.wait(_NAP_S)
+            while not self._end.wait(_NAP_S):
+                self._round(self._streams)
             self._drain()
         except Exception as error:
             self._error = error
-
-    def _wait(self, streams: Sequence[Stream]) -> bool:
-        """Wait until a message is there, or for a short while; return whether one is."""
-        wait_set = rclpy_implementation.WaitSet(len(streams), 0, 0, 0, 0, 0, self._context.handle)
-        with wait_set:
-            wait_set.clear_entities()
-            for stream in streams:
-                wait_set.add_subscription(stream.subscription.handle)
-            wait_set.wait(_WAIT_NS)
-            return bool(wait_set.get_ready_entities("subscription"))
 
     def _drain(self) -> None:
         streams = self._streams
@@ -100,25 +71,23 @@ class MessageReader(threading.Thread):
             now = time.monotonic()
 
     def _round(self, streams: Sequence[Stream]) -> int:
-        received: list[ReceivedMessage] = []
+        received: list[Arrived] = []
         for stream in streams:
-            handle = stream.subscription.handle
-            count = stream.counter.add
-            with handle:
-                for _ in range(_MAX_PER_ROUND):
-                    message = handle.take_message(stream.message_class, True)
-                    if message is None:
-                        break
-                    cdr, info = message
-                    count(info["publication_sequence_number"])
-                    received.append(ReceivedMessage(stream, cdr, info["received_timestamp"]))
-        size = sum(len(message.cdr) for message in received)
+            count = 0
+            while count < _MAX_PER_ROUND:
+                taken = stream.take()
+                if not len(taken.messages):
+                    break
+                count += len(taken.messages)
+                received.append(Arrived(stream.index, stream.time_source, taken.messages, taken.received_ns))
+        if not received:
+            return 0
         with self._lock:
             self._queue += received
-            self._queued_bytes += size
+            self._queued_bytes += sum(each.messages.total for each in received)
             if self._queued_bytes > _QUEUE_BYTES:
                 raise BagWriteError(
                     f"the disk is slower than the messages arrive: {self._queued_bytes >> 20} MiB are waiting; "
                     f"accepted: {_QUEUE_BYTES >> 20} MiB"
                 )
-        return len(received)
+        return sum(len(each.messages) for each in received)

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from threading import Event
 from typing import Final
 
+import numpy as np
 import rclpy
 from rclpy.context import Context
 from rosbags.interfaces import Connection
 from tqdm import tqdm
 
-from rx90_common.bags.ordering import Entry, LogOrder, TimeSource
+from rx90_common.bags.ordering import Dated, LogOrder, TimeSource
 from rx90_common.bags.recorder.message_reader import MessageReader
 from rx90_common.bags.recorder.sequence import WriterCount
 from rx90_common.bags.recorder.stream import Streams
@@ -26,7 +27,7 @@ from rx90_common.exchange.ros_start import start_ros
 READY: Final = "ready: all"
 """Beginning of the line that reports that all topics are matched."""
 
-_CYCLE_S = 0.02
+_CYCLE_S = 0.1
 _ANNOUNCE_WAIT_S = 1.0
 _SETTLE_S = 0.3  # a publisher learns of its match a moment after the recorder does
 _LONGEST_STALL_S = 4.0  # below the lease in config/dds, after which a publisher forgets this process
@@ -113,7 +114,7 @@ class Recorder:
                 "rx90_bag_recorder", context=context, enable_rosout=False, start_parameter_services=False
             )
             streams = Streams(node, self._names)
-            reader = MessageReader(context)
+            reader = MessageReader()
             reader.start()
             try:
                 with make_writer() as writer:
@@ -158,15 +159,14 @@ class Recorder:
             stream.counter.start()
         if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
             self._order.expect_no_clock()
+        if not all(stream.in_bulk for stream in streams):
+            self._status.say("rcl's functions are not to be found: messages are taken one by one, which costs more")
         self._status.say(f"{READY} {len(self._names)} topics are matched, recording to {writer.path}")
 
     def _order_all(self, reader: MessageReader) -> None:
-        received = reader.collect()
-        self._received += len(received)
-        for stream, cdr, received_ns in received:
-            if stream.repeats(cdr):
-                continue
-            self._order.add(stream.index, stream.time_source, cdr, received_ns)
+        arrived = reader.collect()
+        self._received += sum(len(each.messages) for each in arrived)
+        self._order.add(arrived)
 
     def _note_stall(self, last: float) -> float:
         """Note a long time since `last` on the steady clock; return the time now."""
@@ -189,11 +189,15 @@ class Recorder:
             if stream.index not in self._connections:
                 self._connections[stream.index] = writer.add_topic(stream.topic, stream.msgtype, [stream.qos])
 
-    def _write(self, streams: Streams, writer: BagWriter, entries: Sequence[Entry]) -> None:
-        if len(self._connections) < len(self._names) and entries:
+    def _write(self, streams: Streams, writer: BagWriter, dated: Dated | None) -> None:
+        if dated is None:
+            return
+        if len(self._connections) < len(self._names):
             self._connect(streams, writer)
-        for log_ns, index, _, cdr in entries:
-            writer.write(self._connections[index], log_ns, cdr)
+        numbers = np.zeros(len(self._names), dtype=np.int64)
+        for index, connection in self._connections.items():
+            numbers[index] = connection.id
+        writer.write_many(numbers[dated.topic], dated.log_ns, dated.messages)
 
 
 def _count(streams: Streams) -> list[TopicCount]:

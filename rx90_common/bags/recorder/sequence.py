@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
+from rx90_common.bags.batch import Int64Array
+
 
 @dataclass
 class WriterCount:
@@ -60,6 +64,17 @@ class SequenceCounter:
                 return
         current.last = number
         current.received += 1
+
+    def add_many(self, numbers: Int64Array) -> None:
+        """Count messages with these sequence numbers, in this order."""
+        current = self._current
+        count = len(numbers)
+        if current is not None and count and numbers[0] == current.last + 1 and bool((np.diff(numbers) == 1).all()):
+            current.last += count
+            current.received += count
+            return
+        for number in numbers.tolist():
+            self.add(number)
 
     def _find(self, number: int) -> WriterCount | None:
         """Return the writer whose count `number` continues; None when it opened a new count."""

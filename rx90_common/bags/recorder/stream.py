@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -14,14 +15,17 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
+from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
 from rx90_common.bags.topics import CLOCK, JOINT_STATE
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
+from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
 _HEADER = "std_msgs/msg/Header"
+_PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
 
 
 class Streams:
@@ -37,6 +41,7 @@ class Streams:
 
     def __init__(self, node: Node, topics: Sequence[str]) -> None:
         self._node = node
+        self._gathering = Gathering(_PAUSE)
         self._found: dict[str, Stream | None] = {}
         for topic in topics:
             try:
@@ -59,7 +64,7 @@ class Streams:
                 endpoints = self._node.get_publishers_info_by_topic(topic)
                 endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
-                    found = self._found[topic] = Stream(self._node, topic, index, endpoints)
+                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self._gathering)
                     on_found(found)
         return not self.missing()
 
@@ -85,27 +90,29 @@ class Stream:
         topic: absolute name.
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
+        gathering: of all topics of the node.
 
     Attributes:
+        in_bulk: whether messages are taken many at a time.
         repeated: messages that were the one before them once more.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
     """
 
-    def __init__(self, node: Node, topic: str, index: int, endpoints: Sequence[Any]) -> None:
+    def __init__(self, node: Node, topic: str, index: int, endpoints: Sequence[Any], gathering: Gathering) -> None:
         self.topic = topic
         self.index = index
         self.msgtype = _one_type(topic, endpoints)
         self.time_source = time_source(self.msgtype)
-        self.message_class = _message_class(topic, self.msgtype)
+        message_class = _message_class(topic, self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
         reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
         transient_local = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
         self._latched = transient_local
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=transient_local)
         self.subscription = node.create_subscription(
-            self.message_class,
+            message_class,
             topic,
             _never_called,
             QoSProfile(
@@ -116,6 +123,10 @@ class Stream:
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
         )
+        gathering.include(self.subscription)
+        bulk = bulk_taker(self.subscription, topic)
+        self.in_bulk = bulk is not None
+        self._taker: Taker = bulk or SingleTaker(self.subscription, message_class)
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
@@ -125,20 +136,34 @@ class Stream:
         self._dated = self.msgtype in (JOINT_STATE, CLOCK)
         self._newest = b""
 
-    def repeats(self, cdr: bytes) -> bool:
-        """Count a message that is the one before it once more, to the bit, stamp included.
-
-        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
-        """
-        again = self._dated and cdr == self._newest
-        self._newest = cdr
-        self.repeated += again
-        return again
-
     @property
     def needs_publisher(self) -> bool:
         """Return whether the topic is the steady output of a node, not a command that somebody sends at times."""
         return self.time_source is TimeSource.CLOCK or self._latched
+
+    def take(self) -> Taken:
+        """Return messages that have come, counted, not more than some hundred; none if there are none.
+
+        Raises:
+            BagError: if the middleware refuses.
+        """
+        taken = self._taker.take()
+        self.counter.add_many(taken.numbers)
+        return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
+
+    def _without_repetitions(self, taken: Taken) -> Taken:
+        """Leave out, and count, messages that are the one before them once more, to the bit, stamp included.
+
+        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+        """
+        messages = taken.messages
+        again = messages.repeats(self._newest)
+        self._newest = messages[len(messages) - 1]
+        if not again.any():
+            return taken
+        self.repeated += int(again.sum())
+        kept = np.flatnonzero(~again)
+        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept])
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""

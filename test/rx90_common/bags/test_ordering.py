@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from itertools import groupby
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rx90_common.bags.ordering import Entry, LogOrder, TimeSource
+from rx90_common.bags.batch import MessageBatch
+from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
 from rx90_common.base.stamps import cdr_stamp_ns
 
 MS = 1_000_000
@@ -20,14 +23,37 @@ def message(stamp: int, order: Literal["little", "big"] = "little", content: byt
     return flag + seconds.to_bytes(4, order, signed=True) + nanoseconds.to_bytes(4, order) + content
 
 
+class Entry(NamedTuple):
+    """A message that was released."""
+
+    log_ns: int
+    topic: int
+    cdr: bytes
+
+
+def entries(dated: Dated | None) -> list[Entry]:
+    """Return what was released, message by message."""
+    if dated is None:
+        return []
+    return [Entry(*each) for each in zip(dated.log_ns.tolist(), dated.topic.tolist(), dated.messages, strict=True)]
+
+
+def add(order: LogOrder, topic: int, source: TimeSource, messages: list[bytes], received_ns: int = 0) -> None:
+    """Pass messages on, received one nanosecond after the other."""
+    order.add([Arrived(topic, source, MessageBatch.of(messages), received_ns + np.arange(len(messages)))])
+
+
 def run(order: LogOrder, arrivals: list[tuple[int, TimeSource, bytes]], every: int = 7) -> list[Entry]:
-    """Pass messages through and return all that is released."""
+    """Pass messages through and return all that is released; those of a topic that come in a row, as one batch."""
     released: list[Entry] = []
-    for i, (topic, source, cdr) in enumerate(arrivals):
-        order.add(topic, source, cdr, 10**18 + i)
-        if i % every == 0:
-            released += order.release()
-    return released + order.release_all()
+    for i in range(0, len(arrivals), every):
+        received_ns = 10**18 + i
+        for (topic, source), batch in groupby(arrivals[i : i + every], key=lambda arrival: arrival[:2]):
+            messages = [cdr for _, _, cdr in batch]
+            add(order, topic, source, messages, received_ns)
+            received_ns += len(messages)
+        released += entries(order.release())
+    return released + entries(order.release_all())
 
 
 @settings(deadline=None)
@@ -73,10 +99,10 @@ def test_time_that_is_set_back_holds_nothing_up() -> None:
     stamps = [*range(0, 10_000, 10), *range(0, 5_000, 10)]
     released: list[Entry] = []
     for stamp in stamps:
-        order.add(0, TimeSource.CLOCK, message(stamp * MS), 0)
-        released += order.release()
+        add(order, 0, TimeSource.CLOCK, [message(stamp * MS)])
+        released += entries(order.release())
         held.append(order.held_bytes)
-    released += order.release_all()
+    released += entries(order.release_all())
     assert len(released) == len(stamps)
     assert max(held) <= 12 * 80
     assert order.held_bytes == 0
@@ -86,8 +112,8 @@ def test_undated_messages_do_not_pile_up() -> None:
     """Messages that wait for a first stamp are released by time of reception before they fill the memory."""
     order = LogOrder()
     for i in range(40):
-        order.add(0, TimeSource.NEWEST, bytes(1 << 20), i + 1)
-    assert {e.log_ns for e in order.release_all()} == set(range(1, 41))
+        add(order, 0, TimeSource.NEWEST, [bytes(1 << 20)], i + 1)
+    assert {e.log_ns for e in entries(order.release_all())} == set(range(1, 41))
 
 
 @given(st.integers(0, (1 << 31) * 10**9 - 1), st.sampled_from(["little", "big"]))
@@ -99,8 +125,8 @@ def test_messages_are_dated_by_their_stamps(stamp: int, order: Literal["little",
         (message(stamp, order)[:11], 0),
     ):
         dated = LogOrder()
-        dated.add(0, TimeSource.CLOCK, cdr, 0)
-        assert [e.log_ns for e in dated.release_all()] == [expected]
+        add(dated, 0, TimeSource.CLOCK, [cdr])
+        assert [e.log_ns for e in entries(dated.release_all())] == [expected]
 
 
 def test_a_reset_is_reported_and_keeps_the_runs_apart() -> None:
@@ -108,14 +134,14 @@ def test_a_reset_is_reported_and_keeps_the_runs_apart() -> None:
     order = LogOrder()
     runs = [*range(0, 300, 10)], [*range(0, 200, 10)]
     for topic, stamp in [(0, s) for s in runs[0]] + [(1, s) for s in runs[0][:-3]]:
-        order.add(topic, TimeSource.CLOCK, message(stamp * MS), 0)
-    order.add(0, TimeSource.CLOCK, message(0), 0)  # before the other topic's last messages of the first run
+        add(order, topic, TimeSource.CLOCK, [message(stamp * MS)])
+    add(order, 0, TimeSource.CLOCK, [message(0)])  # before the other topic's last messages of the first run
     for stamp in runs[0][-3:]:
-        order.add(1, TimeSource.CLOCK, message(stamp * MS), 0)
-    order.add(1, TimeSource.CLOCK, message(0), 0)
+        add(order, 1, TimeSource.CLOCK, [message(stamp * MS)])
+    add(order, 1, TimeSource.CLOCK, [message(0)])
     for topic, stamp in [(t, s) for t in (0, 1) for s in runs[1][1:]]:
-        order.add(topic, TimeSource.CLOCK, message(stamp * MS), 0)
-    released = order.release_all()
+        add(order, topic, TimeSource.CLOCK, [message(stamp * MS)])
+    released = entries(order.release_all())
     assert [e.log_ns for e in released] == sorted(e.log_ns for e in released)
     for topic in (0, 1):
         stamps = [cdr_stamp_ns(e.cdr) for e in released if e.topic == topic]

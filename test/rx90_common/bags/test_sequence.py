@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,6 +21,18 @@ def test_single_writer_is_counted_exactly(numbers: set[int]) -> None:
     assert counter.received == len(numbers)
     assert counter.lost == max(numbers) - min(numbers) + 1 - len(numbers)
     assert len(counter.writers) == 1
+
+
+@given(st.lists(st.lists(st.integers(1, 30), max_size=8)), st.booleans())
+def test_batches_count_as_messages_do(batches: list[list[int]], runs: bool) -> None:
+    """Numbers counted in batches, in runs without a gap or in any order, give the counts of one after the other."""
+    counters = [SequenceCounter(lambda: 2, transient_local=False) for _ in range(2)]
+    for batch in batches:
+        numbers = list(range(batch[0], batch[0] + len(batch))) if runs and batch else batch
+        counters[0].add_many(np.array(numbers, dtype=np.int64))
+        for number in numbers:
+            counters[1].add(number)
+    assert counters[0].writers == counters[1].writers
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=4), st.randoms(use_true_random=False))

@@ -67,6 +67,11 @@ def test_encoding_equals_the_one_of_rosbags(message):
     names, frame_id, stamp_ns, arrays = message
     raw = JointStateCodec(names, frame_id).encode(stamp_ns, *arrays)
     assert raw == rosbags_bytes(names, frame_id, stamp_ns, arrays)
+    two = [None if values is None else np.stack([values, values[::-1]]) for values in arrays]
+    rows = JointStateCodec(names, frame_id).encode_many(np.array([stamp_ns, 0]), *two)
+    second = [None if values is None else values[1] for values in two]
+    assert rows[0].tobytes() == raw
+    assert rows[1].tobytes() == rosbags_bytes(names, frame_id, 0, second)
 
 
 @settings(deadline=None)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
+from rx90_common.base.stamps import cdr_stamp_ns
 
 lockstep = pytest.importorskip("rx90_common.exchange.lockstep", reason="needs rclpy", exc_type=ImportError)
 from rx90_common.exchange.channel import Matches  # noqa: E402
@@ -92,6 +93,7 @@ class Controller:
         self.said: list[str] = []
         self.refused: list[str] = []
         self.answered: list[int] = []
+        self.reported: list[int] = []
         self.begun: list[int] = []
         self.prepared = 0
         self.channel = channel
@@ -114,6 +116,11 @@ class Controller:
         self.answered.append(stamp // PERIOD)
         self.command[0] = float(len(self.answered))
         return True
+
+    def after_command(self, stamp_ns: int) -> None:
+        """Note that the command of this tick is out."""
+        assert cdr_stamp_ns(self.channel.sent[-1]) == stamp_ns
+        self.reported.append(stamp_ns // PERIOD)
 
     def skip(self, count: int) -> None:
         """Fail: lock-step leaves nothing out."""
@@ -158,6 +165,15 @@ def test_another_tick_is_refused(channel: FakeChannel) -> None:
     controller = Controller(channel)
     with pytest.raises(ExchangeError, match=r"advances by 500000 ns .*accepted: 250000 ns"):
         controller.hear(*(message(2 * k) for k in range(5)))
+
+
+def test_foreign_states_at_another_pace_do_not_end_a_controller_that_knows_the_rates(channel: FakeChannel) -> None:
+    """The loops begin anew with each of them, and with the simulation's own that follow."""
+    controller = Controller(channel)
+    controller.messages.same_rates = True
+    controller.hear(message(0), message(1), *(message(4000 * k) for k in range(1, 6)), message(2), message(3))
+    assert controller.answered == [0, 1, 4000, 8000, 12000, 16000, 20000, 2, 3]
+    assert controller.begun == [0, 4000, 8000, 12000, 16000, 20000, 2]
 
 
 def test_two_simulations_get_no_commands_until_one_is_left(channel: FakeChannel) -> None:
@@ -205,6 +221,17 @@ def test_the_simulation_takes_the_command_of_its_tick_alone(channel: FakeChannel
         assert simulation.exchange(tick * PERIOD, message(tick), never) == message(tick, 1.0 * tick)
     assert simulation.ignored == 100
     assert channel.sent == [message(tick) for tick in range(50)]
+
+
+def test_a_command_that_cannot_be_used_leaves_the_tick_to_the_next_one(channel: FakeChannel) -> None:
+    """Of two commands for a tick the second is taken when the first is refused; the states are not sent again."""
+    simulation = lockstep.LockstepSimulation(channel, pytest.fail)
+    channel.inbox.extend([NOT_FINITE[1], message(0), message(1, 1.0), message(1, 1.0)])
+    assert simulation.exchange(PERIOD, message(1), never) == NOT_FINITE[1]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert channel.sent == [message(1)]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert simulation.again(PERIOD, message(1), lambda: True) is None
 
 
 def test_a_silent_controller_gets_the_states_again_once_a_second(channel: FakeChannel) -> None:

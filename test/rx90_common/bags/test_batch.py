@@ -1,0 +1,73 @@
+"""Batches of messages, and what writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_making import STORAGES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from rx90_common.bags.batch import MessageBatch
+from rx90_common.bags.bulk_storage import BulkWriter
+from rx90_common.bags.files.mcap_writing import ChecksummedMcapWriter
+from rx90_common.bags.writing import typestore
+from rx90_common.base.stamps import cdr_stamp_ns
+
+
+class Theirs(Writer):
+    """rosbags' writer, message by message; checksums are put in afterwards."""
+
+    STORAGE_PLUGINS = Writer.STORAGE_PLUGINS | {StoragePlugin.MCAP: ChecksummedMcapWriter}
+
+
+CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", "sensor_msgs/msg/JointState"), ("/c", "std_msgs/msg/String"))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.lists(st.binary(max_size=20))), st.data())
+def test_messages_are_kept_as_they_are(groups: list[list[bytes]], data: st.DataObject) -> None:
+    """Joined and taken in any order, messages of any length, also 0, stay whole and keep their stamps."""
+    flat = [message for group in groups for message in group]
+    batch = MessageBatch.join([MessageBatch.of(group) for group in groups])
+    assert (list(batch), len(batch), batch.total) == (flat, len(flat), sum(map(len, flat)))
+    rows = data.draw(st.lists(st.integers(0, len(flat) - 1))) if flat else []
+    assert list(batch.take(np.array(rows, dtype=np.intp))) == [flat[row] for row in rows]
+    assert list(batch.take(slice(1, 3))) == flat[1:3]
+    # cdr_stamp_ns looks at the last bit of the second byte alone, too, and leaves negative times to its caller.
+    assert batch.stamps_ns().tolist() == [max(0, cdr_stamp_ns(message)) for message in flat]
+
+
+@given(
+    st.lists(st.sampled_from([b"", b"a" * 12, b"b" * 12, b"a" * 13, b"a" * 12 + b"b"])), st.sampled_from([b"", b"x"])
+)
+def test_repetitions_are_found(messages: list[bytes], before: bytes) -> None:
+    """A message counts as a repetition where all its bytes are those of the one before it."""
+    expected = [one == other for one, other in zip(messages, [before, *messages], strict=False)]
+    assert MessageBatch.of(messages).repeats(before).tolist() == expected
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_files_are_those_of_rosbags(tmp_path: Path, storage: str) -> None:
+    """Batches of any size, also across chunks and with messages larger than one, give the bytes that rosbags gives."""
+    random = np.random.default_rng(3)
+    sizes = np.concatenate([random.integers(0, 3000, 1500), [3 << 20, 0, 1 << 20], random.integers(0, 50, 200)])
+    messages = [random.bytes(int(size)) for size in sizes]
+    log_ns = random.integers(0, 2**62, len(messages))
+    channel = random.integers(1, 1 + len(CHANNELS), len(messages))
+    for folder, kind in (("theirs", Theirs), ("ours", BulkWriter)):
+        writer = kind(tmp_path / folder / "bag", version=9, storage_plugin=StoragePlugin[storage.upper()])
+        with writer:
+            connections = [writer.add_connection(*each, typestore=typestore()) for each in CHANNELS]
+            if isinstance(writer, BulkWriter):
+                for rows in np.split(np.arange(len(messages)), [1, 2, 700, 1501]):
+                    batch = MessageBatch.of([messages[row] for row in rows])
+                    writer.write_many(channel[rows], log_ns[rows], batch)
+            else:
+                for number, time, message in zip(channel, log_ns.tolist(), messages, strict=True):
+                    writer.write(connections[number - 1], time, message)
+    for file in (tmp_path / "theirs" / "bag").iterdir():
+        assert (tmp_path / "ours" / "bag" / file.name).read_bytes() == file.read_bytes()
