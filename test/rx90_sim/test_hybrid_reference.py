@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("mujoco", reason="MuJoCo is not installed")
+
 from benchmarks.accuracy import compare, full_speed, run_plant, without_rounding
 from benchmarks.closed_loop import Work
 from benchmarks.hybrid_reference import StiffPlant, hybrid_reference

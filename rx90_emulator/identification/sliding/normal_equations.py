@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.sparse import csr_array
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.sliding.rows import SlidingRows
+from rx90_emulator.identification.sliding.rows import SlidingRows, back_substituted
 from rx90_emulator.identification.sliding.weights import Weights
 
 _RANK = 1e-13  # of the largest eigenvalue: smaller ones count as 0
@@ -81,14 +80,14 @@ class NormalForm:
         basis, upper = np.linalg.qr(np.vstack([nuisance, np.eye(nuisance.shape[1])]))
         basis = basis[: len(value)]
         along = np.hstack([basis.T @ value, basis.T @ friction])
-        back = solve_triangular(upper, along)
+        back = back_substituted(upper, along)
         form = (friction.T @ friction).toarray() - along[:, 1:].T @ along[:, 1:]
         pull = (friction.T @ value)[:, 0] - along[:, 1:].T @ along[:, 0]
         values, vectors = np.linalg.eigh((form + form.T) / 2.0)
         good = values > _RANK * values[-1]
         scale = np.sqrt(values[good])
         root = scale[:, None] * vectors[:, good].T
-        spread = solve_triangular(upper, np.eye(len(upper)))
+        spread = back_substituted(upper, np.eye(len(upper)))
         return cls(root, (vectors[:, good].T @ pull) / scale, back, spread)
 
     def nuisance(self, torques: Array) -> Array:

@@ -10,6 +10,7 @@ is the difference of the two torques.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +108,11 @@ def _plateau_means(values: Array, plateau: NDArray[np.int64]) -> Array:
     return np.asarray((total / np.maximum(count, 1)[:, None])[plateau])
 
 
+def back_substituted(upper: NDArray[Any], right: NDArray[Any]) -> Array:
+    """Return x of upper @ x = right, shapes (n, n) and (n, k); SciPy 1.11 refuses n = 0."""
+    return np.asarray(solve_triangular(upper, right)) if len(upper) else right
+
+
 def _unloaded(stuck: Array) -> Array:
     """Return a sparse basis of the joint torques on which no stuck element acts, shape (n, k).
 
@@ -119,7 +125,7 @@ def _unloaded(stuck: Array) -> Array:
     _, upper, order = qr(stuck, pivoting=True)
     rank = int(np.sum(np.abs(np.diag(upper)) > 1e-9))
     combination = np.zeros((n, n - rank))
-    combination[order[:rank]] = -solve_triangular(upper[:rank, :rank], upper[:rank, rank:])
+    combination[order[:rank]] = -back_substituted(upper[:rank, :rank], upper[:rank, rank:])
     combination[order[rank:]] = np.eye(n - rank)
     combination[np.abs(combination) < 1e-12] = 0.0
     return combination

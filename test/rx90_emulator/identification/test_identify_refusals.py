@@ -85,13 +85,6 @@ def truncated(bench: Bench, storage: str, rosbag2: bool = True) -> Path:
     return path
 
 
-def without_index(bench: Bench) -> Path:
-    """Return a bag folder without metadata.yaml."""
-    bag = bench.write("bare")
-    (bag / "metadata.yaml").unlink()
-    return bag
-
-
 def stamped_back(bench: Bench) -> Path:
     """Return a bag whose stamps go back once."""
     rows = [("/joint_states", 10**9 + k, joint_state(stamp, ["hinge"], [0.0], [], [1.0]))
@@ -155,11 +148,10 @@ REFUSED = [
     ("nowhere", sliding(lambda b: b.folder / "nowhere"), "nowhere: no such bag"),
     ("empty", sliding(lambda b: b.write("empty", slice(0, 0))), "empty"),
     ("folder", sliding(lambda b: directory(b, "plain")), "plain"),
-    ("no_index", sliding(without_index), "bare.*metadata.yaml"),
     ("text", sliding(lambda b: b.file("text.mcap", "no bag")), "text.mcap"),
     ("truncated_mcap", sliding(lambda b: truncated(b, "mcap")), "cut: cut.mcap is cut off"),
-    ("truncated_db3", sliding(lambda b: truncated(b, "sqlite3")), "cut: damaged"),
-    ("truncated_ros1", sliding(lambda b: truncated(b, "ros1", rosbag2=False)), "cut.bag: damaged"),
+    ("truncated_db3", sliding(lambda b: truncated(b, "sqlite3")), "cut: cut.db3 is damaged: "),
+    ("truncated_ros1", sliding(lambda b: truncated(b, "ros1", rosbag2=False)), "cut.bag: cut.bag is damaged: "),
     ("topic", options("--topic", "leg"), "no topic /leg; JointState topics: /joint_states"),
     ("names", options("--names", "elbow"), "no joint 'elbow'; there are hinge"),
     (
@@ -203,7 +195,8 @@ REFUSED = [
         urdf(lambda text: text.replace("<limit", "<no")),
         r"\[hinge\] is of type REVOLUTE but it does not specify limits",
     ),
-    ("effort_limit", urdf(lambda text: text.replace("effort=", "strength=")), r"joint \[hinge\]: limit has no effort"),
+    # Pinocchio 2 hands on another text of its URDF parser than Pinocchio 4.
+    ("effort_limit", urdf(lambda text: text.replace("effort=", "strength=")), "limit has no effort|limit: no effort"),
     (
         "massless",
         urdf(lambda text: text.replace('mass value="2.0"', 'mass value="0"')),
