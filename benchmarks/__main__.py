@@ -2,10 +2,10 @@
 
     python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [perturbation]
                          [lockstep] [composition] [speed] [sweep] [friction_ramp] [friction_ramp_coverage]
-                         [identification]
-                         [identification_presliding] [identification_time]
+                         [identification] [identification_presliding] [identification_time]
 
-Each runs in a process of its own, prints its table and merges its figures as soon as it has them.
+Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
+benchmarks.figures` brings them into README.md and docs/.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from benchmarks.report import ROOT
 from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.quoting import quoted
 
 MEASURED = ROOT / "benchmarks" / "measured.json"
 TABLES = ROOT / "benchmarks" / "figures.md"
@@ -89,8 +90,15 @@ def with_figures(page: str, measured: Measured) -> str:
 
 
 def add(measured: Measured, figures: Mapping[str, float]) -> dict[str, list[float]]:
-    """Return the measured values with those of one machine; figures that no table shows are left out."""
+    """Return the measured values with those of one machine; figures that no table shows are left out.
+
+    Raises:
+        ConfigError: if a figure of the machine is not a number.
+    """
     names = {f"{key}{which}" for key in keys() for which in ("", "_lowest", "_highest")}
+    for name in names & figures.keys():
+        if not isinstance(figures[name], int | float):
+            raise ConfigError(f"{name} is {quoted(figures[name])}; accepted: a number")
     both = {name: {*measured.get(name, ()), *([figures[name]] if name in figures else [])} for name in sorted(names)}
     return {name: sorted(values) for name, values in both.items() if values}
 

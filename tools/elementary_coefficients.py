@@ -99,7 +99,7 @@ def pi() -> Decimal:
 
 
 def arcs() -> list[Decimal]:
-    """Return 0, atan(1/2) and atan(1), each as it is, off pi/2, off pi, and less pi/2 off pi."""
+    """Return a, pi/2 - a, pi - a and pi/2 + a for a = 0, atan(1/2) and atan(1)."""
     bases = (Decimal(0), arc_tangent(2), pi() / 4)
     return [angle for base in bases for angle in (base, pi() / 2 - base, pi() - base, pi() / 2 + base)]
 

@@ -34,7 +34,7 @@ from rx90_common.base.errors import (
     Rx90Error,
     write_error,
 )
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import SHIPPED
 from rx90_common.friction.friction_file import FrictionFile
@@ -67,12 +67,12 @@ def run(options: argparse.Namespace) -> int:
     write_html(out / "report.html", result, rig, origin)
     write_estimates(out / "estimates.yaml", result)
     print(result_text(result))
-    print(f"report: {out / 'report.html'}")
+    print(one_line(f"report: {out / 'report.html'}"))
     if result.failures:
         print("parameters for rx90_sim: not written, as a load carries no estimate", file=sys.stderr)
         return VERDICT_NO
     write_yaml(out / "friction.yaml", result, options.element, base)
-    print(f"parameters for rx90_sim: {out / 'friction.yaml'}")
+    print(one_line(f"parameters for rx90_sim: {out / 'friction.yaml'}"))
     return DONE
 
 
@@ -110,6 +110,8 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
         raise ConfigError(f"--end-torque is {torque:g}; accepted: (0, {rig.dac_full_scale:g}] Nm")
     for slope in slopes:
         rig.ramp_step(slope)
+        if slopes.count(slope) > 1:
+            raise ConfigError(f"--slopes has {slope:g} twice; accepted: each slope once, and --repeats for more ramps")
     return RampPlan(
         slopes=slopes,
         repeats=options.repeats or rig.ramps.repeats,

@@ -147,6 +147,8 @@ class BagReader:
     def _find_files(self) -> BagMetadata | None:
         """Find the storage files; return the metadata if there are any."""
         if not self.path.is_dir():
+            if self.path.is_fifo() or self.path.is_socket():  # to open it would wait for a writer
+                raise BagError(f"{plain(self.path)}: no file that can be read twice; accepted: {ACCEPTED}")
             self.files = [self.path]
             return None
         there = sorted(file for file in self.path.iterdir() if file.name.endswith(_SUFFIXES))

@@ -78,7 +78,7 @@ def rpy_rotation(rpy: ArrayLike) -> Array:
 
 
 def turn_between(first_rpy: ArrayLike, last_rpy: ArrayLike) -> Array:
-    """Return the rotation vector (3,), rad, in base axes that leads from one orientation to another the shorter way.
+    """Return the rotation vector (3,), rad, in base axes that leads from one orientation to another by the shorter way.
 
     It is exactly zero between equal orientations.
     """

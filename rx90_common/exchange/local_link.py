@@ -7,6 +7,7 @@ from DDS: who else publishes on these topics is not heard, and is announced.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -42,7 +43,7 @@ class LocalChannel:
         self._listeners = self._publisher.handle.get_subscription_count
         self._inbox: deque[bytes] = deque(maxlen=qos.depth)
         self._arrived = threading.Event()
-        self._waiting = False
+        self._waiting = self._woken = False
         self._peer = self
         self._serve: Callable[[], None] | None = None
         self._others_seen = 0
@@ -86,16 +87,21 @@ class LocalChannel:
         if not inbox and self._serve is not None:
             self._serve()
         if not inbox and timeout_s > 0.0:
-            # In this order: what comes in between is found, or announced.
-            self._waiting = True
-            if not inbox:
-                self._arrived.wait(timeout_s)
-            self._waiting = False
-            self._arrived.clear()
+            self._wait(timeout_s)
         return inbox.popleft() if inbox else None
+
+    def _wait(self, timeout_s: float) -> None:
+        deadline = time.monotonic() + timeout_s
+        # In this order: what comes in between is found, or announced.
+        self._waiting = True
+        # The announcement of a message that was taken before may come now: it ends no wait.
+        while not self._inbox and not self._woken and self._arrived.wait(deadline - time.monotonic()):
+            self._arrived.clear()
+        self._waiting = self._woken = False
 
     def wake(self) -> None:
         """Make the current or the next `receive` that waits return at once; callable from every thread."""
+        self._woken = True
         self._arrived.set()
 
     def matches(self) -> Matches:

@@ -82,10 +82,13 @@ class LockstepSimulation:
             meanwhile()
         raw = self._channel.receive(_SLICE)
         if raw is None or cdr_stamp_ns(raw) != stamp_ns or self._two_controllers:
-            raw = self._exchange_slowly(stamp_ns, state, raw, interrupted)
-        if raw is not None:
-            self._accepted = raw
+            return self._exchange_slowly(stamp_ns, state, raw, interrupted)
+        self._accepted = raw
         return raw
+
+    def again(self, stamp_ns: int, state: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        """Return another command for the tick of the last `exchange`, whose command could not be used."""
+        return self._exchange_slowly(stamp_ns, state, None, interrupted)
 
     def _exchange_slowly(
         self, stamp_ns: int, state: bytes, raw: bytes | None, interrupted: Callable[[], bool]
@@ -97,6 +100,7 @@ class LockstepSimulation:
             if raw is not None:
                 if cdr_stamp_ns(raw) == stamp_ns and not self._two_controllers:
                     self._wait.end(stamp_ns)
+                    self._accepted = raw
                     return raw
                 self._ignore(raw)
             now = time.monotonic()
@@ -215,7 +219,8 @@ class LockstepController:
             return
         now = time.monotonic()
         size = stamp - self._stamp
-        if size == self._jumped > 0:
+        # Once the rates are known to be the same, such states are somebody else's, and no message ends a node.
+        if size == self._jumped > 0 and not self._messages.same_rates:
             raise ExchangeError(
                 f"{self._channel.subscribe_topic} advances by {size} ns from tick to tick; accepted: {self._period_ns} "
                 "ns, the same base_rate in both nodes"

@@ -22,7 +22,7 @@ _HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487111665e-21)
 _LEAST_EXPONENT = -708.0  # exp below this is smaller than every normal number
 _MOST_EXPONENT = 709.0  # exp beyond this comes near the largest number
 _LEAST_NORMAL = 2.0**-1022
-# 0, atan(1/2) and atan(1); each as it is, off pi/2, off pi, and beyond pi/2; in two parts.
+# For a = 0, atan(1/2) and atan(1): a, pi/2 - a, pi - a and pi/2 + a, each as a double and what that lacks.
 _ARCS = (
     (0.0, 0.0),
     (1.5707963267948966, 6.123233995736765e-17),
@@ -173,7 +173,7 @@ def _general_power(base: Number, exponent: Number) -> Number:
     rest = fma(exponent, rest, fma(exponent, logarithm, -product))
     grown = exponential(select(product > _MOST_EXPONENT, _MOST_EXPONENT, product))
     result = select(product > _MOST_EXPONENT, math.inf, fma(grown, rest, grown))
-    # Bits of a base that is 0 or no number say nothing; its product with 0 does.
+    # The exponent is that of normal numbers alone: smaller bases give 0, NaN gives NaN.
     return select(base >= _LEAST_NORMAL, result, base * 0.0)
 
 
@@ -183,7 +183,7 @@ def arctangent(y: float, x: float) -> float:
     width, height = abs(x), abs(y)
     steep = height > width
     low, high = (width, height) if steep else (height, width)
-    # Off the angle of 0, 1/2 or 1, whichever is near.
+    # tan(a - b) = (tan a - tan b) / (1 + tan a tan b), with tan b the nearest of 0, 1/2 and 1.
     if low <= 0.236 * high:
         u, place = (low / high if high > 0.0 else 0.0), 0
     elif low <= 0.72 * high:

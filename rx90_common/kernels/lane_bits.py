@@ -1,7 +1,7 @@
 """Lanes as bit patterns: factors 2^k and signs for numbers that hold an integer k.
 
 A double WHOLE + k holds the integer k in its lowest bits. A shift brings them to the place of another number's
-exponent or sign. A conversion to integers, which AVX2 lacks for lanes of doubles, is not needed.
+exponent or sign, so that a conversion to integers, which AVX2 lacks for lanes of doubles, is not needed.
 """
 
 from __future__ import annotations

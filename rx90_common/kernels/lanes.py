@@ -242,17 +242,6 @@ def store(_: Any, array: Any, value: Any) -> Any:
     return types.void(array, value), emit
 
 
-@Operation[Callable[[Lanes], int]].of
-def width_of(_: Any, x: Any) -> Any:
-    """Return the number of lanes; a float has one."""
-    count = x.width if isinstance(x, LanesType) else 1
-
-    def emit(_context: Any, _builder: Any, _signature: Any, _arguments: Any) -> Any:
-        return ir.IntType(64)(count)
-
-    return types.intp(x), emit
-
-
 @Operation[Callable[[Lanes, int], float]].of
 def lane(_: Any, x: Any, index: Any) -> Any:
     """Return one lane as a float."""
@@ -261,17 +250,6 @@ def lane(_: Any, x: Any, index: Any) -> Any:
         return builder.extract_element(*arguments) if isinstance(x, LanesType) else arguments[0]
 
     return types.float64(x, index), emit
-
-
-@Operation[Callable[[Number, int, float], Number]].of
-def replace_lane(_: Any, x: Any, index: Any, value: Any) -> Any:
-    """Return `x` with another number in one lane."""
-
-    def emit(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
-        vector, position, number = arguments
-        return builder.insert_element(vector, number, position) if isinstance(x, LanesType) else number
-
-    return x(x, index, value), emit
 
 
 @Operation[Callable[[Lanes, int], Lanes]].of

@@ -58,7 +58,7 @@ class ControllerOutputs:
 
     def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
         self._node, self._cs7b = node, cs7b
-        self._ready = (
+        self.ready = (
             f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
             f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
             f"{node.resolve_topic_name(_TRAJECTORY)}"
@@ -92,10 +92,6 @@ class ControllerOutputs:
     def wait_for_subscribers(self) -> None:
         """Wait until subscribers, also those of the commands, are matched."""
         node_tools.wait_until_matched(self._node, self.publishers, _MATCH_ATTEMPTS)
-
-    def ready(self) -> None:
-        """Print that the first states have come."""
-        self.info(self._ready)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""

@@ -46,7 +46,6 @@ class Requests:
     def __init__(self, cs7b: CS7B, log: Log, horizon: float) -> None:
         self._cs7b, self._log, self._horizon = cs7b, log, horizon
         self.rejected = 0
-        self._stopping = False
         self._reports: deque[Callable[[], None]] = deque()
 
     def report(self) -> None:
@@ -61,10 +60,16 @@ class Requests:
 
     def note_end(self) -> None:
         """Note the end of a trajectory, if it is in this tick of the position loop."""
-        tick = self._cs7b.trajectory.ended(self._cs7b.position_tick)
-        if tick is not None:
-            what = "stopped" if self._stopping else "trajectory ended"
-            self.note(f"{what} at {tick * self._cs7b.rates.position_period:.3f} s; holding")
+        end = self._cs7b.trajectory.ended(self._cs7b.position_tick)
+        if end is not None:
+            what = "stopped" if end.stop else "trajectory ended"
+            self.note(f"{what} at {end.tick * self._cs7b.rates.position_period:.3f} s; holding")
+
+    def note_dropped(self, why: str) -> None:
+        """Note that a trajectory comes to no end, if one runs or waits for its start."""
+        now = self._cs7b.position_tick
+        if self._cs7b.trajectory.moving(now):
+            self.note(f"trajectory dropped at {now * self._cs7b.rates.position_period:.3f} s: {why}")
 
     def take(self, trajectory: Any, *, enabled: bool) -> None:
         """Follow a trajectory_msgs/JointTrajectory, or stop for one without points, or refuse it."""
@@ -76,7 +81,6 @@ class Requests:
             self.rejected += 1
             self.note(f"trajectory rejected: {error}", wrong=True)
             return
-        self._stopping = not trajectory.points
         rates = self._cs7b.rates
         self._reports.append(partial(self._log.accepted, trajectory, schedule.begin * rates.period_ns * rates.ratio))
         self.note(text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any, Protocol
 
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
@@ -12,13 +13,16 @@ from rx90_controller.node.requests import Log, Requests
 
 
 class Outputs(Log, Protocol):
-    """Where set-points, tracking errors, accepted trajectories and lines for the user go."""
+    """Where set-points, tracking errors, accepted trajectories and lines for the user go.
+
+    Attributes:
+        ready: the line that says that the first states have come.
+    """
+
+    ready: str
 
     def wait_for_subscribers(self) -> None:
         """Wait, not without end, until those who listen will get the first message."""
-
-    def ready(self) -> None:
-        """Print, once, that the first states have come."""
 
     def publish(self, stamp_ns: int) -> None:
         """Publish what the position loop has left."""
@@ -60,9 +64,11 @@ class ServoLoop:
     def hold(self, states: MotorStates) -> None:
         """Hold the arm where it is; a trajectory that waited for the first states begins."""
         with self._lock:
+            if self.running:
+                self._requests.note_dropped(f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding")
+            else:
+                self._requests.note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
-            if not self.running:
-                self._outputs.ready()
             self.running = True
             waiting, self._waiting = self._waiting, None
             if waiting is not None:
@@ -74,6 +80,7 @@ class ServoLoop:
         with self._lock:
             if self._released or not self.enabled:
                 self._released = False
+                self._requests.note_dropped("the torque is off")
                 cs7b.reset(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
             slow = cs7b.on_position_tick
@@ -135,8 +142,9 @@ class ServoLoop:
             if self.running:
                 self._requests.take(trajectory, enabled=self.enabled)
             else:
+                instead = ", in place of the one that waited" if self._waiting is not None else ""
                 self._waiting = trajectory
-                self._requests.note("a trajectory waits for the simulation's first tick")
+                self._requests.note(f"a trajectory waits for the simulation's first tick{instead}")
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

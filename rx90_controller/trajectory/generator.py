@@ -26,6 +26,13 @@ class Schedule(NamedTuple):
     miss: float
 
 
+class End(NamedTuple):
+    """The position tick in which a motion has come to its end, and whether it was a stop."""
+
+    tick: int
+    stop: bool
+
+
 @dataclass
 class _Motion:
     """A spline that begins at position tick `start`; `announced` once `ended` has returned its end."""
@@ -33,6 +40,7 @@ class _Motion:
     start: int
     spline: Spline
     period: float
+    stop: bool = False
     announced: bool = False
 
     @property
@@ -109,8 +117,8 @@ class TrajectoryGenerator:
         """Return whether a trajectory runs or waits for its start at position tick `tick`."""
         return (self._next or self._current).runs(tick)
 
-    def ended(self, tick: int) -> int | None:
-        """Return the position tick at which a trajectory has come to its end, once for each that does.
+    def ended(self, tick: int) -> End | None:
+        """Return when a trajectory or a stop has come to its end, once for each that does.
 
         To be called in every position tick. A trajectory that another one has replaced has no end.
         """
@@ -119,7 +127,7 @@ class TrajectoryGenerator:
         if motion.announced or tick < motion.end:
             return None
         motion.announced = True
-        return motion.end
+        return End(motion.end, motion.stop)
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
         """Take a trajectory; return when it runs.
@@ -151,7 +159,7 @@ class TrajectoryGenerator:
         """
         begin = self._begin(now, start)
         position, velocity, _ = self._current.setpoints(begin, 1)[0]
-        return self._follow(begin, stop(position, velocity, self.limits.acceleration))
+        return self._follow(begin, stop(position, velocity, self.limits.acceleration), stopping=True)
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
@@ -163,8 +171,8 @@ class TrajectoryGenerator:
         self._promote(now)
         return begin
 
-    def _follow(self, begin: int, spline: Spline) -> Schedule:
-        self._next = _Motion(begin, spline, self.period)
+    def _follow(self, begin: int, spline: Spline, *, stopping: bool = False) -> Schedule:
+        self._next = _Motion(begin, spline, self.period, stopping)
         self.revision += 1
         return Schedule(begin, self._next.end, spline.miss)
 

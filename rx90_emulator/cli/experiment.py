@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments
 
 _EPILOG = """\
@@ -62,4 +63,4 @@ def main(options: argparse.Namespace) -> None:
         record_on_engine(setup, plan, options.output, options.storage)
     else:
         record_on_nodes(setup, plan, options.output, options.node, options.timeout)
-    print(f"bags: {options.output}")
+    print(one_line(f"bags: {options.output}"))

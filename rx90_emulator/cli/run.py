@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from rx90_common.base.errors import ConfigError, check_place
+from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import REFERENCE_TASK
 from rx90_emulator.cli.options import FINITE, add_robot_arguments
@@ -24,7 +25,7 @@ Run = TypeVar("Run", bound="RunResult")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.set_defaults(interrupted="nothing was written")
+    parser.set_defaults(interrupted="only what is named above was written whole")
     motion = parser.add_mutually_exclusive_group()
     motion.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
     motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
@@ -88,10 +89,10 @@ def main(options: argparse.Namespace) -> None:
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
         write_bag(result, options.output, options.storage, options.decimation)
-        print(f"bag: {options.output}")
+        print(one_line(f"bag: {options.output}"))
     if options.arrays is not None:
         save_arrays(result, options.arrays)
-        print(f"arrays: {options.arrays}")
+        print(one_line(f"arrays: {options.arrays}"))
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -148,7 +149,7 @@ def _trajectory_run(
         recorded = read_run(options.from_bag, setup, start)
         start = recorded.initial_position
         told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
-        print(f"trajectories in {options.from_bag}: {len(recorded.commands)}, from {told}")
+        print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {told}")
         run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
     else:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)

@@ -6,6 +6,8 @@ import argparse
 import time
 from pathlib import Path
 
+from rx90_common.base.quoting import one_line
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
@@ -58,9 +60,10 @@ def _run(options: argparse.Namespace) -> None:
     )
     elapsed = time.perf_counter() - began
     if counts.computed == 0:
-        print(f"nothing to do: {options.output} has all {len(sweep)} runs")
+        print(one_line(f"nothing to do: {options.output} has all {len(sweep)} runs"))
         return
-    print(f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed; {options.output}")
+    done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
+    print(one_line(f"{done}; {options.output}"))
 
 
 def _info(options: argparse.Namespace) -> None:

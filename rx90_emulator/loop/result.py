@@ -182,7 +182,14 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         for field, values in series.fields.items():
             arrays[f"{topic.rpartition('/')[2]} {series.quantities[field]}"] = values
     try:
-        with Path(file).open("xb") as stream:
-            np.savez_compressed(stream, **arrays)
+        stream = Path(file).open("xb")  # noqa: SIM115 - what fails from here on must not remove a file of others
     except OSError as error:
         raise write_error(file, error, "a new file") from error
+    try:
+        with stream:
+            np.savez_compressed(stream, **arrays)
+    except BaseException as error:
+        Path(file).unlink(missing_ok=True)  # half a file is of no use
+        if isinstance(error, OSError):
+            raise write_error(file, error) from error
+        raise

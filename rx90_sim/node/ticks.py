@@ -57,6 +57,7 @@ class Ticks:
         self._published_tick = -1
         self._encode_states = JointStateCodec(MOTOR_NAMES).encoder(*plant.motor_states())
         self._commands = JointStateCodec(MOTOR_NAMES)
+        self._torques: NDArray[np.float64] | None = None  # of the newest command; brakes closed for None
         self._throttled = ThrottledLog(log.error)
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
@@ -109,9 +110,11 @@ class Ticks:
         stamp = plant.tick * self._period_ns
         states = self._encode_states(stamp)
         raw = self.lockstep.exchange(stamp, states, self._interrupted, self._publish_due)
+        while raw is not None and not self._usable(raw):
+            raw = self.lockstep.again(stamp, states, self._interrupted)
         if raw is None:
             return False
-        plant.step(self._torques(raw))
+        plant.step(self._torques)
         if self._unpaced:
             self.listeners.tick_done()
         self.pacer.wait()
@@ -136,13 +139,14 @@ class Ticks:
             self._published_tick = self._plant.tick
             self._publications.publish_due()
 
-    def _torques(self, raw: bytes) -> NDArray[np.float64] | None:
-        """Return the command's torques; None, which closes the brakes, if it has none or cannot be used."""
+    def _usable(self, raw: bytes) -> bool:
+        """Take the command's torques, None for none; return whether it is a command at all."""
         try:
-            return self._commands.decode(raw)[3]
+            self._torques = self._commands.decode(raw)[3]
         except ExchangeError as error:
-            self._throttled.say("command", f"{self._channel.subscribe_topic}: {error}; the brakes close")
-            return None
+            self._throttled.say("command", f"{self._channel.subscribe_topic}: {error}; the message is ignored")
+            return False
+        return True
 
     def _reset(self) -> None:
         self._plant.reset(self._parameters.initial_position)

@@ -52,7 +52,9 @@ def test_a_machine_s_run_is_added() -> None:
     assert "| 9 to 12 s |" in with_figures("<!-- figures: main -->\n<!-- end of figures -->", measured)
 
 
-def test_an_unknown_table_is_refused() -> None:
-    """A page that asks for a table that there is not ends in the tables that there are."""
+def test_what_cannot_be_used_is_refused() -> None:
+    """A table that there is not, and a figure that is not a number, are named with what is accepted."""
+    with pytest.raises(ConfigError, match=r"^sweep_1000_runs_s is \[9\.0\]; accepted: a number$"):
+        add({}, {"sweep_1000_runs_s": [9.0]})  # type: ignore[dict-item]
     with pytest.raises(ConfigError, match="the table is 'speed'; accepted: main, path_error"):
         with_figures("<!-- figures: speed -->\n<!-- end of figures -->", {})

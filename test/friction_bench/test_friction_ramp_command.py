@@ -103,6 +103,7 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--seed", "-1"], "--seed is -1; accepted: 0 to"),
         (["--baud", "0"], "--baud is 0; accepted: 1200 to 1000000"),
         (["--slopes", "nan"], "slope nan Nm/s; accepted"),
+        (["--slopes", "0.1", "0.05", "0.1"], "--slopes has 0.1 twice; accepted: each slope once"),
         (["--slopes", "inf", "0.1"], "slope inf Nm/s; accepted"),
         (["--end-torque", "nan"], "--end-torque is nan"),
         (["--end-torque", "0.19"], "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),

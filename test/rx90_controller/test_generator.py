@@ -247,7 +247,7 @@ def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: Trajecto
     got = generator.setpoints(400, 200)
     assert got[:, 0] == pytest.approx(position + ramp * velocity - np.sign(velocity) * 30.0 * ramp**2, abs=1e-12)
     assert got[:, 1] == pytest.approx(velocity - np.sign(velocity) * 60.0 * ramp, abs=1e-12)
-    assert [generator.ended(tick) for tick in range(399, end + 3)] == [None] * (end - 399) + [end, None, None]
+    assert [generator.ended(tick) for tick in range(399, end + 3)] == [None] * (end - 399) + [(end, True), None, None]
 
 
 def test_a_stop_drops_what_waits_and_is_refused_in_the_past(generator: TrajectoryGenerator) -> None:

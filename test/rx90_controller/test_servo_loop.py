@@ -17,9 +17,10 @@ from rx90_emulator.loop.setup import Setup
 class Surroundings:
     """What a servo loop has around it: a log, and topics that note what is published."""
 
+    ready = "ready"
+
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.ready_said = 0
         self.published: list[int] = []
         self.taken: list[tuple[int, int]] = []
         self.report: Callable[[], None] = lambda: None
@@ -35,10 +36,6 @@ class Surroundings:
     def wait_for_subscribers(self) -> None:
         """Note the wait."""
         self.lines.append("subscribers")
-
-    def ready(self) -> None:
-        """Count how often it was said."""
-        self.ready_said += 1
 
     def publish(self, stamp_ns: int) -> None:
         """Note when."""
@@ -104,16 +101,53 @@ def rig(shipped: Setup) -> Rig:
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
-    """What comes before the first states is followed from their tick on; that they have come is said once."""
+    """The newest of what comes before the first states is followed from their tick on; they are told of once.
+
+    The ticking thread only notes that, and leaves it to the executor's to print: a terminal may keep it waiting.
+    """
+    rig.loop.offer(rig.trajectory(0.2))
     rig.loop.offer(rig.trajectory(0.1))
-    assert rig.around.lines == ["a trajectory waits for the simulation's first tick"]
+    waits = "a trajectory waits for the simulation's first tick"
+    assert rig.around.lines == [waits, f"{waits}, in place of the one that waited"]
     rig.loop.begin()
+    rig.around.report = lambda: None
     rig.loop.hold(rig.states(400))
-    assert rig.around.lines[1:] == ["subscribers", "trajectory accepted: 1 points, 1.000 s from 0.100 s"]
+    assert rig.around.lines[2:] == ["subscribers"]
+    rig.loop.report()
+    assert rig.around.lines[3:] == ["ready", "trajectory accepted: 1 points, 1.000 s from 0.100 s"]
     rig.run(400, 4004)
     assert rig.cs7b.reference()[0] == pytest.approx([0.1] * 6)
     rig.loop.hold(rig.states(0))
-    assert rig.around.ready_said == 1
+    rig.loop.report()
+    assert rig.around.lines.count("ready") == 1
+    assert not any("dropped" in line for line in rig.around.lines)
+
+
+def test_a_motion_that_comes_to_no_end_is_told_of(rig: Rig) -> None:
+    """States that begin anew, as after a reset, drop a motion, and one that waits for its start: one line with why."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.1))
+    rig.run(0, 400)
+    rig.loop.hold(rig.states(0))
+    assert rig.around.lines[-1] == "trajectory dropped at 0.100 s: the states go on from 0 s; holding"
+    rig.loop.offer(rig.trajectory(0.1, stamp=(5, 0)))
+    rig.loop.enable(False)
+    rig.run(0, 400)
+    assert rig.around.lines[-1] == "trajectory dropped at 0.000 s: the torque is off"
+
+
+def test_an_end_is_called_what_it_is(rig: Rig) -> None:
+    """A motion that ends before a stop that was asked for in time, and a stop that ends before a motion begins."""
+    rig.loop.hold(rig.states(0))
+    rig.loop.offer(rig.trajectory(0.1))
+    rig.run(0, 4)
+    rig.loop.offer(rig.empty(stamp=(1, 200_000_000)))
+    rig.run(4, 4000)
+    assert rig.around.lines[-1] == "trajectory ended at 1.000 s; holding"
+    rig.run(4004, 800)
+    rig.loop.offer(rig.trajectory(0.2, stamp=(3, 0)))
+    rig.run(4804, 4)
+    assert rig.around.lines[-1] == "stopped at 1.200 s; holding"
 
 
 def test_set_points_are_published_in_ticks_of_the_position_loop(rig: Rig) -> None:

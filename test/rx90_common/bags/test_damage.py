@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -141,6 +142,13 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
             assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2
             err = capsys.readouterr().err
             assert err == f"rx90_bag: {tmp_path / name}: {complaint}\n"
+
+
+def test_a_pipe_is_refused_without_waiting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What cannot be read twice is refused before it is opened, which would wait for a writer."""
+    os.mkfifo(tmp_path / "bag.mcap")
+    assert run("rx90_bag", ["info", str(tmp_path / "bag.mcap")]) == 2
+    assert "no file that can be read twice; accepted: " in capsys.readouterr().err
 
 
 def test_storage_file_alone_is_enough(tmp_path: Path) -> None:

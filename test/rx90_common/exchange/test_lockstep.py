@@ -167,6 +167,15 @@ def test_another_tick_is_refused(channel: FakeChannel) -> None:
         controller.hear(*(message(2 * k) for k in range(5)))
 
 
+def test_foreign_states_at_another_pace_do_not_end_a_controller_that_knows_the_rates(channel: FakeChannel) -> None:
+    """The loops begin anew with each of them, and with the simulation's own that follow."""
+    controller = Controller(channel)
+    controller.messages.same_rates = True
+    controller.hear(message(0), message(1), *(message(4000 * k) for k in range(1, 6)), message(2), message(3))
+    assert controller.answered == [0, 1, 4000, 8000, 12000, 16000, 20000, 2, 3]
+    assert controller.begun == [0, 4000, 8000, 12000, 16000, 20000, 2]
+
+
 def test_two_simulations_get_no_commands_until_one_is_left(channel: FakeChannel) -> None:
     """Interleaved states of two publishers are announced once and left unanswered until one publisher is left."""
     controller = Controller(channel)
@@ -212,6 +221,17 @@ def test_the_simulation_takes_the_command_of_its_tick_alone(channel: FakeChannel
         assert simulation.exchange(tick * PERIOD, message(tick), never) == message(tick, 1.0 * tick)
     assert simulation.ignored == 100
     assert channel.sent == [message(tick) for tick in range(50)]
+
+
+def test_a_command_that_cannot_be_used_leaves_the_tick_to_the_next_one(channel: FakeChannel) -> None:
+    """Of two commands for a tick the second is taken when the first is refused; the states are not sent again."""
+    simulation = lockstep.LockstepSimulation(channel, pytest.fail)
+    channel.inbox.extend([NOT_FINITE[1], message(0), message(1, 1.0), message(1, 1.0)])
+    assert simulation.exchange(PERIOD, message(1), never) == NOT_FINITE[1]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert channel.sent == [message(1)]
+    assert simulation.again(PERIOD, message(1), never) == message(1, 1.0)
+    assert simulation.again(PERIOD, message(1), lambda: True) is None
 
 
 def test_a_silent_controller_gets_the_states_again_once_a_second(channel: FakeChannel) -> None:

@@ -63,7 +63,8 @@ class Nodes:
         rates = setup.rates
         outputs = SimpleNamespace(
             wait_for_subscribers=lambda: None,
-            ready=lambda: None,
+            ready="ready",
+            wake=lambda: None,
             publish=self._note,
             info=self.said.append,
             error=self.said.append,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -87,6 +89,23 @@ def test_a_file_that_is_no_trajectory_is_one_line(
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("fault", "code"), [(OSError(errno.ENOSPC, "No space"), 3), (KeyboardInterrupt(), 130)])
+def test_half_a_file_of_arrays_does_not_stay(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: BaseException, code: int
+) -> None:
+    """A write that fails or is interrupted leaves no file: the next try may take the same name."""
+
+    def savez(stream: BinaryIO, **_: object) -> None:
+        stream.write(b"half")
+        raise fault
+
+    monkeypatch.setattr(np, "savez_compressed", savez)
+    (tmp_path / "move.yaml").write_text(LATER)
+    file = tmp_path / "run.npz"
+    assert run("rx90_run", ["--trajectory", str(tmp_path / "move.yaml"), "--arrays", str(file)]) == code
+    assert not file.exists()
+
+
 LATER = """
 joint_names: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
 points:
@@ -96,12 +115,14 @@ points:
 
 def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """From a bag alone come trajectory, start and initial position; the new bag has the same bits."""
-    file, first, second = tmp_path / "move.yaml", tmp_path / "first", tmp_path / "second"
+    file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
     file.write_text(LATER)
     zero = ["--initial-position", *["0.0"] * 6]
     assert run("rx90_run", ["--trajectory", str(file), *zero, "--start-time", "0.2", "--output", str(first)]) == 0
     assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 0
-    assert f"trajectories in {first}: 1, from 0.200 s" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s" in out
+    assert f"bag: {tmp_path}/fir\\nst" in out.splitlines()
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
     position = read_bag(first)["joint_states"].position
     assert position is not None

@@ -11,6 +11,7 @@ from processes import Processes
 from ros_client import Client, seconds
 from sensor_msgs.msg import JointState
 
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.topics import MOTOR_NAMES, TICK_QOS
 
@@ -47,6 +48,26 @@ def test_a_malformed_message_on_motor_states_is_ignored(processes: Processes, cl
     client.spin_until(lambda: list(reference[-1].position) == end, "the end of the motion")
     assert sum("ignored" in line for line in controller.lines) <= 3
     assert controller.returncode is None
+
+
+@pytest.mark.ros
+def test_a_command_that_cannot_be_read_does_not_close_the_brakes(processes: Processes, client: Client) -> None:
+    """In lock-step one with the stamp that is waited for is a line, and the controller's command is waited for."""
+    simulation = processes.start("rx90_sim")
+    controller = processes.start("rx90_controller")
+    states = client.listen("motor_states", depth=1)
+    controller.wait_for("ready")
+    publisher = client.node.create_publisher(JointState, "motor_commands", TICK_QOS.profile)
+    client.spin_until(lambda: publisher.get_subscription_count() > 0, "the simulation's ears")
+    controller.signal(signal.SIGSTOP)
+    simulation.wait_for("is silent: time stands still")
+    client.spin_until(lambda: bool(states), "the states that come again")
+    stamp = states[-1].header.stamp
+    publisher.publish(JointStateCodec(["elbow"]).encode(stamp.sec * NANOSECONDS + stamp.nanosec))
+    simulation.wait_for("joint name 'elbow' is unknown; .*; the message is ignored")
+    controller.signal(signal.SIGCONT)
+    client.spin_until(lambda: states[-1].header.stamp != stamp, "time to run on")
+    assert "brakes" not in simulation.output.split("is silent")[1]
 
 
 @pytest.mark.ros

@@ -7,10 +7,13 @@ import shlex
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 from processes import TIMEOUT, Processes
+from ros_client import Client, seconds
+from sensor_msgs.msg import JointState
 
 from rx90_common.process.children import executable
 
@@ -39,24 +42,38 @@ def words(line: str) -> list[str]:
     return [sys.executable, str(STAND_IN), *echoed[1:]]
 
 
+def stands(samples: list[JointState]) -> bool:
+    """Return whether the newest sample has come again."""
+    return [seconds(sample) for sample in samples].count(0.5) > 1
+
+
 def test_the_newcomers_path_runs_as_written(
-    processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    processes: Processes, client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A motion published, recorded, and run again without ROS gives the same bits; the plot is drawn."""
+    """A motion published, recorded, and run again without ROS gives the same bits; the plot is drawn.
+
+    Time stands still in the middle of the motion, too: the samples that come again meanwhile are not in the bag.
+    """
     monkeypatch.chdir(tmp_path)
     found = blocks()
     Path("my_motion.yaml").write_text(found["yaml"][0], encoding="utf-8")
     cell, record, send, compare = (block.strip().splitlines() for block in found["sh"])
     # As fast as it goes: the bits do not depend on it.
-    simulation = processes.start(*words(cell[0]), "-p", "rx90_sim:real_time_factor:=0.0")
+    faster = ("-p", "rx90_sim:real_time_factor:=0.0", "-p", "rx90_sim:step_ticks:=2002")
+    simulation = processes.start(*words(cell[0]), *faster)
     recorder = processes.start(*words(record[0]))
     recorder.wait_for("ready")
     for line in send:
         sent = processes.run(*words(line))
         assert (sent.returncode, sent.stderr) == (0, "")
+        if line is send[0]:
+            client.simulation.step()
+            samples = client.listen("joint_states")
+            client.spin_until(partial(stands, samples), "a sample again")
     simulation.wait_for("trajectory ended")
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
+    assert re.search(r"; \d+ repetitions of the sample before are left out", recorder.output)
     for line in compare:
         done = processes.run(*words(line), timeout=TIMEOUT)
         assert done.returncode == 0, shlex.join(words(line)) + done.stdout + done.stderr

@@ -9,6 +9,12 @@ import pytest
 from processes import Processes
 
 
+def the_line(stderr: str) -> str:
+    """Return the only line, but for the one that says on a machine without compiled kernels that they are compiled."""
+    (line,) = (line for line in stderr.strip().splitlines() if "compiling the numerical kernels" not in line)
+    return line
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize(
     ("name", "arguments", "accepted"),
@@ -41,8 +47,7 @@ def test_a_bad_parameter_is_one_line(
     parameters = [word for argument in arguments for word in ("-p", argument)]
     done = processes.run(name, "--ros-args", *parameters)
     assert done.returncode == 2
-    # On a machine that has not compiled the kernels yet, a line before it says so.
-    (line,) = (line for line in done.stderr.strip().splitlines() if "compiling the numerical kernels" not in line)
+    line = the_line(done.stderr)
     assert line.startswith(f"{name}: ")
     assert all(word in line for word in accepted), line
 
@@ -75,7 +80,7 @@ def test_an_environment_that_cannot_be_is_one_line(
     monkeypatch.setenv(variable, value)
     done = processes.run(name, *arguments)
     assert done.returncode == code
-    (line,) = done.stderr.strip().splitlines()
+    line = the_line(done.stderr)
     assert all(word in line for word in (name, variable, value, accepted)), line
     assert not Path("never_made").exists()
 
