@@ -11,7 +11,9 @@ import pytest
 
 from rx90_emulator.loop.setup import Setup
 
-coal = pytest.importorskip("coal")
+# Pinocchio 2 has coal under its old name, with other names in it.
+coal = pytest.importorskip("coal" if pin.__version__ >= "3" else "hppfcl")
+Transform = coal.Transform3s if pin.__version__ >= "3" else coal.Transform3f
 
 POSES = {
     "straight up": [0.0] * 6,
@@ -24,7 +26,8 @@ POSES = {
 
 def link_of(model: Any, geometry: Any) -> int:
     """Return the moving link of a geometry, 0 for the base; what is fixed to a link is that link."""
-    return int(model.frames[geometry.parentFrame].parentJoint)
+    frame = model.frames[geometry.parentFrame]
+    return int(frame.parentJoint if pin.__version__ >= "3" else frame.parent)
 
 
 def overlaps(setup: Setup, kind: Any, position: list[float]) -> set[tuple[int, int]]:
@@ -38,7 +41,7 @@ def overlaps(setup: Setup, kind: Any, position: list[float]) -> set[tuple[int, i
         links = tuple(sorted(link_of(model, shapes.geometryObjects[i]) for i in (a, b)))
         if links[1] - links[0] < 2:
             continue
-        transforms = [coal.Transform3s(placed.oMg[i].rotation, placed.oMg[i].translation) for i in (a, b)]
+        transforms = [Transform(placed.oMg[i].rotation, placed.oMg[i].translation) for i in (a, b)]
         geometries = [shapes.geometryObjects[i].geometry for i in (a, b)]
         result = coal.CollisionResult()
         pairs = zip(geometries, transforms, strict=True)
