@@ -107,9 +107,14 @@ class RunResult:
             _series("/rx90_controller/tracking_error", joints, slow.tracking_error, position_period),
         ]
         for k, (name, names) in enumerate(zip(DETAILS, (joints, MOTOR_NAMES, MOTOR_NAMES), strict=True)):
-            values = np.ascontiguousarray(slow.details[:, k])
+            values = np.ascontiguousarray(slow.details[::DETAIL_DECIMATION, k])
             series.append(
-                JointSeries(f"/rx90_controller/{name}", names, _stamps(values, position_period), effort=values)
+                JointSeries(
+                    f"/rx90_controller/{name}",
+                    names,
+                    _stamps(values, position_period * DETAIL_DECIMATION),
+                    effort=values,
+                )
             )
         if self.fast is not None:
             series.append(_series(f"/{MOTOR_STATES}", MOTOR_NAMES, self.fast.motor_states, rates.period_ns))
@@ -135,8 +140,7 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         run: the run.
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        decimation: keep every n-th message of the topics on position ticks, as the nodes publish them: those that the
-            controller publishes in every tenth position tick only are decimated from there.
+        decimation: keep every n-th message of all topics but those on base ticks.
 
     Raises:
         BagError: if the folder exists or cannot be written.
@@ -153,10 +157,8 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
-    series = []
-    for topic, one in run.series.items():
-        every = decimation * (DETAIL_DECIMATION if topic.rpartition("/")[2] in DETAILS else 1)
-        series.append(one if topic in _ON_BASE_TICKS else one.take(slice(None, None, every)))
+    kept = slice(None, None, decimation)
+    series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
     write_joint_states(path, series, storage=storage, messages=others)
 
 
@@ -164,8 +166,8 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
     """Write a run to a new compressed NumPy file, `.npz`: arrays by `<series> <quantity> [unit]`, and names.
 
     The series are named as the topics, less their node. `time [s]`, shape (m,), belongs to those on position ticks,
-    shape (m, joints); `base time [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run
-    kept them.
+    shape (m, joints); `detail time [s]` to set-point acceleration and currents, on every tenth of these; `base time
+    [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run kept them.
 
     Raises:
         Rx90Error: if the file cannot be written.
@@ -174,6 +176,7 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "joint names": np.array(run.setup.robot.joint_names),
         "element names": np.array(run.setup.friction.names),
         "time [s]": run.times,
+        "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
     for topic, series in run.series.items():
         if topic == MOTOR_STATES:

@@ -124,6 +124,9 @@ def _control(listeners: int) -> None:
             self.command[0] = float(self.advance(int(states.position[0])))
             return True
 
+        def after_command(self, _stamp: int) -> None:
+            pass
+
     loops = Loops()
     messages = MotorMessages(channel.subscribe_topic, ["a"], Rates(), loops.command, say)
     lockstep = LockstepController(channel, messages, loops, say)

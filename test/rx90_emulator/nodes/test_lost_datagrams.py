@@ -51,7 +51,7 @@ def test_lost_datagrams_cost_time_and_nothing_else(
         "LOSSY_SEED=1",
         f"LOSSY_COUNTS={counts}",
     )
-    comparison = run_both_ways(processes, client, shipped, tmp_path, around)
+    comparison = run_both_ways(processes, client, shipped, tmp_path, around=around)
     sent, lost = struct.unpack("QQ", counts.read_bytes())
     print(f"{lost} of {sent} datagrams lost")
     assert lost > LEAST_LOST
