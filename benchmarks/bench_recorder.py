@@ -37,7 +37,7 @@ def publish(seconds: float) -> None:
 
     from rx90_common.exchange.environment import prepare
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
-    from rx90_common.exchange.topics import STATE_QOS, TICK_QOS
+    from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
 
     prepare()
     rclpy.init()

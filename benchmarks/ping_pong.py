@@ -107,7 +107,7 @@ def _ask(exchanges: int, rounds: int) -> PingPong:
     from rx90_common.exchange.channel import Channel
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepSimulation
-    from rx90_common.exchange.topics import TICK_QOS
+    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -177,7 +177,7 @@ def _answer(end, parent: int) -> None:  # type: ignore[no-untyped-def]  # an Eve
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepController
     from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
-    from rx90_common.exchange.topics import TICK_QOS
+    from rx90_common.exchange.qos import TICK_QOS
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("ping_pong_controller")

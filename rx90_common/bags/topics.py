@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from typing import Final
 
+from rx90_common.exchange.topics import (
+    COMMANDED_CURRENT,
+    DETAILS,
+    MOTOR_CURRENT,
+    REFERENCE_ACCELERATION,
+    TRAJECTORY_ACCEPTED,
+)
+
 JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 
-TRAJECTORY_ACCEPTED: Final = "trajectory_accepted"
-"""A controller's topic: what it follows, stamped with the time at which that starts."""
 
 FIELDS: Final = ("position", "velocity", "effort")
+POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
+"""The arrays of a JointTrajectoryPoint, in the order of the message."""
 _USUAL: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 
 SUITE_TOPICS: Final = (
@@ -21,12 +29,10 @@ SUITE_TOPICS: Final = (
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",
-    "rx90_controller/trajectory_accepted",
+    f"rx90_controller/{TRAJECTORY_ACCEPTED}",
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
-    "rx90_controller/reference_acceleration",
-    "rx90_controller/commanded_current",
-    "rx90_controller/motor_current",
+    *(f"rx90_controller/{name}" for name in DETAILS),
     "robot_description",
 )
 
@@ -37,9 +43,9 @@ _QUANTITIES: Final = {
         "effort": ("friction torque", "Nm"),
     },
     # JointState has no field for these.
-    "reference_acceleration": {"effort": ("acceleration", "rad/s^2")},
-    "commanded_current": {"effort": ("current", "A")},
-    "motor_current": {"effort": ("current", "A")},
+    REFERENCE_ACCELERATION: {"effort": ("acceleration", "rad/s^2")},
+    COMMANDED_CURRENT: {"effort": ("current", "A")},
+    MOTOR_CURRENT: {"effort": ("current", "A")},
 }
 """What the fields of a topic's messages hold where it is not what they are called."""
 

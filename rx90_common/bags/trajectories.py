@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.topics import JOINT_TRAJECTORY, TRAJECTORY_ACCEPTED
+from rx90_common.bags.topics import JOINT_TRAJECTORY
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.stamps import message_time_ns
-
-_VECTORS = ("positions", "velocities", "accelerations", "effort")
+from rx90_common.exchange.topics import TRAJECTORY_ACCEPTED
 
 
 @dataclass(frozen=True)
@@ -22,11 +21,11 @@ class RecordedTrajectory:
 
     Attributes:
         start_ns: when it starts.
-        content: the message as YAML would have it: joint_names, points; no points: the arm was to stop.
+        message: the JointTrajectory; without points the arm was to stop.
     """
 
     start_ns: int
-    content: dict[str, Any]
+    message: Any
 
 
 def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
@@ -40,7 +39,7 @@ def read_trajectories(path: Path | str) -> list[RecordedTrajectory]:
     with BagReader(path) as bag:
         topic = _topic(path, bag.topics)
         found = [bag.deserialize(topic, data) for _, _, data in bag.messages([topic])]
-    trajectories = [RecordedTrajectory(message_time_ns(m.header.stamp), _content(m)) for m in found]
+    trajectories = [RecordedTrajectory(message_time_ns(m.header.stamp), m) for m in found]
     return sorted(trajectories, key=lambda one: one.start_ns)
 
 
@@ -56,14 +55,3 @@ def _topic(path: Path | str, topics: Sequence[BagTopic]) -> BagTopic:
             "rx90_bag record and rx90_run write"
         )
     return fitting[0]
-
-
-def _content(message: Any) -> dict[str, Any]:
-    points = [
-        {
-            "time_from_start": {"sec": point.time_from_start.sec, "nanosec": point.time_from_start.nanosec},
-            **{name: getattr(point, name).tolist() for name in _VECTORS},
-        }
-        for point in message.points
-    ]
-    return {"joint_names": list(message.joint_names), "points": points}

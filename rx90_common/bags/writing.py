@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, STRING, absolute
+from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, POINT_FIELDS, STRING, absolute
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -36,7 +36,6 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 STORAGES: Final = ("mcap", "sqlite3")
 
-_VECTORS = ("positions", "velocities", "accelerations", "effort")
 _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
@@ -249,7 +248,7 @@ def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> Ra
         return types["builtin_interfaces/msg/Time"](*divmod(nanoseconds, NANOSECONDS))
 
     def point(values: dict[str, Any]) -> Any:
-        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in _VECTORS)
+        vectors = (np.array(values.get(name) or [], dtype=np.float64) for name in POINT_FIELDS)
         since = types["builtin_interfaces/msg/Duration"](**values["time_from_start"])
         return types["trajectory_msgs/msg/JointTrajectoryPoint"](*vectors, since)
 

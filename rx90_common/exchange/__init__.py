@@ -13,6 +13,7 @@ __all__ = [
     "motor_messages",
     "node_tools",
     "pacing",
+    "qos",
     "qos_overrides",
     "ros_start",
     "subscribing",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 
-from rx90_common.exchange.topics import STATE_QOS, TICK_QOS
+from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
 
 _SHARE = 0.75  # of the publishers' history that is sent before the next wait
 _SLICE = Duration(nanoseconds=50_000_000)

@@ -26,10 +26,10 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
 from rx90_common.exchange.node_services import answer_all_requests
+from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.qos_overrides import PREFIX, overridable_topics, publish
 from rx90_common.exchange.ros_start import reason, start_ros
 from rx90_common.exchange.throttle import ThrottledLog
-from rx90_common.exchange.topics import CLOCK_QOS
 from rx90_common.process.interrupts import stop_request
 
 _SPIN_SLICE = 0.2

@@ -25,6 +25,7 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.subscribing import subscribe
 from rx90_common.exchange.throttle import ThrottledLog
@@ -34,14 +35,11 @@ from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
     FREE_RUNNING,
-    LATCHED_QOS,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
-    STATE_QOS,
-    TICK_QOS,
     TIME_MODE,
-    TRAJECTORY_QOS,
+    TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
@@ -78,7 +76,7 @@ class ControllerOutputs:
             node, "detail_decimation", DETAIL_DECIMATION,
             f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
         )  # fmt: skip
-        self._accepted = node.create_publisher(JointTrajectory, "~/trajectory_accepted", LATCHED_QOS.profile)
+        self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
         self._report: GuardCondition | None = None
         self.publishers = (
             self._reference,

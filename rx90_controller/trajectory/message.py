@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
@@ -12,8 +13,7 @@ from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.points import joint_order
 
-_VECTORS = ("positions", "velocities", "accelerations", "effort")
-_LEAST_POINT = 4 * len(_VECTORS) + 8  # bytes: four empty sequences and a time
+_LEAST_POINT = 4 * len(POINT_FIELDS) + 8  # bytes: four empty sequences and a time
 
 
 def check_trajectory_bytes(raw: bytes) -> None:
@@ -28,7 +28,7 @@ def check_trajectory_bytes(raw: bytes) -> None:
     for i in range(reader.count("joint_names", least_bytes=4)):
         reader.string(f"joint_names[{i}]")
     for i in range(reader.count("points", least_bytes=_LEAST_POINT)):
-        for name in _VECTORS:
+        for name in POINT_FIELDS:
             reader.doubles(f"points[{i}].{name}")
         reader.duration(f"points[{i}].time_from_start")
 

@@ -17,7 +17,6 @@ from rx90_controller.trajectory.message import points_from_message
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.loop.trajectory_file import message_of
 
 _AT_REST = 0.01  # rad/s
 _LATEST = 100.0  # s of simulated time before the bag begins; the loop runs through it
@@ -68,9 +67,7 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
     for one in read_trajectories(bag):
         start = setup.rates.start_tick(one.start_ns / NANOSECONDS)
         try:
-            points = (
-                points_from_message(setup.robot.joint_names, message_of(one.content)) if one.content["points"] else None
-            )
+            points = points_from_message(setup.robot.joint_names, one.message) if one.message.points else None
         except TrajectoryError as error:
             raise TrajectoryError(f"{plain(bag)}: {error}") from error
         commands.append(MotionCommand(start, points))

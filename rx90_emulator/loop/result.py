@@ -11,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import TRAJECTORY_ACCEPTED
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
-from rx90_common.exchange.topics import DETAIL_DECIMATION, DETAILS, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import (
+    DETAIL_DECIMATION,
+    DETAILS,
+    MOTOR_COMMANDS,
+    MOTOR_NAMES,
+    MOTOR_STATES,
+    TRAJECTORY_ACCEPTED,
+)
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import message_content
 from rx90_emulator.loop.setup import Setup

@@ -7,13 +7,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import points_from_message
 
 _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
-_VECTORS = ("positions", "velocities", "accelerations", "effort")
 
 
 def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> TrajectoryPoints:
@@ -29,21 +29,20 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
     # `ros2 topic echo` ends each message with a line of dashes.
     data = load_yaml(file, _ACCEPTED, first=True).content
     try:
-        return points_from_message(robot_joints, message_of(data))
+        return points_from_message(robot_joints, _message(data))
     except TrajectoryError as error:
         raise TrajectoryError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(f"{file}: {error!r}; accepted: {_ACCEPTED}") from error
 
 
-def message_of(data: dict[str, Any]) -> SimpleNamespace:
-    """Return the content of a JointTrajectory, as YAML has it, with the attributes of a message; without its header."""
+def _message(data: dict[str, Any]) -> SimpleNamespace:
     points = [
         SimpleNamespace(
             time_from_start=SimpleNamespace(
                 sec=int(point["time_from_start"].get("sec", 0)), nanosec=int(point["time_from_start"].get("nanosec", 0))
             ),
-            **{name: [float(value) for value in point.get(name) or []] for name in _VECTORS},
+            **{name: [float(value) for value in point.get(name) or []] for name in POINT_FIELDS},
         )
         for point in data["points"]
     ]

@@ -9,8 +9,8 @@ from sensor_msgs.msg import JointState
 
 from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
-from rx90_common.exchange.topics import CLOCK_QOS, STATE_QOS
 from rx90_sim.plant import Plant
 
 

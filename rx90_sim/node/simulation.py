@@ -14,9 +14,10 @@ from rx90_common.base.quoting import plain
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.node_tools import Diagnostics, declare
+from rx90_common.exchange.qos import LATCHED_QOS
 from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import LATCHED_QOS, LOCK_STEP, MOTOR_STATES, TIME_MODE
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import build_plant, read_parameters
 from rx90_sim.node.ticks import Ticks
 

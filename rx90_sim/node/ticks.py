@@ -13,9 +13,10 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.listeners import Listeners
 from rx90_common.exchange.lockstep import LockstepSimulation
 from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.qos import TICK_QOS
 from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import MakeChannel
-from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES, TICK_QOS
+from rx90_common.exchange.topics import LOCK_STEP, MOTOR_COMMANDS, MOTOR_NAMES, MOTOR_STATES
 from rx90_sim.node.heartbeat import Heartbeat
 from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters

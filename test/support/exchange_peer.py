@@ -70,7 +70,8 @@ def _simulate(ticks: int, period: float, listeners: int) -> None:
     from rx90_common.exchange.joint_state_cdr import JointStateCodec
     from rx90_common.exchange.lockstep import LockstepSimulation
     from rx90_common.exchange.node_tools import wait_until_matched
-    from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS
+    from rx90_common.exchange.qos import TICK_QOS
+    from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("simulation")
     channel = Channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
@@ -104,7 +105,8 @@ def _control(listeners: int) -> None:
     from rx90_common.exchange.lockstep import LockstepController
     from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
     from rx90_common.exchange.node_tools import wait_until_matched
-    from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS
+    from rx90_common.exchange.qos import TICK_QOS
+    from rx90_common.exchange.topics import MOTOR_COMMANDS, MOTOR_STATES
 
     node = rclpy.create_node("controller")
     channel = Channel(node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import rclpy
 from processes import TIMEOUT
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -22,6 +24,17 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_sim.node.simulation_client import SimulationClient
 
 JOINTS = [f"joint_{i}" for i in range(1, 7)]
+
+
+@contextmanager
+def own_node(name: str, domain: int) -> Iterator[Node]:
+    """Give a node in a context and domain of its own."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node(name, context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
 
 
 class Client:

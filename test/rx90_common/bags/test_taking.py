@@ -14,10 +14,9 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import rclpy
 from processes import wait_until
-from rclpy.context import Context
 from rclpy.node import Node
+from ros_client import own_node
 from sensor_msgs.msg import JointState
 
 from rx90_common.bags.recorder import taking
@@ -25,7 +24,7 @@ from rx90_common.bags.recorder.taking import BulkTaker, SingleTaker, Taken, bulk
 from rx90_common.base.errors import BagError
 from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-from rx90_common.exchange.topics import TICK_QOS
+from rx90_common.exchange.qos import TICK_QOS
 
 SIZES = [0, 1, 300, 65_536, 65_537, 1_000_000, *range(2000), 65_000, 700, 0]
 
@@ -96,12 +95,8 @@ def test_a_middleware_that_refuses_is_one_line() -> None:
 @pytest.fixture
 def node(ros_domain: int) -> Iterator[Node]:
     """Return a node in a domain of its own."""
-    context = Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    node = rclpy.create_node("taking", context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
+    with own_node("taking", ros_domain) as node:
+        yield node
 
 
 @pytest.mark.ros

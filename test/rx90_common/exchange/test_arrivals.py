@@ -7,14 +7,13 @@ import time
 from collections.abc import Iterator
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
+from ros_client import own_node
 from sensor_msgs.msg import JointState
 
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.topics import TICK_QOS
+from rx90_common.exchange.qos import TICK_QOS
 
 PATIENCE = 60.0
 
@@ -22,12 +21,8 @@ PATIENCE = 60.0
 @pytest.fixture
 def node(ros_domain: int) -> Iterator[Node]:
     """Return a node in a domain of its own."""
-    context = Context()
-    rclpy.init(context=context, domain_id=ros_domain)
-    node = rclpy.create_node("arrivals", context=context)
-    yield node
-    node.destroy_node()
-    context.try_shutdown()
+    with own_node("arrivals", ros_domain) as node:
+        yield node
 
 
 def _until(done) -> None:

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 from ros_client import Client
@@ -15,7 +16,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from rx90_common.base.errors import ConfigError, ExchangeError  # noqa: E402
 from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_common.exchange.topics import TICK_QOS  # noqa: E402
+from rx90_common.exchange.qos import TICK_QOS  # noqa: E402
 
 pytestmark = pytest.mark.ros
 QOS = TICK_QOS.profile
@@ -25,11 +26,8 @@ RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
 @pytest.fixture
 def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
     """Give a client on a domain of its own."""
-    started = Client()
-    try:
+    with closing(Client()) as started:
         yield started
-    finally:
-        started.close()
 
 
 def test_messages_come_in_order_and_from_the_peer_alone(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 
 import pytest
 from ros_client import Client
@@ -11,8 +12,5 @@ from ros_client import Client
 @pytest.fixture
 def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
     """Give a client on the test's domain."""
-    started = Client()
-    try:
+    with closing(Client()) as started:
         yield started
-    finally:
-        started.close()
