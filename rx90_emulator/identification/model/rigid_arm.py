@@ -45,8 +45,8 @@ class RigidArm:
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
         names = setup.robot.joint_names
-        drives = setup.drives
-        return cls(names, element_names(names), element_matrix(), setup.robot.model, drives.rotor_matrix, drives.spring)
+        rotor, spring = setup.drives.rotor_matrix, setup.drives.spring_torque
+        return cls(names, element_names(names), element_matrix(), setup.robot.model, rotor, spring)
 
     @classmethod
     def from_urdf(
