@@ -69,5 +69,5 @@ def _expected_torque(setpoints: Array, robot: RobotModel, drives: DriveParameter
     velocity = setpoints[:, 1]
     viscous = controller.viscous * np.abs(velocity) ** controller.viscous_exponent
     friction = np.sign(velocity) * (controller.coulomb + viscous)
-    rigid = rigid_torque(robot.model, drives.rotor_matrix, drives.spring, *setpoints.transpose(1, 0, 2))
+    rigid = rigid_torque(robot.model, drives.rotor_matrix, drives.spring_torque, *setpoints.transpose(1, 0, 2))
     return np.asarray(rigid + friction)

@@ -1,8 +1,8 @@
-"""The verdict on an identified friction by a bag that was not used for it."""
+"""The verdict on a friction by a bag that was not used for it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,16 +87,16 @@ class Validation:
 def validate(
     robot: RecordedRobot,
     lugre: tuple[LuGreElement, ...],
-    sliding: SlidingFit,
+    sliding: SlidingFit | None,
     record: JointRecord,
     tolerances: ValidationTolerances,
 ) -> Validation:
-    """Compare identified friction with a bag; the tip only for this project's robot, where set-points are in the bag.
+    """Compare friction with a bag; the tip only for this project's robot, where set-points are in the bag.
 
     Args:
         robot: that the bag comes from.
-        lugre: its identified friction elements.
-        sliding: fit that they come from.
+        lugre: its friction elements.
+        sliding: fit that they come from; None for elements that are given.
         record: what was read of the bag.
         tolerances: what counts as agreement.
 
@@ -111,5 +111,7 @@ def validate(
             there = any(topic.name == absolute(_REFERENCE) for topic in reader.topics)
         if there:
             reference = read_joint_states(bag, _REFERENCE, record.names)
+            if robot.zero is not None and reference.position is not None:
+                reference = replace(reference, position=reference.position - robot.zero)
             tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
     return Validation(record.names, torque, tip_time, distance, tolerances, str(bag))
