@@ -156,7 +156,7 @@ def random_law(rng: np.random.Generator, torque: float, *, bristle: bool, stribe
     c0 = coulomb / 10 ** rng.uniform(-3.7, -2.7) if bristle else 0.0
     c1 = c0 * rng.uniform(2e-4, 1e-3)
     both = (coulomb * (1.0 + lean), coulomb * (1.0 - lean))
-    return FrictionLaw(both, c2, alpha, rise, rng.uniform(0.03, 0.15), rng.uniform(0.8, 1.6), c0, c1)
+    return FrictionLaw(both, c2, alpha, rise, rng.uniform(0.03, 0.15), 1.0, c0, c1)
 
 
 def random_arm(
