@@ -20,6 +20,7 @@ from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import BLOCK, FilteredRun
 from rx90_emulator.identification.excitation.payload import Payload
+from rx90_emulator.identification.excitation.repetition import phases
 from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
@@ -102,6 +103,11 @@ class ExcitationProblem:
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns, shape (b,)."""
         return self.base.names
+
+    @cached_property
+    def phases(self) -> list[tuple[int, Index]]:
+        """Return for each run the number of its motion and the phase of its filtered samples: see `repetition`."""
+        return phases(self.runs)
 
     @cached_property
     def velocity(self) -> Array:
