@@ -19,7 +19,8 @@ Friction        FrictionFile, FrictionSet, LuGreElement
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
-                Experiment, FrictionIdentification, IdentificationBags, RobotOptions, ValidationTolerances
+                check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
+                ValidationTolerances
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
@@ -57,11 +58,13 @@ if TYPE_CHECKING:
     from rx90_emulator.identification.experiments.folder import IdentificationBags
     from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
     from rx90_emulator.identification.experiments.plan import Experiment
+    from rx90_emulator.identification.friction_check import check_friction
     from rx90_emulator.identification.identify import identify_friction
     from rx90_emulator.identification.job import write_identification
     from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
     from rx90_emulator.identification.output.summary import identification_summary
     from rx90_emulator.identification.result.identification import FrictionIdentification
+    from rx90_emulator.identification.result.validation import Validation
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.catalogue import parameters
     from rx90_emulator.loop.closed_loop import simulate
@@ -106,9 +109,11 @@ __all__ = [
     "TopicComparison",
     "TrajectoryPoints",
     "Uniform",
+    "Validation",
     "ValidationTolerances",
     "Values",
     "Verdict",
+    "check_friction",
     "compare_bags",
     "compare_series",
     "comparison_text",
@@ -154,11 +159,13 @@ _HOMES = {
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
     "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
     "rx90_emulator.identification.experiments.plan": "Experiment",
+    "rx90_emulator.identification.friction_check": "check_friction",
     "rx90_emulator.identification.identify": "identify_friction",
     "rx90_emulator.identification.job": "write_identification",
     "rx90_emulator.identification.model.options": "RobotOptions ValidationTolerances",
     "rx90_emulator.identification.output.summary": "identification_summary",
     "rx90_emulator.identification.result.identification": "FrictionIdentification",
+    "rx90_emulator.identification.result.validation": "Validation",
     "rx90_emulator.loop.application": "with_parameters",
     "rx90_emulator.loop.catalogue": "parameters",
     "rx90_emulator.loop.closed_loop": "simulate",

@@ -1,4 +1,7 @@
-"""From recorded bags to a friction file, a report, and a verdict on a bag that was not used."""
+"""From recorded bags to a friction file, a report, and a verdict on a bag that was not used.
+
+A given friction file is held against bags with --friction.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +10,15 @@ import sys
 from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
+from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]
        rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
-       rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]"""
+       rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]
+       rx90_identify --friction FILE --validation BAG ... [--report FILE] [options]"""
 _EPILOG = """\
 example of another robot, with currents of its motors on /arm/motors:
   rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
@@ -39,9 +44,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("validation", "a run to hold the result against, not used before"),
     ):
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
+    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
+                      "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
-    result.add_argument("--output", type=Path, required=True, metavar="FILE", help="friction file to write (.yaml)")
-    result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html)")
+    result.add_argument("--output", type=Path, metavar="FILE", help="friction file to write (.yaml)")
+    result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html; "
+                        "with --friction none)")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
     limits = ValidationTolerances()
     result.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
@@ -59,19 +67,39 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
+    limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
+    robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+    if options.friction is not None:
+        confirmed, what = _check(options, robot, ValidationTolerances(*limits)), options.friction
+    else:
+        confirmed, what = _identify(options, robot, ValidationTolerances(*limits)), "the result"
+    if confirmed:
+        return DONE
+    print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
+    return VERDICT_NO
+
+
+def _identify(options: argparse.Namespace, robot: RobotOptions, tolerances: ValidationTolerances) -> bool:
     # Here, because --help must not wait for them.
     from rx90_emulator.identification.experiments.folder import IdentificationBags
     from rx90_emulator.identification.job import run_identification
 
-    limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
-    robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
+    if options.output is None:
+        raise IdentificationError("no --output; accepted: --output FILE, the friction file to write")
     single = [*options.sliding, *options.presliding, *options.validation]
     if options.folder is not None and single:
         raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
     bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
-    if run_identification(
-        bags, robot, ValidationTolerances(*limits), options.output, options.report, force=options.force
-    ):
-        return DONE
-    print("rx90_identify: the validation does not confirm the result", file=sys.stderr)
-    return VERDICT_NO
+    return run_identification(bags, robot, tolerances, options.output, options.report, force=options.force)
+
+
+def _check(options: argparse.Namespace, robot: RobotOptions, tolerances: ValidationTolerances) -> bool:
+    from rx90_emulator.identification.job import run_check
+
+    others = [options.folder, *options.sliding, *options.presliding, options.output]
+    unused = [str(one) for one in others if one is not None]
+    if unused:
+        raise IdentificationError(
+            f"{unused[0]} with --friction; accepted: --validation BAG ... alone, for nothing is identified or written"
+        )
+    return run_check(options.friction, options.validation, robot, tolerances, options.report, force=options.force)

@@ -2,7 +2,8 @@
 
 Data flow: records (bags as joint-side series) -> sliding (tau_c, tau_s, omega_s, delta, c2) -> presliding (c0, c1) ->
 result (all elements, and the validation) -> output. The model (rigid arm, robot, estimates) is shared by them; the
-experiments make bags. `identify.identify_friction` does it all, `job.write_identification` writes what it returns.
+experiments make bags. `identify.identify_friction` does it all, `job.write_identification` writes what it returns;
+`friction_check.check_friction` holds a given friction file against bags.
 """
 
-__all__ = ["identify", "job"]
+__all__ = ["friction_check", "identify", "job"]

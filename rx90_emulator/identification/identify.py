@@ -84,13 +84,13 @@ def _read(
     for (use, path), layout in zip(everything, layouts, strict=True):
         progress(path.name)
         record = read_record(path, layout, _RATES[use])
-        _check_range(record, robot)
+        check_range(record, robot)
         records[use].append(record)
     _check_unused(records)
     return records
 
 
-def _check_range(record: JointRecord, robot: RecordedRobot) -> None:
+def check_range(record: JointRecord, robot: RecordedRobot) -> None:
     """Refuse angles that no joint of the URDF goes through: degrees, or a motor's."""
     for name, travel, width in zip(record.names, np.ptp(record.position, axis=0), robot.arm.ranges(), strict=True):
         if 0.0 < _BEYOND * width < travel:

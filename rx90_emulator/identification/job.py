@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
+from rx90_emulator.identification.friction_check import check_friction
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.output.files import check_targets, write_all
 from rx90_emulator.identification.output.friction_file import friction_text
-from rx90_emulator.identification.output.report import report_page
-from rx90_emulator.identification.output.summary import identification_summary
+from rx90_emulator.identification.output.report import check_page, report_page
+from rx90_emulator.identification.output.summary import check_summary, identification_summary
 from rx90_emulator.identification.result.identification import FrictionIdentification
 
 _BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
@@ -75,6 +77,50 @@ def run_identification(
     _targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
+    with _steps(total) as step:
+        result = identify_friction(chosen, robot, tolerances, step)
+    files = write_identification(result, output, report, force=force)
+    print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
+    return result.confirmed
+
+
+def run_check(
+    friction: str,
+    bags: Sequence[Path],
+    robot: RobotOptions,
+    tolerances: ValidationTolerances,
+    report: Path | None = None,
+    *,
+    force: bool = False,
+) -> bool:
+    """Hold a friction file against bags, write the report if it is asked for, and return whether none disagrees.
+
+    Args:
+        friction: as in `check_friction`, as are bags, robot and tolerances.
+        bags: one or more.
+        robot: that the bags come from.
+        tolerances: what counts as agreement.
+        report: HTML page.
+        force: whether a report that exists is replaced.
+
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    if report is not None:
+        check_targets((report,), force=force)
+    with _steps(2 * len(bags)) as step:
+        checks = check_friction(friction, bags, robot, tolerances, step)
+    if report is not None:
+        write_all({report: check_page(checks, friction)})
+    print(check_summary(checks))
+    if report is not None:
+        print(f"report: {report}")
+    return all(check.passed for check in checks)
+
+
+@contextmanager
+def _steps(total: int) -> Iterator[Callable[[str], None]]:
+    """Show a progress bar of `total` steps; call what is yielded with the name of each step before it."""
     with ExitStack() as shown:
         bars: list[tqdm[Any]] = []
 
@@ -84,7 +130,4 @@ def run_identification(
             bars[0].set_description_str(text)
             bars[0].update()
 
-        result = identify_friction(chosen, robot, tolerances, step)
-    files = write_identification(result, output, report, force=force)
-    print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
-    return result.confirmed
+        yield step

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -11,6 +12,32 @@ from rx90_common.report.page import render_page
 from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.output.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
 from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.result.validation import Validation
+
+
+def check_page(checks: Sequence[Validation], friction_file: str, now: datetime | None = None) -> str:
+    """Return the text of the page on a friction file that was held against bags.
+
+    Args:
+        checks: one for each bag.
+        friction_file: name of the file.
+        now: date of the comparison; by default the present.
+    """
+    return render_page(
+        "rx90_emulator.identification.output",
+        "friction_check.html.j2",
+        checks=_drawn(checks),
+        friction_file=friction_file,
+        date=_date(now),
+    )
+
+
+def _drawn(checks: Sequence[Validation]) -> list[tuple[Validation, str, str]]:
+    return [(check, Path(check.source).name, validation_plot(check)) for check in checks]
+
+
+def _date(now: datetime | None) -> str:
+    return (now or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def report_page(result: FrictionIdentification, friction_file: str, now: datetime | None = None) -> str:
@@ -38,9 +65,9 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         fallback=result.fallback_name,
         fading=[(name, one.element.omega_d) for name, one in named if math.isfinite(one.element.omega_d)],
         shared=result.arm.element_names[len(result.arm.names) :],
-        checks=[(check, Path(check.source).name, validation_plot(check)) for check in result.validations],
+        checks=_drawn(result.validations),
         friction_file=friction_file,
-        date=(now or datetime.now(timezone.utc)).strftime("%Y-%m-%d %H:%M UTC"),
+        date=_date(now),
         bags=result.bags,
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,

@@ -27,6 +27,21 @@ def identification_summary(result: FrictionIdentification) -> str:
     return "\n".join([*lines, *reasons, *(_verdict(check) for check in result.validations)])
 
 
+def check_summary(checks: Sequence[Validation]) -> str:
+    """Return a table of the joints and the verdict for each bag that a friction file was held against."""
+    lines = []
+    for check in checks:
+        width = max(8, *(len(name) + 1 for name in check.names))
+        lines.append(f"{'joint':<{width}}{'RMS, Nm':>10}{'of torque':>11}{'worst, Nm':>11}{'of largest':>12}")
+        rows = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
+        lines += [
+            f"{name:<{width}}{rms:>10.3f}{rms_share:>11.2%}{worst:>11.3f}{worst_share:>12.2%}"
+            for name, rms, rms_share, worst, worst_share in rows
+        ]
+        lines.append(_verdict(check))
+    return "\n".join(lines)
+
+
 def _which(lacking: Mapping[str, Sequence[str]]) -> str:
     """Return parameters with the elements that lack them, elements that lack the same ones together."""
     together: dict[str, list[str]] = {}

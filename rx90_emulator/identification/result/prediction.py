@@ -75,14 +75,14 @@ def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time:
 
 
 def predict_torque(
-    arm: RigidArm, lugre: tuple[LuGreElement, ...], sliding: SlidingFit, record: JointRecord
+    arm: RigidArm, lugre: tuple[LuGreElement, ...], sliding: SlidingFit | None, record: JointRecord
 ) -> TorquePrediction:
     """Predict the drives' torques along a recorded motion.
 
     Args:
         arm: rigid-body model.
         lugre: its friction elements.
-        sliding: fit whose error of the arm's weights is applied where it is known.
+        sliding: fit whose error of the arm's weights is applied where it is known; None: the weights of the model.
         record: the motion and the recorded torques.
 
     Raises:
@@ -104,7 +104,8 @@ def predict_torque(
     position = record.position[kept]
     rigid = arm.torque(position, record.velocity[kept], acceleration[kept])
     recorded = smooth(record.torque)[kept]
-    rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
+    if sliding is not None:
+        rigid = rigid + _error_of_weights(arm, sliding, position, recorded)
     span = 2 * round(0.5 * _EDGE / step) + 1
     moves = minimum_filter1d(np.abs(smooth(record.velocity)), span, axis=0)[kept] > _SLIDES
     return TorquePrediction(record.time[kept], recorded, rigid + friction[kept], moves.astype(np.float64))

@@ -1,4 +1,4 @@
-"""The verdict on an identified friction by a bag that was not used for it."""
+"""The verdict on a friction by a bag that was not used for it."""
 
 from __future__ import annotations
 
@@ -87,16 +87,16 @@ class Validation:
 def validate(
     robot: RecordedRobot,
     lugre: tuple[LuGreElement, ...],
-    sliding: SlidingFit,
+    sliding: SlidingFit | None,
     record: JointRecord,
     tolerances: ValidationTolerances,
 ) -> Validation:
-    """Compare identified friction with a bag; the tip only for this project's robot, where set-points are in the bag.
+    """Compare friction with a bag; the tip only for this project's robot, where set-points are in the bag.
 
     Args:
         robot: that the bag comes from.
-        lugre: its identified friction elements.
-        sliding: fit that they come from.
+        lugre: its friction elements.
+        sliding: fit that they come from; None for elements that are given.
         record: what was read of the bag.
         tolerances: what counts as agreement.
 
