@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,7 +46,7 @@ class PinocchioArm:
         """Return M, its upper triangle alone, shape (6, 6), and h with gravity and spring, shape (6,)."""
         mass = pin.crba(self._model, self._data, q) + self._rotor
         bias = pin.nonLinearEffects(self._model, self._data, q, v)
-        bias[1] += self._spring * math.sin(q[1])
+        bias += self._spring * np.sin(q)
         return mass, bias
 
     def step(self, motor: Sequence[float]) -> None:

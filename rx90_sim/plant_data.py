@@ -109,7 +109,7 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
     arm["first_origin"] = parameters.first_origin
     arm["base_acceleration"] = -robot.chain.gravity
     arm["rotor"] = drives.rotor_matrix
-    arm["spring_torque"] = drives.spring
+    arm["spring_torque"] = drives.spring_torque
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

@@ -68,7 +68,8 @@ def bandwidth(series: list[Array]) -> float:
     below = float(np.sum(1.0 / (1.0 - rho) ** 4))
     count = sum(len(values) for values in series)
     width = 1.3221 * float(above / below * count) ** 0.2
-    return max(_FEWEST, min(width, _LONGEST * max(len(values) for values in series)))
+    longest = max(len(values) for values in series)
+    return float(max(_FEWEST, min(width, _LONGEST * longest)))
 
 
 def quadratic_spectral(lag: Array) -> Array:

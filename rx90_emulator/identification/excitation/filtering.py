@@ -96,7 +96,7 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
     even = _even(time, rate)
     length = min(len(even), max(256, round(4.0 * rate)))
     values = _resampled(time, position, even, 3)
-    frequency, power = welch(values, rate, nperseg=length, axis=0, detrend="linear")
+    frequency, power = welch(values, rate, nperseg=length, axis=0)
     for column in power.T:
         floor = float(np.median(column[frequency > rate / 4.0]))
         smooth = _smoothed(column)

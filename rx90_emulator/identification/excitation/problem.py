@@ -16,10 +16,10 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.base_parameters import BaseParameters
+from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import FilteredRun
-from rx90_emulator.identification.excitation.standstill import Motion, motion_of
+from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 
@@ -43,7 +43,7 @@ class ExcitationProblem:
 
     arm: RigidArm
     runs: tuple[FilteredRun, ...]
-    base: BaseParameters
+    base: BaseGroups
     run: Index
     joint: Index
     sample: Index
@@ -68,7 +68,7 @@ class ExcitationProblem:
         _check_runs(arm, runs)
         there = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
         columns = StandardColumns.with_springs_on(arm, there if springs is None else springs)
-        base = BaseParameters.of(columns)
+        base = BaseGroups.of(columns)
         parts = [_RunRows.of(number, run, columns, base) for number, run in enumerate(runs)]
         joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])}
         if not len(joined["run"]):
@@ -138,11 +138,11 @@ class _RunRows:
     reversal: Mask
 
     @classmethod
-    def of(cls, number: int, run: FilteredRun, columns: StandardColumns, base: BaseParameters) -> _RunRows:
-        state = motion_of(run, columns.arm.element_matrix)
+    def of(cls, number: int, run: FilteredRun, columns: StandardColumns, base: BaseGroups) -> _RunRows:
+        state = element_states(run, columns.arm.element_matrix)
         acts = columns.arm.element_matrix.T != 0.0
-        rests = (state == Motion.RESTS) @ acts.T
-        passes = (state == Motion.PASSES) @ acts.T
+        rests = (state == SlidingState.RESTS) @ acts.T
+        passes = (state == SlidingState.PASSES) @ acts.T
         joint, place = np.nonzero(~rests.T)
         torque, sample = run.parallel(run.torque), run.rows[place]
         regressor = np.zeros((len(joint), len(base.leading)))

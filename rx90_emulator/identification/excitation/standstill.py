@@ -22,7 +22,7 @@ _FLOOR = 1e-3  # rad/s: an element that is never faster stands
 _PAUSE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
 
 
-class Motion(IntEnum):
+class SlidingState(IntEnum):
     """What an element does."""
 
     SLIDES = 0
@@ -30,7 +30,7 @@ class Motion(IntEnum):
     RESTS = 2
 
 
-def motion_of(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
+def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
     """Return what each element does at the run's rows, shape (k, n_el).
 
     The low-pass of the torque reaches half a period of its bandwidth to both sides: a row as near to a pause as that
@@ -46,7 +46,9 @@ def motion_of(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
     for e, speed in enumerate(velocity.T):
         threshold = slow_below(speed)
         rests, passes = _slow_stretches(speed, threshold)
-        state[:, e] = np.where(_near(rests, reach)[run.rows], Motion.RESTS, passes[run.rows] * Motion.PASSES)
+        state[:, e] = np.where(
+            _near(rests, reach)[run.rows], SlidingState.RESTS, passes[run.rows] * SlidingState.PASSES
+        )
     return state
 
 

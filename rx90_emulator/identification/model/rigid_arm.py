@@ -47,10 +47,9 @@ class RigidArm:
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
         names = setup.robot.joint_names
-        drives = setup.drives
         matrix, coupling = element_matrix(), coupling_matrix()
-        model = setup.robot.model
-        return cls(names, element_names(names), matrix, model, drives.rotor_matrix, drives.spring, coupling)
+        model, rotor, spring = setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque
+        return cls(names, element_names(names), matrix, model, rotor, spring, coupling)
 
     @classmethod
     def from_urdf(

@@ -91,7 +91,7 @@ class Arm:
         """Return M and h."""
         upper = np.triu(pin.crba(self.model, self.data, q))
         bias = pin.nonLinearEffects(self.model, self.data, q, v).copy()
-        bias[1] += self.k * np.sin(q[1])
+        bias += self.k * np.sin(q)
         return upper + np.triu(upper, 1).T + self.rotors, bias
 
     def friction(self, v: Array) -> Array:
