@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.excitation_runs import Disturbances, ExcitationRun, FourierMotion, measured, torque_along
+from benchmarks.excitation_runs import Disturbances, ExcitationRun, FourierMotion, measured
 from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.random_arms import SyntheticArm, random_arm
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -157,9 +157,7 @@ def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, str
                 yield one.element, kind, estimate.value, estimate.deviation, float(values[number])
 
 
-def _predict(
-    case: Case, problem: ExcitationProblem, found: FrictionSelection, truth: Truth, outcome: Outcome
-) -> None:
+def _predict(case: Case, problem: ExcitationProblem, found: FrictionSelection, truth: Truth, outcome: Outcome) -> None:
     """Predict the torque of an unseen run, and note its errors over those of the best model, and over the noise."""
     unseen = case.run(RUNS)
     bandwidths = problem.runs[0].bandwidths
@@ -179,7 +177,9 @@ def best_model(case: Case, run: ExcitationRun, truth: Truth, problem: Excitation
     """Return the torque of a run by the pseudo-true parameters along the exact motion, Nm, shape (m, n)."""
     position, velocity, acceleration = run.exact
     columns = problem.columns.torque(position, velocity, acceleration)[:, :, list(problem.base.leading)]
-    shapes = zip(case.arm.friction, truth.coulomb, truth.viscous, truth.exponent, truth.rise, truth.omega_s, strict=True)
+    shapes = zip(
+        case.arm.friction, truth.coulomb, truth.viscous, truth.exponent, truth.rise, truth.omega_s, strict=True
+    )
     laws = []
     for law, coulomb, viscous, exponent, rise, omega_s in shapes:
         known = {"tau_c": (coulomb, coulomb), "c2": viscous, "alpha": exponent, "rise": rise}
