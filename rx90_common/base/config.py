@@ -149,6 +149,10 @@ class Section:
             self.refuse(key, value, "a list of texts")
         return tuple(value)
 
+    def use(self, key: str) -> None:
+        """Take note that a key was read from `content`."""
+        self._used.add(key)
+
     def finish(self) -> None:
         """Refuse keys that were not read."""
         unknown = sorted(set(self._data) - self._used)

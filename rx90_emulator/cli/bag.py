@@ -1,17 +1,17 @@
-"""Record, compare and summarise bags."""
+"""Record, import, compare and summarise bags."""
 
 from __future__ import annotations
 
 import argparse
 
-from rx90_emulator.cli import bag_compare, bag_record
+from rx90_emulator.cli import bag_compare, bag_import, bag_record
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add a parser for each verb."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for name, verb in (("record", bag_record), ("compare", bag_compare)):
+    for name, verb in (("record", bag_record), ("import", bag_import), ("compare", bag_compare)):
         one = verbs.add_parser(name, help=verb.HELP, description=verb.__doc__)
         verb.add_arguments(one)
         one.set_defaults(run=verb.main)

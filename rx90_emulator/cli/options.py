@@ -107,6 +107,9 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
     either.add_argument("--record-time", action="store_true",
                         help="take the times at which messages were recorded, not the stamps in "
                         "their headers")  # fmt: skip
+    either.add_argument("--zero", nargs="+", type=FINITE, metavar="RAD",
+                        help="what the encoder of each joint says where its angle in the URDF is 0, which is "
+                        "subtracted, rad (0)")  # fmt: skip
     other = parser.add_argument_group(
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."

@@ -33,6 +33,8 @@ class RobotOptions:
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s: half a
             period for a torque that was sampled at its stamp.
         record_time: whether the times of recording replace the stamps in the headers.
+        zero: recorded angle of each joint where that of its URDF is 0, which is subtracted, rad, shape (n,); by
+            default 0.
     """
 
     robot: str | None = None
@@ -50,6 +52,7 @@ class RobotOptions:
     fallback: str | None = None
     torque_delay: float = 0.0
     record_time: bool = False
+    zero: Sequence[float] | None = None
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from rx90_common.bags.reading import BagReader
 from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
@@ -34,6 +35,7 @@ class RecordedRobot:
         fallback_name: their file.
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
         record_time: whether the times of recording replace the stamps in the headers.
+        zero: recorded angle of each joint where that of its URDF is 0, rad, shape (n,); None for 0.
     """
 
     arm: RigidArm
@@ -43,6 +45,7 @@ class RecordedRobot:
     fallback_name: str | None
     torque_delay: float = 0.0
     record_time: bool = False
+    zero: Array | None = None
 
     @classmethod
     def load(cls, options: RobotOptions) -> RecordedRobot:
@@ -52,7 +55,13 @@ class RecordedRobot:
             IdentificationError: if they do not fit each other.
             ConfigError: for a file that cannot be used.
         """
-        return _own(options) if options.urdf is None else _other(options, Path(options.urdf))
+        robot = _own(options) if options.urdf is None else _other(options, Path(options.urdf))
+        if options.zero is None:
+            return robot
+        n = len(robot.arm.names)
+        if len(options.zero) != n:
+            raise IdentificationError(f"--zero: {len(options.zero)} values; accepted: {n} for {n} joints")
+        return replace(robot, zero=np.array(options.zero, dtype=np.float64))
 
     @property
     def plant_period(self) -> float | None:
@@ -66,7 +75,7 @@ class RecordedRobot:
             BagError: if the bag cannot be read.
             IdentificationError: if it holds neither motor nor joint states.
         """
-        return replace(self._layout(bag, fast=fast), record_time=self.record_time)
+        return replace(self._layout(bag, fast=fast), record_time=self.record_time, zero=self.zero)
 
     def _layout(self, bag: Path, *, fast: bool) -> BagLayout:
         if self.own_layout is not None:

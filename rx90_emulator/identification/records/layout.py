@@ -28,6 +28,7 @@ class BagLayout:
             they hold joint-side values.
         torque_constant: torque per unit of effort on the messages' side, shape (n,), where effort is a current, A.
         record_time: whether the times of recording are taken for the stamps.
+        zero: joint angle by the messages where that of the URDF is 0, rad, shape (n,); None for 0.
 
     Raises:
         IdentificationError: if a size does not fit, a name stands twice or `turns` is not invertible.
@@ -39,6 +40,7 @@ class BagLayout:
     turns: Array | None = None
     torque_constant: Array | None = None
     record_time: bool = False
+    zero: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -48,7 +50,7 @@ class BagLayout:
         if twice:
             found = f"name {quoted(twice[0])} in the messages for two joints"
             raise IdentificationError(f"{found}; accepted: each name once")
-        for field, shape in (("turns", (n, n)), ("torque_constant", (n,))):
+        for field, shape in (("turns", (n, n)), ("torque_constant", (n,)), ("zero", (n,))):
             values = getattr(self, field)
             if values is not None and (np.shape(values) != shape or not np.isfinite(values).all()):
                 raise IdentificationError(f"{field} has shape {np.shape(values)}; accepted: finite numbers, {shape}")

@@ -66,6 +66,8 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns)
         position, velocity, effort = position @ inverse.T, velocity @ inverse.T, effort @ layout.turns
+    if layout.zero is not None:
+        position = position - layout.zero
     if rate is not None:
         time, position, velocity, effort = _block_means(time, position, velocity, effort, rate)
     outliers = len(series.stamp_ns) - len(kept)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -111,5 +111,7 @@ def validate(
             there = any(topic.name == absolute(_REFERENCE) for topic in reader.topics)
         if there:
             reference = read_joint_states(bag, _REFERENCE, record.names)
+            if robot.zero is not None and reference.position is not None:
+                reference = replace(reference, position=reference.position - robot.zero)
             tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
     return Validation(record.names, torque, tip_time, distance, tolerances, str(bag))

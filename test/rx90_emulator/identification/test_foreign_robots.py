@@ -19,6 +19,7 @@ CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 SPEEDS = np.geomspace(0.006, 1.2, 9).tolist()
 POSES = ([0.2, 0.5, 0.1], [-0.9, -0.7, 1.2])
 GEAR, CONSTANT = np.array([100.0, -80.0, 50.0]), np.array([0.12, 0.1, 0.05])
+ZERO = np.array([np.pi / 2, -0.4, 0.1])
 ENCODER = 2.0 * np.pi / 2**20
 C0, C1 = 2e4, 25.0
 
@@ -74,7 +75,7 @@ def test_a_single_joint_in_bags_of_ros_1(tmp_path: Path, capsys: pytest.CaptureF
 
 
 def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Motor angles and currents at 100 Hz, reordered and among others, give friction that another bag confirms."""
+    """Motor angles from other zeros and currents at 100 Hz, among others, give friction that another bag confirms."""
     names = ["shoulder", "elbow", "twist"]
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(urdf_text(names, ["0 1 0", "0 1 0", "1 0 0"], [5.0, 3.0, 1.0]), encoding="utf-8")
@@ -85,11 +86,11 @@ def test_currents_of_motors_among_other_joints(tmp_path: Path, capsys: pytest.Ca
         motion = program.motion()
         current = measured(drive_torque(model, np.eye(3), curves, motion, 100.0), 3) / GEAR / CONSTANT
         q, v, i = (np.column_stack([np.full(len(values), 7.0), values[:, [2, 0, 1]]])
-                   for values in (motion[0] * GEAR, motion[1] * GEAR, current))  # fmt: skip
+                   for values in ((motion[0] + ZERO) * GEAR, motion[1] * GEAR, current))  # fmt: skip
         write(tmp_path / bag, "/arm/motors", ["gripper", "m3", "m1", "m2"], 100.0, (q, v, i), "sqlite3")
     robot = ["--urdf", urdf, "--topic", "arm/motors", "--joints", *names, "--names", "m1", "m2", "m3"]
     motors = ["--gear", *GEAR, "--torque-constant", *CONSTANT, "--fallback", write_fallback(tmp_path / "g.yaml", names)]
-    bags = ["--sliding", tmp_path / "sweeps", "--validation", tmp_path / "run"]
+    bags = ["--sliding", tmp_path / "sweeps", "--validation", tmp_path / "run", "--zero", *ZERO]
     found = identified([*bags, *robot, *motors], tmp_path / "f.yaml", capsys)
     for name, curve in zip(names, curves, strict=True):
         assert_found(found[name], curve)

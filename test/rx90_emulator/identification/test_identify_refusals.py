@@ -153,6 +153,7 @@ REFUSED = [
     ("truncated_db3", sliding(lambda b: truncated(b, "sqlite3")), "cut: cut.db3 is damaged: "),
     ("truncated_ros1", sliding(lambda b: truncated(b, "ros1", rosbag2=False)), "cut.bag: cut.bag is damaged: "),
     ("topic", options("--topic", "leg"), "no topic /leg; JointState topics: /joint_states"),
+    ("zeros", options("--zero", "1", "2"), "--zero: 2 values; accepted: 1 for 1 joints"),
     ("names", options("--names", "elbow"), "no joint 'elbow'; there are hinge"),
     (
         "effort",

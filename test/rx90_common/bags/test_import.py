@@ -1,0 +1,185 @@
+"""Logs in columns become bags of joint states: units, delimiters, headers, damaged rows."""
+
+from __future__ import annotations
+
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90_common.bags.importing.importing import import_logs
+from rx90_common.bags.importing.mapping import LogMapping
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import read_joint_states
+from rx90_emulator.cli.frame import run
+
+TIME = np.array([0.5, 0.75, 1.25])
+POSITION = np.array([[10.0, -20.0], [11.5, -21.25], [12.0, -22.0]])
+PLAIN = """\
+time: {column: 1, unit: s}
+topics:
+  joint_states:
+    names: [a, b]
+    position: {columns: [2, 3], unit: rad}
+"""
+
+
+def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    """Write a file."""
+    path.write_text(text, encoding=encoding)
+    return path
+
+
+def imported(tmp_path: Path, mapping: str, *logs: str, topic: str = "joint_states", encoding: str = "utf-8",
+             skip_corrupt: bool = False) -> JointSeries:  # fmt: skip
+    """Return what the bag that is made of these logs holds."""
+    chosen = LogMapping.load(write(tmp_path / "mapping.yaml", mapping))
+    paths = [write(tmp_path / f"log_{k}.csv", text, encoding) for k, text in enumerate(logs)]
+    import_logs(paths, tmp_path / "bag", chosen, skip_corrupt=skip_corrupt)
+    return read_joint_states(tmp_path / "bag", topic)
+
+
+def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
+    """Return times and positions as text."""
+    table = np.column_stack([TIME, POSITION])
+    return "\n".join(delimiter.join(str(x).replace(".", decimal) for x in row) + end for row in table)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        (rows(","), "utf-8"),
+        (rows(", ", end=","), "utf-8-sig"),
+        (rows(";", ","), "utf-8"),
+        ("time;q a;q b\n[s];[rad];[rad]\n" + rows(";"), "utf-16"),
+        (" " + rows("\t    "), "utf-8"),
+        ("\n\n" + rows("   ", ","), "latin-1"),
+        ("% of the 3rd run\n" + rows("|").replace("\n", "\r\n") + "\n\n", "utf-8"),
+        ('"t","a","b"\n"' + rows('","').replace("\n", '"\n"') + '"', "utf-8"),
+    ],
+)
+def test_delimiter_decimal_sign_and_header_are_found_out(tmp_path: Path, text: str, encoding: str) -> None:
+    """Commas, semicolons, tabs, bars, blanks, decimal commas, headers, comments and encodings give the same numbers."""
+    found = imported(tmp_path, PLAIN, text, encoding=encoding)
+    assert found.stamp_ns.tolist() == [500_000_000, 750_000_000, 1_250_000_000]
+    assert found.names == ("a", "b")
+    assert np.array_equal(found.position, POSITION)
+    assert found.velocity is None
+    assert found.effort is None
+
+
+@pytest.mark.parametrize(
+    ("field", "unit", "values", "expected"),
+    [
+        ("position", "unit: deg", (180.0, -90.0), (np.pi, -np.pi / 2)),
+        ("position", "unit: turns, factor: [1, -0.01]", (0.5, 100.0), (np.pi, -2 * np.pi)),
+        ("position", "unit: counts, counts_per_turn: [4096, 1000]", (1024, -250), (np.pi / 2, -np.pi / 2)),
+        ("velocity", "unit: deg/s", (360.0, 1.0), (2 * np.pi, np.pi / 180)),
+        ("velocity", "unit: rpm, factor: 0.5", (60.0, 120.0), (np.pi, 2 * np.pi)),
+        ("velocity", "unit: counts/s, counts_per_turn: 2000", (2000, 500), (2 * np.pi, np.pi / 2)),
+        ("effort", "unit: Nm", (3.0, 4.0), (3.0, 4.0)),
+        ("effort", "unit: mA, factor: [1, -1]", (300.0, 400.0), (0.3, -0.4)),
+    ],
+)  # fmt: skip
+def test_units_become_si(
+    tmp_path: Path, field: str, unit: str, values: tuple[float, float], expected: tuple[float, float]
+) -> None:
+    """Angles, counts, turns and currents are what they are in rad, rad/s, Nm and A, times a factor of each joint."""
+    mapping = f"rate: 4\ntopics: {{joint_states: {{names: [a, b], {field}: {{columns: [y, x], {unit}}}}}}}\n"
+    found = imported(tmp_path, mapping, f"# x y\n{values[1]} {values[0]}\n{values[1]} {values[0]}\n")
+    assert getattr(found, field)[1] == pytest.approx(expected, rel=1e-14)
+    assert found.stamp_ns.tolist() == [0, 250_000_000]
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("s", 9), ("ms", 6), ("us", 3), ("ns", 0)])
+def test_stamps_of_the_wall_clock_are_exact(tmp_path: Path, unit: str, scale: int) -> None:
+    """A stamp of 19 digits keeps its last ns in every unit, which floating point does not."""
+    stamps = [1_700_000_000_123_456_789, 1_700_000_000_123_456_790]
+    log = "\n".join(f"{Decimal(s).scaleb(-scale)},1,2" for s in stamps)
+    assert imported(tmp_path, PLAIN.replace("unit: s", f"unit: {unit}"), log).stamp_ns.tolist() == stamps
+
+
+def test_several_logs_and_topics(tmp_path: Path) -> None:
+    """Columns of several files that were written together become two topics of one bag."""
+    mapping = """\
+time: {file: 2, column: 1, unit: ms}
+topics:
+  joint_states: {names: [a], position: {columns: [q], unit: rad}, effort: {file: 2, columns: [2], unit: Nm}}
+  reference: {names: [a], position: {file: 2, columns: [3], unit: deg}}
+"""
+    first = imported(tmp_path, mapping, "q\n1\n2", "10 5 180\n20 6 90")
+    assert (first.stamp_ns.tolist(), first.position.tolist()) == ([10**7, 2 * 10**7], [[1.0], [2.0]])  # type: ignore[union-attr]
+    assert first.effort.tolist() == [[5.0], [6.0]]  # type: ignore[union-attr]
+    assert read_joint_states(tmp_path / "bag", "reference").position == pytest.approx(np.array([[np.pi], [np.pi / 2]]))
+
+
+DAMAGED = """\
+3047.69,1,2
+-0.12,253,253
+0.79,-1125095600160866859566323842395765244,1
+0,0,0
+abc,1,2
+3047.70,1,2
+3047.71,1
+3047.71,nan,2
+3047.72,1,2
+3047.72,1,2
+3047.73,1e30,2
+9999.0,1,2
+3047.74,1,2
+"""
+
+
+def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Torn rows, what is no number, absurd numbers and times out of order are refused, or left out, line by line."""
+    log, mapping = write(tmp_path / "log.csv", DAMAGED), write(tmp_path / "m.yaml", PLAIN)
+    words = ["import", str(log), str(tmp_path / "bag"), "--mapping", str(mapping)]
+    assert run("rx90_bag", words) == 2
+    said = capsys.readouterr().err
+    assert "9 corrupt rows, line 2-5, 7-8, 10-12 (line 2: time '-0.12'" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "bag").exists()
+    assert run("rx90_bag", [*words, "--skip-corrupt"]) == 0
+    said = capsys.readouterr().out
+    assert "4 of 13 rows in 0.05 s" in said
+    assert "left out: 9 corrupt rows, line 2-5, 7-8, 10-12" in said
+    stamps = read_joint_states(tmp_path / "bag", "joint_states").stamp_ns
+    assert stamps.tolist() == [3_047_690_000_000, 3_047_700_000_000, 3_047_720_000_000, 3_047_740_000_000]
+
+
+@pytest.mark.parametrize(
+    ("change", "log", "said"),
+    [
+        (("[2, 3]", "[2]"), "1,2,3", "joint_states.position.columns is [2]; accepted: a list of 2, one for each name"),
+        (("[2, 3]", "[2, 4]"), "1,2,3", "log.csv: no column 4; accepted: 1 to 3"),
+        (("[2, 3]", "[2, qb]"), "t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
+        (("[2, 3]", "[2, qb]"), "1,2,3", "log.csv: no column 'qb'; there are no names"),
+        (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns is 0; accepted: the number of a column, from 1 on, or"),
+        (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),
+        (("unit: rad", "unit: counts"), "1,2,3", "position.counts_per_turn is missing"),
+        (("unit: rad", "unit: rad, factor: [1, 0]"), "1,2,3", "position.factor is 0.0; accepted: numbers other than 0"),
+        (("unit: rad", "unit: rad, gears: 3"), "1,2,3", "position.gears is not a known key"),
+        (("unit: rad", "unit: rad, file: 2"), "1,2,3", "1 logs; accepted: 2"),
+        (("position", "acceleration"), "1,2,3", "joint_states.position is missing; accepted: one or more of position"),
+        (("time:", "rate: 5\ntime:"), "1,2,3", "time and rate: both are there; accepted: one of them"),
+        (("[a, b]", "[a, a]"), "1,2,3", "joint_states.names is ['a', 'a']; accepted: one name or more, each once"),
+        (("rad", "rad"), "t,qa,qb\n", "log.csv: holds no row of numbers"),
+        (("time:", "delimiter: ;\ntime:"), "1,2,3", "log.csv: holds no row of numbers"),
+        (
+            ("[2, 3]", "[2, 1]"),
+            "x,a,3\nx,a,3\n",
+            "log.csv: every row is corrupt: 2 corrupt rows, line 1-2 (line 1: col",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], log: str, said: str
+) -> None:
+    """A mapping or a log that do not fit each other is refused in one line with the value and what is accepted."""
+    path, mapping = write(tmp_path / "log.csv", log), write(tmp_path / "m.yaml", PLAIN.replace(*change))
+    assert run("rx90_bag", ["import", str(path), str(tmp_path / "bag"), "--mapping", str(mapping)]) == 2
+    text = capsys.readouterr().err
+    assert said in text
+    assert text.count("\n") == 1
+    assert not (tmp_path / "bag").exists()
