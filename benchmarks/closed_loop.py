@@ -27,7 +27,6 @@ from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge, print_table
-from rx90_common.base.share import config_path
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
@@ -57,7 +56,7 @@ class Work(NamedTuple):
     def load(cls) -> Work:
         """Read the shipped files and plan the line."""
         setup = Setup.load()
-        task = load_task(config_path("task/reference_line.yaml"))
+        task = load_task()
         plan = plan_line(setup, task)
         return cls(setup, plan.points, plan.start_pose, plan.duration)
 

@@ -18,7 +18,7 @@ from benchmarks.report import merge, print_table, spread
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ExchangeError
-from rx90_common.base.share import REFERENCE_TASK, resolve_config
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
@@ -42,7 +42,7 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
     Raises:
         Rx90Error: if a process fails, a message is missing or a bit differs.
     """
-    setup, task = Setup.load(), resolve_config(REFERENCE_TASK)
+    setup, task = Setup.load(), RobotFiles().required("task")
     plan = plan_line(setup, load_task(task))
     alone, recorded = [], []
     with tempfile.TemporaryDirectory() as name:

@@ -12,7 +12,6 @@ import sys
 import numpy as np
 
 from benchmarks.report import merge, print_table
-from rx90_common.base.share import REFERENCE_TASK
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import with_parameters
@@ -57,7 +56,7 @@ def torque_at_rest(setup: Setup) -> tuple[float, float]:
 def main() -> int:
     """Run the cases, print the tables and merge the figures."""
     setup = Setup.load()
-    errors = path_errors(setup, load_task(REFERENCE_TASK))
+    errors = path_errors(setup, load_task())
     print_table(
         ("reference task, path error", "worst, mm", "RMS, mm"),
         [(CASES[key][0], f"{worst * 1e3:.3f}", f"{rms * 1e3:.3f}") for key, (worst, rms) in errors.items()],

@@ -36,7 +36,7 @@ def decoupled_setup(shipped: Setup, elements: Sequence[LuGreElement], inertia: f
         rotor_inertia=inertia * six,
         torque_constant=six,
         peak_current=1e6 * six,
-        spring_torque=0.0,
+        spring_torque=0.0 * six,
     )
     padded = [*elements, *[negligible_element()] * (ELEMENT_COUNT - len(elements))]
     friction = FrictionSet(shipped.friction.names, tuple(padded))

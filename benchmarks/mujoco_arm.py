@@ -38,7 +38,9 @@ def mujoco_arm(setup: Setup) -> Any:
     wrist = spec.add_tendon(name=_WRIST, armature=drives.rotor_inertia[5])
     for joint in joints[4:]:
         wrist.wrap_joint(joint.name, 1.0)
-    _add_spring(spec, joints[1], drives.spring_torque)
+    for joint, torque in zip(joints, drives.spring_torque, strict=True):
+        if torque > 0.0:
+            _add_spring(spec, joint, torque)
     _add_motors(spec, joints, drives)
     transmissions = [(joint.name, mujoco.mjtTrn.mjTRN_JOINT) for joint in joints]
     transmissions.append((_WRIST, mujoco.mjtTrn.mjTRN_TENDON))

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from benchmarks.agreement import Agreement, agreement
 from benchmarks.report import merge, print_table
-from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionSet
 from rx90_common.report.drawing import COLOURS, make_figure
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -273,7 +272,7 @@ def main() -> int:
     parser.add_argument("--plot", type=Path, help="picture to write")
     options = parser.parse_args()
     setup = Setup.load()
-    task = load_task(config_path("task/reference_line.yaml"))
+    task = load_task()
     works = [Work.plan(setup, task), Work.plan(setup, dataclasses.replace(task, speed=0.3))]
     times = speed(works[0])
     full = times["full closed loop"]

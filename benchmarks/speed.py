@@ -22,7 +22,7 @@ from benchmarks.composition import check
 from benchmarks.report import merge, print_table, spread
 from rx90_common.bags.summary import summarise
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import REFERENCE_TASK, resolve_config
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
@@ -71,7 +71,7 @@ def measure(rounds: int = ROUNDS) -> tuple[dict[str, float], list[Run]]:
     Raises:
         Rx90Error: if a process fails, a message is missing or a bit differs.
     """
-    setup, task = Setup.load(), resolve_config(REFERENCE_TASK)
+    setup, task = Setup.load(), RobotFiles().required("task")
     plan = plan_line(setup, load_task(task))
     runs = []
     with tempfile.TemporaryDirectory() as name:

@@ -62,7 +62,7 @@ def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array
     few = np.unique(np.append(np.arange(0, len(q), 10), len(q) - 1))
     coarse = rigid_torque(model, np.zeros((6, 6)), np.zeros(6), q[few], v[few], np.zeros((len(few), 6)))
     torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
-    torque += setup.drives.spring * np.sin(q)
+    torque += setup.drives.spring_torque * np.sin(q)
     inputs = v @ INPUT.T
     sliding = np.column_stack([e.steady_torque(inputs[:, k]) for k, e in enumerate(friction.elements)])
     return torque + np.where(inputs == 0.0, STUCK, sliding) @ INPUT

@@ -14,7 +14,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterFile, ParameterValue
 
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
+from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, MODEL_FILES, RobotFiles
 from rx90_common.process.exit_code import end_with
 
 PARAMETERS = Path(__file__).with_name("rx90_parameters.yaml")
@@ -24,7 +24,8 @@ ARGUMENTS = (
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
     ("initial_position", "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint positions at the start and after a reset, rad"),
     ("paused", "false", "begin with time standing still"),
-    *((name, file, f"{DESCRIPTIONS[name]}; shipped or your own") for name, file in SHIPPED.items()),
+    ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),
+    *((name, "", f"{DESCRIPTIONS[name]}; left out: the robot's") for name in MODEL_FILES),
     ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),
@@ -60,7 +61,8 @@ def transforms(context: LaunchContext) -> list[Action]:
     # Here, because it takes a while and most launches do without.
     from rx90_common.description.robot import load_robot
 
-    files = RobotFiles.named(**{name: LaunchConfiguration(name).perform(context) for name in ("urdf", "tool")})
+    robot, urdf, tool = (LaunchConfiguration(name).perform(context) or None for name in ("robot", "urdf", "tool"))
+    files = RobotFiles.named(robot, urdf=urdf, tool=tool)
     robot = load_robot(files.urdf, files.tool)
     return [
         Node(

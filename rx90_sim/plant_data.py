@@ -109,7 +109,7 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
     arm["first_origin"] = parameters.first_origin
     arm["base_acceleration"] = -robot.chain.gravity
     arm["rotor"] = drives.rotor_matrix
-    arm["spring_torque"] = drives.spring
+    arm["spring_torque"] = drives.spring_torque
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
@@ -119,6 +119,6 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     """
     data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
     brakes = element_arrays([LuGreElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
-    brake["tau_c"] = brake["tau_s"] = 1.0
+    brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]

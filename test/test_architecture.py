@@ -355,15 +355,17 @@ def test_there_is_one_plant_step_and_one_law() -> None:
 
 
 def test_each_shipped_file_is_named_in_one_place() -> None:
-    """No two strings of the project are the name of the same file in config/."""
+    """No two strings are the name of the same file in config/, and one module alone names a robot: the default."""
     files = {str(path.relative_to(ROOT / "config")) for path in (ROOT / "config").rglob("*") if path.is_file()}
+    robots = {path.name for path in (ROOT / "config" / "robots").iterdir()}
     named = [
         (node.value, name)
         for name in MODULES
         for node in ast.walk(parse(name))
-        if isinstance(node, ast.Constant) and node.value in files
+        if isinstance(node, ast.Constant) and node.value in files | robots
     ]
-    assert {file for file, _ in named} >= {"robot/friction.yaml", "controller/cs7b.yaml", "task/reference_line.yaml"}
+    assert [name for file, name in named if file in robots] == [f"{GROUND}.description.robot_files"]
+    assert {file for file, _ in named} >= {"rig/gm8224.yaml", "dds/profiles.xml"}
     assert len({file for file, _ in named}) == len(named), sorted(named)
 
 

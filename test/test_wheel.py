@@ -102,7 +102,7 @@ def test_modules_and_data_come_from_the_wheel(binaries: Path) -> None:
     code = (
         f"import importlib\nfor name in {PACKAGES}:\n    print(importlib.import_module(name).__file__)\n"
         "import rx90_emulator as rx\nfrom rx90_common.base.share import config_path\n"
-        "print(config_path('robot/friction.yaml'))\nprint(rx.load_setup().friction.file)"
+        "print(config_path('robots/rx90b/friction.yaml'))\nprint(rx.load_setup().friction.file)"
     )
     found = [Path(line) for line in run(binaries / "python", "-c", code, folder=binaries.parent).splitlines()]
     assert len(found) == len(PACKAGES) + 2

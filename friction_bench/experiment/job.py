@@ -35,8 +35,8 @@ from rx90_common.base.errors import (
     write_error,
 )
 from rx90_common.base.quoting import one_line, quoted
-from rx90_common.base.share import config_path, resolve_config
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.base.share import resolve_config
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.interrupts import interrupts_later
 
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     """
     rig = load_rig(resolve_config(options.rig))
     out: Path = options.output
-    base = FrictionFile.read(config_path(SHIPPED["friction"]))
+    base = FrictionFile.read(RobotFiles.of_options(options).friction)
     _check(options, base)
     if options.no_load_file or options.loaded_file:
         records = _read(options, rig)

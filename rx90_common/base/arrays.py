@@ -7,5 +7,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 Record = NDArray[Any]
 """Of a structured type, as compiled code reads and changes it."""

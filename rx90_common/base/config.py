@@ -110,6 +110,16 @@ class Section:
             self.refuse(key, values, accepted)
         return tuple(self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values))
 
+    def rows(self, key: str, count: int) -> tuple[tuple[float, ...], ...]:
+        """Return a list, not an empty one, of rows of `count` finite numbers."""
+        accepted = f"a list of rows of {count} numbers"
+        values = self._get(key, accepted)
+        if not isinstance(values, list) or not values:
+            self.refuse(key, values, accepted)
+        names = [f"{key}[{i}]" for i in range(len(values))]
+        inner = Section(dict(zip(names, values, strict=True)), self.file, self.path)
+        return tuple(inner.numbers(name, count) for name in names)
+
     def integer(self, key: str, low: int, high: int) -> int:
         """Return an integer in [low, high]."""
         value = self._get(key, f"an integer in [{low}, {high}]")

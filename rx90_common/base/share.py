@@ -9,7 +9,6 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 
 PACKAGE = "rx90_emulator"
-REFERENCE_TASK = "task/reference_line.yaml"
 SHIPPED_RIG = "rig/gm8224.yaml"
 
 

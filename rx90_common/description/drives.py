@@ -27,7 +27,7 @@ class DriveParameters:
         brake_torque: what the brake holds at most, joint side, Nm.
         brake_stiffness: stiffness of the closed brake, joint side, Nm/rad.
         brake_damping: damping of the closed brake, joint side, Nm s/rad.
-        spring_torque: gravity-compensation spring on joint 2: torque -k sin(q2), amplitude k, Nm.
+        spring_torque: gravity-compensation springs: torque -k sin(q) on each joint, amplitude k, Nm; 0 for none.
         stop_stiffness: stiffness of the mechanical end stops, Nm/rad.
         stop_damping: damping of the mechanical end stops, Nm s/rad.
     """
@@ -41,7 +41,7 @@ class DriveParameters:
     brake_torque: Array
     brake_stiffness: Array
     brake_damping: Array
-    spring_torque: float
+    spring_torque: Array
     stop_stiffness: Array
     stop_damping: Array
 
@@ -50,8 +50,9 @@ class DriveParameters:
             value = np.asarray(getattr(self, field.name))
             if not np.all(np.isfinite(value)) or np.any(value < 0):
                 raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
-            if value.ndim and value.shape != (6,):
-                raise ConfigError(f"{field.name} has shape {value.shape}; accepted: (6,)")
+            shape = () if field.name == "velocity_bandwidth" else (6,)
+            if value.shape != shape:
+                raise ConfigError(f"{field.name} has shape {value.shape}; accepted: {shape}")
         for name in ("gear", "torque_constant", "peak_current", "encoder_counts", "velocity_bandwidth"):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
@@ -65,11 +66,6 @@ class DriveParameters:
     def rotor_matrix(self) -> Array:
         """Return the rotors' share of the mass matrix, kg m^2, shape (6, 6)."""
         return coupled_inertia(self.rotor_inertia)
-
-    @property
-    def spring(self) -> Array:
-        """Return the amplitude of the spring torque -k sin(q) on each joint, Nm, shape (6,)."""
-        return np.array([0.0, self.spring_torque, 0.0, 0.0, 0.0, 0.0])
 
 
 def load_drives(path: Path) -> DriveParameters:
@@ -95,7 +91,7 @@ def load_drives(path: Path) -> DriveParameters:
         brake_torque=six("brake", "torque"),
         brake_stiffness=six("brake", "stiffness"),
         brake_damping=six("brake", "damping", above=False),
-        spring_torque=sections["spring"].number("torque", 0.0),
+        spring_torque=six("spring", "torque", above=False),
         stop_stiffness=six("end_stops", "stiffness", above=False),
         stop_damping=six("end_stops", "damping", above=False),
     )

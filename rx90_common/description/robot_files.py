@@ -1,22 +1,34 @@
-"""The files that describe a robot: the shipped ones, and those that a user names instead."""
+"""The files that describe a robot: those of a robot folder, and those that a user names instead."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.share import config_path, resolve_config
 
-SHIPPED = {
-    "urdf": "robot/rx90b.urdf",
-    "tool": "robot/tool_laser_head.yaml",
-    "drives": "robot/drives.yaml",
-    "friction": "robot/friction.yaml",
-    "controller": "controller/cs7b.yaml",
+DEFAULT_ROBOT = "rx90b"
+ROBOTS = "robots"
+"""The folder below config/ with a folder for each shipped robot."""
+
+FILES = {
+    "urdf": "robot.urdf",
+    "tool": "tool.yaml",
+    "drives": "drives.yaml",
+    "friction": "friction.yaml",
+    "controller": "controller.yaml",
+    "task": "task.yaml",
+    "poses": "poses.yaml",
 }
-"""What each file is called below config/."""
+"""What each file is called in a robot folder. The arm carries no tool where there is no such file."""
+
+MODEL_FILES = ("urdf", "tool", "drives", "friction", "controller")
+"""The files that a run reads whatever the motion."""
 
 NO_TOOL = "none"
+_OPTIONAL = ("tool", "task", "poses")
 
 DESCRIPTIONS = {
     "urdf": "URDF of the arm",
@@ -24,42 +36,98 @@ DESCRIPTIONS = {
     "drives": "drives file",
     "friction": "friction file",
     "controller": "controller file: gains, limits and switches",
+    "task": "task file: a straight line",
+    "poses": "poses file: where experiments take place",
 }
 """What each file is, in words for a user."""
 
 
-def _shipped(name: str) -> Path:
-    return config_path(SHIPPED[name])
+def shipped_robots() -> tuple[str, ...]:
+    """Return the names of the robots that the package ships, sorted."""
+    return tuple(sorted(path.name for path in config_path(ROBOTS).iterdir() if path.is_dir()))
+
+
+def robot_folder(name: str) -> Path:
+    """Return the folder of a robot: of a shipped one by its name, or the user's own by its path.
+
+    Raises:
+        ConfigError: if there is none; with the shipped robots.
+    """
+    shipped = shipped_robots()
+    if name in shipped:
+        return config_path(ROBOTS) / name
+    try:
+        own = Path(name).expanduser()
+        if own.is_dir() and name:
+            return own
+    except (OSError, RuntimeError):  # a name longer than the system takes, a home folder that there is not
+        pass
+    raise ConfigError(f"robot {quoted(name)}: no such folder; accepted: {', '.join(shipped)}, or a robot folder's path")
+
+
+def _default(role: str) -> Path:
+    return config_path(ROBOTS) / DEFAULT_ROBOT / FILES[role]
 
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """Paths of the files that describe a robot; by default the shipped ones. A tool of None: no tool."""
+    """Paths of the files that describe a robot; by default those of the RX90B.
 
-    urdf: Path = field(default_factory=lambda: _shipped("urdf"))
-    tool: Path | None = field(default_factory=lambda: _shipped("tool"))
-    drives: Path = field(default_factory=lambda: _shipped("drives"))
-    friction: Path = field(default_factory=lambda: _shipped("friction"))
-    controller: Path = field(default_factory=lambda: _shipped("controller"))
+    A tool of None: no tool. A task or poses of None: the robot has none of its own.
+    """
+
+    urdf: Path = field(default_factory=lambda: _default("urdf"))
+    tool: Path | None = field(default_factory=lambda: _default("tool"))
+    drives: Path = field(default_factory=lambda: _default("drives"))
+    friction: Path = field(default_factory=lambda: _default("friction"))
+    controller: Path = field(default_factory=lambda: _default("controller"))
+    task: Path | None = field(default_factory=lambda: _default("task"))
+    poses: Path | None = field(default_factory=lambda: _default("poses"))
 
     @classmethod
     def of_options(cls, options: object) -> RobotFiles:
-        """Return the files that a command's options of these names say; see `named`."""
-        return cls.named(**{key: getattr(options, key, None) for key in SHIPPED})
+        """Return the files that a command's options `robot` and those named as the keys of FILES say; see `named`."""
+        return cls.named(getattr(options, "robot", None), **{key: getattr(options, key, None) for key in FILES})
 
     @classmethod
-    def named(cls, **names: str | None) -> RobotFiles:
-        """Return the files that a user names, the shipped one for each that is None or left out.
+    def named(cls, robot: str | None = None, /, **names: str | None) -> RobotFiles:
+        """Return a robot's files, but for each that a user names the user's.
 
         Args:
-            names: by the keys of SHIPPED, a path or the name of a shipped file; for `tool` also "none".
+            robot: name of a shipped robot, or the path of a robot folder; None for the RX90B.
+            names: by the keys of FILES, a path or the name of a file below config/, None for the robot's; for `tool`
+                also "none".
 
         Raises:
-            ConfigError: for a file that is not there.
+            ConfigError: for a robot or a file that is not there.
         """
-        given = {key: name for key, name in names.items() if name is not None}
-        without_tool = given.get("tool") == NO_TOOL
-        if without_tool:
-            del given["tool"]
-        files: dict[str, Path | None] = {key: resolve_config(name) for key, name in given.items()}
-        return cls(**files, **({"tool": None} if without_tool else {}))  # type: ignore[arg-type]  # checked by key
+        folder = robot_folder(DEFAULT_ROBOT if robot is None else robot)
+        files: dict[str, Path | None] = {}
+        for role, name in FILES.items():
+            given, own = names.get(role), folder / name
+            if role == "tool" and given == NO_TOOL:
+                files[role] = None
+            elif given is not None:
+                files[role] = resolve_config(given)
+            else:
+                files[role] = None if role in _OPTIONAL and not own.is_file() else own
+        return cls(**files)  # type: ignore[arg-type]  # None only for what may be left out
+
+    def required(self, role: str) -> Path:
+        """Return the path of a file that not every robot folder has.
+
+        Raises:
+            ConfigError: if this one has none.
+        """
+        path: Path | None = getattr(self, role)
+        if path is None:
+            raise ConfigError(f"{self.urdf.parent}: no {FILES[role]}; accepted: a {role} file, in the folder or named")
+        return path
+
+    def text(self, role: str) -> str:
+        """Return what names a file: its path below config/ where it is there, "none" for no tool."""
+        path: Path | None = getattr(self, role)
+        if path is None:
+            return NO_TOOL
+        shipped = config_path("")
+        return path.relative_to(shipped).as_posix() if path.is_relative_to(shipped) else str(path)

@@ -24,7 +24,7 @@ from rclpy.utilities import try_shutdown
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
-from rx90_common.description.robot_files import DESCRIPTIONS, SHIPPED, RobotFiles
+from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, RobotFiles
 from rx90_common.exchange.node_services import answer_all_requests
 from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.qos_overrides import PREFIX, overridable_topics, publish
@@ -91,14 +91,21 @@ def declare_rates(node: Node) -> Rates:
 
 
 def declare_robot_files(node: Node, *names: str) -> RobotFiles:
-    """Declare a parameter for each of these keys of SHIPPED; return the files that they name.
+    """Declare `robot` and a parameter for each of these keys of FILES; return the files that they name.
 
     Raises:
-        ConfigError: for a file that is not there.
+        ConfigError: for a robot or a file that is not there.
     """
-    return RobotFiles.named(
-        **{name: declare(node, name, SHIPPED[name], f"{DESCRIPTIONS[name]}; shipped or your own") for name in names}
-    )
+    about = "robot: name of a shipped one, or your own robot folder"
+    robot = declare(node, "robot", DEFAULT_ROBOT, about)
+    of_robot = RobotFiles.named(robot)
+    given = {}
+    for name in names:
+        override = node._parameter_overrides.get(name)
+        if override is not None and override.value == "":  # what a launch argument left out comes to
+            del node._parameter_overrides[name]
+        given[name] = declare(node, name, of_robot.text(name), f"{DESCRIPTIONS[name]}; the robot's or your own")
+    return RobotFiles.named(robot, **given)
 
 
 def _with_real_numbers(override: Parameter, default: object) -> Parameter:

@@ -10,8 +10,8 @@ import numpy as np
 
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import LineError
-from rx90_common.base.share import REFERENCE_TASK, resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.rotations import length
 from rx90_controller.lines.profile import TrapezoidalProfile
 
@@ -91,14 +91,19 @@ class LineTask:
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
 
 
-def load_task(name: Path | str = REFERENCE_TASK) -> LineTask:
-    """Read a task file: a path, or the name of a shipped file below config/; the reference line if left out.
+def load_task(name: Path | str | None = None, *, robot: Path | str | None = None) -> LineTask:
+    """Read a task file.
+
+    Args:
+        name: a path, or the name of a shipped file below config/; the robot's reference line if left out.
+        robot: name of a shipped robot, or a robot folder; the RX90B if left out.
 
     Raises:
         ConfigError: naming file, key, value and what is accepted.
         LineError: if the values do not make a line.
     """
-    file = resolve_config(str(name))
+    folder, own = (None if given is None else str(given) for given in (robot, name))
+    file = RobotFiles.named(folder, task=own).required("task")
     root = load_yaml(file)
     line = root.section("line")
     posture = root.section("posture") if "posture" in root else None

@@ -9,18 +9,19 @@ from itertools import count
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.share import REFERENCE_TASK, resolve_config
+from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.environment import prepare
+from rx90_emulator.cli.options import add_robot_arguments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
-    parser.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
     parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
+    add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
 
@@ -39,7 +40,10 @@ def main(options: argparse.Namespace) -> int:
     # Here, because a wrong option must not wait for them.
     from rx90_emulator.demo.demonstration import Demonstration
 
-    demonstration = Demonstration(resolve_config(options.task), 0.0 if options.short else 1.0, options.composed)
+    robot = DEFAULT_ROBOT if options.robot is None else options.robot
+    demonstration = Demonstration(
+        robot, RobotFiles.of_options(options), 0.0 if options.short else 1.0, options.composed
+    )
     return 0 if demonstration.run(_folder(options.output)) else 1
 
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from rx90_common.base.quoting import one_line
+from rx90_common.description.robot_files import MODEL_FILES
 from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments
 
 _EPILOG = """\
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
         verb.add_argument("--speeds", type=int, metavar="N",
                           help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
-        add_robot_arguments(verb)
+        add_robot_arguments(verb, *MODEL_FILES, "poses")
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")

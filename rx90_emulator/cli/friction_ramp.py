@@ -7,6 +7,7 @@ from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
 from rx90_common.base.share import SHIPPED_RIG
+from rx90_emulator.cli.options import add_robot_argument
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
     parser.add_argument("--output", type=Path, default=Path("out/friction"), help="new folder for bag and report")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
+    add_robot_argument(parser)
     files = parser.add_argument_group("old data instead of a rig")
     files.add_argument("--no-load-file", action="append", default=[], metavar="M:FILE", help="slope and file")
     files.add_argument("--loaded-file", action="append", default=[], metavar="M:FILE", help="slope and file")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import LineError, write_text
-from rx90_common.base.share import resolve_config
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments
@@ -43,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(ros_args=[])
     line = parser.add_argument_group("line")
     xyz, rpy = ("X", "Y", "Z"), ("ROLL", "PITCH", "YAW")
-    line.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
+    given = line.add_mutually_exclusive_group()
+    given.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
+    given.add_argument("--reference", action="store_true", help="the robot's reference task, its task.yaml, likewise")
     line.add_argument("--start", type=float, nargs=3, metavar=xyz, help="m")
     line.add_argument("--end", type=float, nargs=3, metavar=xyz, help="m")
     line.add_argument("--speed", type=float, help="m/s (0.1)")
@@ -77,8 +78,9 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
     """
-    if options.from_file is None and (options.start is None or options.end is None):
-        raise LineError("a line needs --start and --end, or --from-file")
+    filed = options.reference or options.from_file is not None
+    if not filed and (options.start is None or options.end is None):
+        raise LineError("a line needs --start and --end, or --from-file or --reference")
     # Here, because --help must not wait for them.
     from rx90_common.base.config import yaml_text
     from rx90_common.description.robot import load_robot
@@ -88,7 +90,7 @@ def main(options: argparse.Namespace) -> None:
 
     files = RobotFiles.of_options(options)
     robot, period = load_robot(files.urdf, files.tool), 1.0 / options.set_point_rate
-    plan, limits = plan_line(robot, _task(options), period), load_controller(files.controller).limits(robot)
+    plan, limits = plan_line(robot, _task(options, files), period), load_controller(files.controller).limits(robot)
     _say(describe_line(plan))
     check_plan(plan, limits, period, plan.start_pose)
     if options.output is not None:
@@ -102,11 +104,12 @@ def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
     return tuple(math.radians(angle) for angle in degrees)
 
 
-def _task(options: argparse.Namespace) -> LineTask:
+def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
     """Return the task of the file with the options laid over it, or of the options alone."""
     from rx90_controller.lines.task import DEFAULT_BRANCH, LineTask, load_task
 
-    base = None if options.from_file is None else load_task(resolve_config(options.from_file))
+    file = files.required("task") if options.reference else options.from_file
+    base = None if file is None else load_task(file)
     given: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value
         for key in _PLAIN_OPTIONS

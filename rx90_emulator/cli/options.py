@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from rx90_common.base.quoting import one_line, quoted
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, MODEL_FILES, shipped_robots
 
 _EXIT_CODES = """
 exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder, emulated rig); 1 done, and the verdict
@@ -71,12 +71,18 @@ FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
 
 
+def add_robot_argument(parser: argparse._ActionsContainer) -> None:
+    """Add --robot, which names all files of a robot."""
+    parser.add_argument("--robot", metavar="ROBOT",
+                        help=f"{', '.join(shipped_robots())}, or your own robot folder ({DEFAULT_ROBOT})")  # fmt: skip
+
+
 def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
-    """Add the options that name the files of this project's robot, by default all; read by `RobotFiles.of_options`."""
-    robot = parser.add_argument_group("robot", "own files, or names of shipped ones; left out: the shipped RX90B's")
-    for name in names or SHIPPED:
-        what = {"urdf": "URDF", "tool": "tool file, or none"}.get(name, f"{name} file")
-        robot.add_argument(f"--{name}", metavar="FILE", help=f"{what} ({SHIPPED[name]})")
+    """Add --robot, and the options that name single files of it, by default the model's; `RobotFiles.of_options`."""
+    robot = parser.add_argument_group("robot", "a robot folder, and single files instead of those in it")
+    add_robot_argument(robot)
+    for name in names or MODEL_FILES:
+        robot.add_argument(f"--{name}", metavar="FILE", help=f"{DESCRIPTIONS[name]} (the robot's {FILES[name]})")
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rx90_common.base.errors import ConfigError, check_place
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import REFERENCE_TASK
 from rx90_emulator.cli.options import FINITE, add_robot_arguments
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.set_defaults(interrupted="only what is named above was written whole")
     motion = parser.add_mutually_exclusive_group()
-    motion.add_argument("--task", default=REFERENCE_TASK, help="task file (%(default)s)")
+    motion.add_argument("--task", metavar="FILE", help="task file (the robot's task.yaml)")
     motion.add_argument("--trajectory", type=Path, help="JointTrajectory in YAML instead of a task")
     motion.add_argument(
         "--from-bag",
@@ -118,13 +117,14 @@ def _check(options: argparse.Namespace) -> None:
 
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:
     """Run what was asked for, and print how well the arm kept to it."""
+    from rx90_common.description.robot_files import RobotFiles
     from rx90_controller.lines.task import load_task
     from rx90_emulator.loop.line import run_line
 
     how = {"substeps": options.substeps, "record_fast": not options.slow_only}
     begin = options.start_time or 0.0
     if options.trajectory is None and options.from_bag is None:
-        task = load_task(options.task)
+        task = load_task(RobotFiles.of_options(options).required("task"))
         line = _timed(lambda: run_line(setup, task, start_time=begin, **how))
         accuracy = line.path_accuracy
         print(f"path error: worst {accuracy.worst * 1e3:.4f} mm, RMS {accuracy.rms * 1e3:.4f} mm")

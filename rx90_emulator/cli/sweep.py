@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from rx90_common.base.quoting import one_line
+from rx90_emulator.cli.options import add_robot_argument
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, sweep/reference_1000.yaml",
     )
     run.add_argument("--output", type=Path, metavar="FILE", required=True, help="Parquet file to write")
+    add_robot_argument(run)
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, help="processes on this machine (all cores)")
@@ -49,7 +51,9 @@ def _run(options: argparse.Namespace) -> None:
     from rx90_emulator.sweep.plan_file import load_sweep_plan
     from rx90_emulator.sweep.sweep import Sweep
 
-    sweep = Sweep(load_sweep_plan(options.plan))
+    if options.robot is not None:
+        options.interrupted += " --robot {robot}"
+    sweep = Sweep(load_sweep_plan(options.plan, robot=options.robot))
     began = time.perf_counter()
     counts = run_sweep(
         sweep,

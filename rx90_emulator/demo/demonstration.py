@@ -9,6 +9,7 @@ from pathlib import Path
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import load_task
@@ -25,21 +26,22 @@ stands still until every process is there."""
 class Demonstration:
     """One run of the reference task in a folder of its own."""
 
-    def __init__(self, task_file: Path, real_time_factor: float, composed: bool = False) -> None:
+    def __init__(self, robot: str, files: RobotFiles, real_time_factor: float, composed: bool = False) -> None:
         """Read and plan the task.
 
         Args:
-            task_file: the task.
+            robot: the name or folder of the robot, for the processes.
+            files: its files, and the task.
             real_time_factor: pace; 0 is as fast as it goes.
             composed: simulation and controller share a process.
 
         Raises:
             Rx90Error: if the task cannot be read or travelled.
         """
-        self._task_file = task_file
+        self._robot, self._task_file = robot, files.required("task")
         self._factor, self._composed = real_time_factor, composed
-        self._setup = Setup.load()
-        self._task = load_task(task_file)
+        self._setup = Setup.load(files)
+        self._task = load_task(self._task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
         self._folder = Path()
 
@@ -65,7 +67,7 @@ class Demonstration:
     def _run_closed_loop(self, bag: Path) -> None:
         # A process of its own: while it compiles, numba would swallow Ctrl-C.
         with ProcessGroup(self._folder / "log") as group:
-            task = ("--task", self._task_file, "--start-time", START_TIME)
+            task = ("--robot", self._robot, "--task", self._task_file, "--start-time", START_TIME)
             group.start("closed_loop", executable("rx90_run", *task, "--output", bag)).expect_success()
 
     def _run_processes(self, plan: LinePlan, bag: Path) -> float:
@@ -82,11 +84,12 @@ class Demonstration:
                 paused="true",
             )
             simulation = group.start(
-                "simulation", executable("rx90_cell" if self._composed else "rx90_sim", *parameters)
+                "simulation",
+                executable("rx90_cell" if self._composed else "rx90_sim", *parameters, "-p", f"robot:={self._robot}"),
             )
             if not self._composed:
-                group.start("controller", executable("rx90_controller"))
-            task = ("--from-file", self._task_file, "--start-time", START_TIME)
+                group.start("controller", executable("rx90_controller", "--ros-args", "-p", f"robot:={self._robot}"))
+            task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
             line = group.start("trajectory", executable("rx90_line", *task))
             recorder.wait_for("ready: all")
             line.expect_success()

@@ -18,13 +18,23 @@ from rx90_sim.plant import Plant
 
 @dataclass(frozen=True)
 class Setup:
-    """The parameters of a run, checked."""
+    """The parameters of a run, checked.
+
+    Attributes:
+        robot: the arm with its tool.
+        drives: gears, motors, brakes, spring, end stops.
+        friction: the seven elements.
+        controller: gains, limits and switches.
+        rates: of the loops.
+        files: where they were read from, and the robot's own task and poses; None if they were not read.
+    """
 
     robot: RobotModel
     drives: DriveParameters
     friction: FrictionSet
     controller: CS7BParameters
     rates: Rates
+    files: RobotFiles | None = None
 
     @classmethod
     def load(cls, files: RobotFiles | None = None, rates: Rates | None = None) -> Setup:
@@ -42,6 +52,7 @@ class Setup:
             load_friction(files.friction, robot.joint_names),
             load_controller(files.controller),
             rates,
+            files,
         )
 
     def plant(self, substeps: int = 1) -> Plant:
@@ -55,6 +66,7 @@ class Setup:
 
 def load_setup(
     *,
+    robot: Path | str | None = None,
     urdf: Path | str | None = None,
     tool: Path | str | None = None,
     drives: Path | str | None = None,
@@ -62,9 +74,10 @@ def load_setup(
     controller: Path | str | None = None,
     rates: Rates | None = None,
 ) -> Setup:
-    """Read the files of a setup: each a path, or the name of a shipped file below config/; by default the RX90B's.
+    """Read the files of a setup: a robot's, but for those that are named, by a path or a shipped name below config/.
 
     Args:
+        robot: name of a shipped robot, or a robot folder; the RX90B if left out.
         urdf: the arm.
         tool: what its flange carries; "none" for nothing.
         drives: gears, motors, brakes, end stops.
@@ -77,4 +90,4 @@ def load_setup(
     """
     names = {"urdf": urdf, "tool": tool, "drives": drives, "friction": friction, "controller": controller}
     given = {role: None if name is None else str(name) for role, name in names.items()}
-    return Setup.load(RobotFiles.named(**given), rates)
+    return Setup.load(RobotFiles.named(None if robot is None else str(robot), **given), rates)

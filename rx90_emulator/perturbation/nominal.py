@@ -125,5 +125,5 @@ def linearise(
     # The rotors' inertia is the same in every pose, so it adds to M0 alone; the spring gives k cos(q) to K0.
     mass += drives.rotor_matrix
     joints = np.arange(6)
-    stiffness[:, joints, joints] += drives.spring * np.cos(position)
+    stiffness[:, joints, joints] += drives.spring_torque * np.cos(position)
     return Linearisation(mass, damping, stiffness)

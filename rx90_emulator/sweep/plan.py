@@ -12,8 +12,7 @@ from typing import Any
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
-from rx90_common.base.share import REFERENCE_TASK, config_path
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.spaces import Distribution, Values
 
@@ -97,14 +96,12 @@ class SweepBase:
     """What every run starts from.
 
     Attributes:
-        files: robot, tool, drives, friction and controller.
-        task: the task file.
+        files: robot, tool, drives, friction, controller and task.
         rates: of the loops.
         substeps: plant steps in a tick.
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
-    task: Path = field(default_factory=lambda: config_path(REFERENCE_TASK))
     rates: Rates = field(default_factory=Rates)
     substeps: int = 1
 
@@ -114,10 +111,7 @@ class SweepBase:
         Raises:
             ConfigError: if one cannot be read.
         """
-        paths = {
-            **{role: getattr(self.files, role) for role in self.files.__dataclass_fields__},
-            "task": self.task,
-        }
+        paths = {role: getattr(self.files, role) for role in (*MODEL_FILES, "task")}
         return {role: None if path is None else _named_hash(path) for role, path in paths.items()}
 
 

@@ -11,7 +11,7 @@ from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import SHIPPED, RobotFiles
+from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
@@ -24,14 +24,19 @@ _DRAWN = (
 )
 
 
-def load_sweep_plan(name: Path | str) -> SweepPlan:
-    """Read a plan: a path, or the name of a shipped file below config/.
+def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> SweepPlan:
+    """Read a plan.
+
+    Args:
+        name: a path, or the name of a shipped file below config/.
+        robot: instead of the one that the plan names; a shipped one's name, or a robot folder.
 
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
     root = _PlanSection.load(resolve_config(str(name)))
-    base = _base(root.section("base")) if "base" in root else SweepBase()
+    given = None if robot is None else str(robot)
+    base = _base(root.section("base"), given) if "base" in root else SweepBase(RobotFiles.named(given))
     seed = root.integer("seed", 0, LARGEST_SEED) if "seed" in root else 0
     blocks = root.section("blocks")
     if not list(blocks):
@@ -61,26 +66,30 @@ class _PlanSection(Section):
         return list(value)
 
 
-def _base(section: _PlanSection) -> SweepBase:
-    files = {role: _file(section, role) for role in (*SHIPPED, "task") if role in section}
-    task = {"task": files.pop("task")} if "task" in files else {}
+def _base(section: _PlanSection, robot: str | None) -> SweepBase:
+    names = {role: _file(section, role) for role in (*MODEL_FILES, "task") if role in section}
+    own = _beside(section, "robot") if "robot" in section else None
+    files = _built(section, "robot", lambda: RobotFiles.named(own if robot is None else robot, **names))
     base_hz = section.integer("base_rate", 1, 10**9) if "base_rate" in section else Rates.base_hz
     position_hz = section.integer("position_rate", 1, 10**9) if "position_rate" in section else Rates.position_hz
     substeps = section.integer("substeps", 1, 1000) if "substeps" in section else 1
     rates = _built(section, "base_rate", lambda: Rates(base_hz, position_hz))
     section.finish()
-    return SweepBase(RobotFiles(**files), rates=rates, substeps=substeps, **task)
+    return SweepBase(files, rates=rates, substeps=substeps)
 
 
-def _file(section: _PlanSection, role: str) -> Any:
-    """Return a file's path: beside the plan, from the working folder, or shipped; None for the tool `none`."""
-    name = section.text(role)
+def _file(section: _PlanSection, role: str) -> str:
+    """Return what names a file: beside the plan, from the working folder, or shipped; or the tool `none`."""
+    name = _beside(section, role)
+    _built(section, role, lambda: RobotFiles.named(**{role: name}))
+    return name
+
+
+def _beside(section: _PlanSection, key: str) -> str:
+    """Return the path of what stands beside the plan, or the name as it is."""
+    name = section.text(key)
     beside = section.file.parent / name
-    if beside.is_file():
-        return beside
-    if role in SHIPPED:
-        return getattr(_built(section, role, lambda: RobotFiles.named(**{role: name})), role)
-    return _built(section, role, lambda: resolve_config(name))
+    return str(beside) if beside.exists() else name
 
 
 def _block(blocks: _PlanSection, name: str) -> Block:

@@ -67,7 +67,7 @@ class Sweep:
         self.versions = versions()
         self.sources = run_hash()
         self.setup = Setup.load(plan.base.files, plan.base.rates)
-        self.task = load_task(plan.base.task)
+        self.task = load_task(plan.base.files.required("task"))
         self.metrics: tuple[Metric, ...] = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         self._check_names()

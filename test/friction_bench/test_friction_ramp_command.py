@@ -44,7 +44,7 @@ def test_report_page_is_complete(measured: Path) -> None:
 def test_friction_file_is_one_that_the_simulation_reads(measured: Path) -> None:
     """rx90_sim loads the YAML: tau_c and c2 of the joint's element are identified, all else is stated as assumed."""
     found = load_friction(measured / "friction.yaml", JOINTS)
-    shipped = load_friction(config_path("robot/friction.yaml"), JOINTS)
+    shipped = load_friction(config_path("robots/rx90b/friction.yaml"), JOINTS)
     index = found.names.index("joint_6")
     assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)

@@ -36,7 +36,7 @@ TURNING = LineTask(
 @pytest.fixture(scope="module")
 def task() -> LineTask:
     """Return the shipped reference task."""
-    return load_task(config_path("task/reference_line.yaml"))
+    return load_task(config_path("robots/rx90b/task.yaml"))
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_emulator.cli.frame import run
 from rx90_emulator.loop.setup import Setup
 
-REFERENCE = "task/reference_line.yaml"
+REFERENCE = "robots/rx90b/task.yaml"
 PATIENCE = 60.0
 
 
@@ -108,17 +108,17 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ("--start 0.6 0 0.2 --end 1.6 0 0.2 --dry-run", 2, "out of reach"),
         ("--start 0.6 0 0.2 --end 0.6 0 0.2 --dry-run", 2, "two different points"),
         (
-            "--from-file task/reference_line.yaml --acceleration 40 --dry-run",
+            "--from-file robots/rx90b/task.yaml --acceleration 40 --dry-run",
             2,
             "would refuse the line: point 2: joint_1 has",
         ),
         ("--from-file nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
         ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
-        ("--from-file task/reference_line.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
-        ("--from-file task/reference_line.yaml --start-time -1", 2, "start time is -1 s"),
-        ("--from-file task/reference_line.yaml --node bad/-name", 2, "name is 'bad/-name' ("),
-        ("--from-file task/reference_line.yaml --ros-args -r", 2, "ROS arguments "),
-        ("--from-file task/reference_line.yaml --ros-args -p foo", 2, "ROS arguments "),
+        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
+        ("--from-file robots/rx90b/task.yaml --start-time -1", 2, "start time is -1 s"),
+        ("--from-file robots/rx90b/task.yaml --node bad/-name", 2, "name is 'bad/-name' ("),
+        ("--from-file robots/rx90b/task.yaml --ros-args -r", 2, "ROS arguments "),
+        ("--from-file robots/rx90b/task.yaml --ros-args -p foo", 2, "ROS arguments "),
     ],
 )
 def test_a_mistake_gives_one_line_and_a_status(

@@ -20,7 +20,7 @@ from rx90_controller.lines.plan import approach_time, plan_line
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_emulator.loop.setup import Setup
 
-REFERENCE = "task/reference_line.yaml"
+REFERENCE = "robots/rx90b/task.yaml"
 DOWN = (0.0, np.pi, 0.0)
 # The beam along y; the wrist is so far behind the spot.
 SIDEWAYS, WRIST = (-np.pi / 2, 0.0, 0.0), 0.285

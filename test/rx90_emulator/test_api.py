@@ -249,7 +249,7 @@ def test_nonsense_is_refused_in_one_line(call: Callable[[rx.Setup], object], mes
     ("call", "message"),
     [
         (lambda s: rx.run_line(rx.load_task(), s), "setup is of type LineTask; accepted: Setup"),
-        (lambda s: rx.run_line(s, "task/reference_line.yaml"), "task is of type str; accepted: LineTask"),
+        (lambda s: rx.run_line(s, "robots/rx90b/task.yaml"), "task is of type str; accepted: LineTask"),
         (lambda s: rx.simulate(s, None), "points is of type NoneType; accepted: TrajectoryPoints"),
         (lambda s: rx.with_parameters(s, ["friction.joint_2.c0"]), "values is of type list; accepted: Mapping"),
         (lambda _: rx.parameters(rx.load_task()), "setup is of type LineTask; accepted: Setup"),

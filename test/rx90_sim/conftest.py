@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -40,7 +39,7 @@ class ArmOracle:
         """Return M with rotors and coupling, and h with the spring: the answers to unit accelerations, and to none."""
         robot, drives = self.setup.robot, self.setup.drives
         state = (np.tile(np.asarray(x, float), (7, 1)) for x in (q, v))
-        torque = rigid_torque(robot.model, drives.rotor_matrix, drives.spring, *state, np.eye(7, 6, -1))
+        torque = rigid_torque(robot.model, drives.rotor_matrix, drives.spring_torque, *state, np.eye(7, 6, -1))
         return (torque[1:] - torque[0]).T, torque[0]
 
     def energy(self, q: Array, v: Array) -> float:
@@ -48,7 +47,7 @@ class ArmOracle:
         model = self.setup.robot.model
         mass, _ = self.mass_and_bias(q, v)
         gravity = pin.computePotentialEnergy(model, model.createData(), np.asarray(q, float))
-        spring = -self.setup.drives.spring_torque * math.cos(q[1])
+        spring = -self.setup.drives.spring_torque @ np.cos(q)
         return float(0.5 * v @ mass @ v + gravity + spring)
 
     def joint_torque(self, motor: ArrayLike) -> Array:

@@ -81,7 +81,7 @@ def test_an_end_stop_pushes_back(shipped: Setup, frictionless: FrictionSet, join
         shipped,
         friction=frictionless,
         robot=dataclasses.replace(shipped.robot, chain=chain),
-        drives=dataclasses.replace(shipped.drives, spring_torque=0.0),
+        drives=dataclasses.replace(shipped.drives, spring_torque=np.zeros(6)),
     )
     limit = (setup.robot.upper if side > 0 else setup.robot.lower)[joint]
     pose = np.zeros(6)
@@ -108,7 +108,7 @@ def test_an_end_stop_pushes_back(shipped: Setup, frictionless: FrictionSet, join
 def test_an_end_stop_never_pulls(shipped: Setup, frictionless: FrictionSet) -> None:
     """A joint that leaves its stop fast is not held back by the stop's damper."""
     chain = shipped.robot.chain._replace(gravity=np.zeros(3))
-    drives = dataclasses.replace(shipped.drives, spring_torque=0.0)
+    drives = dataclasses.replace(shipped.drives, spring_torque=np.zeros(6))
     robot = dataclasses.replace(shipped.robot, chain=chain)
     plant = dataclasses.replace(shipped, friction=frictionless, robot=robot, drives=drives).plant()
     pose = np.zeros(6)

@@ -73,7 +73,7 @@ def worst(setup: Setup, rng: np.random.Generator, states: int) -> float:
         mass, bias = compiled(setup, q[k], v[k])
         assert np.array_equal(mass, mass.T)
         got.append(mass @ a[k] + bias)
-    want = rigid_torque(setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring, q, v, a)
+    want = rigid_torque(setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque, q, v, a)
     return float(np.abs(np.array(got) - want).max() / np.abs(want).max())
 
 
@@ -84,12 +84,12 @@ def test_the_compiled_arm_gives_the_rigid_torque(shipped: Setup) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_compiled_arm_gives_the_rigid_torque_of_any_arm(shipped: Setup, tmp_path: Path, seed: int) -> None:
-    """So does an arm with turned frames, skew axes, off-axis masses, a fixed load, other rotors and another spring."""
+    """So does an arm with turned frames, skew axes, off-axis masses, a fixed load, other rotors and six springs."""
     path = tmp_path / "random.urdf"
     path.write_text(random_urdf(seed))
     rng = np.random.default_rng(seed)
     drives = dataclasses.replace(
-        shipped.drives, rotor_inertia=rng.uniform(0.0, 20.0, 6), spring_torque=rng.uniform(0.0, 500.0)
+        shipped.drives, rotor_inertia=rng.uniform(0.0, 20.0, 6), spring_torque=rng.uniform(0.0, 500.0, 6)
     )
     assert worst(dataclasses.replace(shipped, robot=load_robot(path), drives=drives), rng, 60) < 1e-13
 
@@ -104,7 +104,7 @@ def test_gravity_check_values_of_the_parameter_set(shipped: Setup) -> None:
     """With the arm horizontal gravity alone is 238 Nm on joint 2, and the spring leaves 118 Nm of it."""
     horizontal = np.array([0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0])
     _, bias = compiled(shipped, horizontal, np.zeros(6))
-    unsprung = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, spring_torque=0.0))
+    unsprung = dataclasses.replace(shipped, drives=dataclasses.replace(shipped.drives, spring_torque=np.zeros(6)))
     _, gravity = compiled(unsprung, horizontal, np.zeros(6))
     assert abs(gravity[1]) == pytest.approx(238.0, abs=0.5)
     assert abs(bias[1]) == pytest.approx(118.0, abs=0.5)

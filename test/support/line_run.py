@@ -11,7 +11,7 @@ from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
@@ -69,7 +69,7 @@ def run_both_ways(
     of_simulation = {
         "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.0, "paused": True
     }  # fmt: skip
-    sections = {"rx90_sim": of_simulation, "rx90_controller": {"controller": SHIPPED["controller"]}}
+    sections = {"rx90_sim": of_simulation, "rx90_controller": {"controller": RobotFiles().text("controller")}}
     parameters.write_text(
         yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"
     )

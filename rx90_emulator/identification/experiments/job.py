@@ -6,24 +6,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
+from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.plan import Experiment, PlanOptions, make_plan
+from rx90_emulator.identification.experiments.poses import Poses
 from rx90_emulator.loop.setup import Setup
 
-_QUICK = PlanOptions(
-    speeds=8,
-    travel=0.016,
-    poses=PlanOptions().poses[:1],
-    presliding_cycles=(2e-3,),
-    tone_amplitudes=(4e-5,),
-    burst=3.0,
-)
+_QUICK: dict[str, Any] = {
+    "speeds": 8, "travel": 0.016, "presliding_cycles": (2e-3,), "tone_amplitudes": (4e-5,), "burst": 3.0
+}  # fmt: skip
 
 
 def plan_experiments(
@@ -32,15 +30,21 @@ def plan_experiments(
     """Return the experiments for an arm.
 
     Args:
-        setup: robot and drives.
+        setup: robot and drives, read from files, of which one holds the poses.
         groups: names of directions; all of them if empty.
         quick: whether fewer speeds, one pose and one micro-oscillation do.
         speeds: in each direction; None for the plan's own number.
 
     Raises:
         IdentificationError: for an unknown group or a number of speeds that is not acceptable.
+        ConfigError: if the robot has no poses.
     """
-    options = replace(_QUICK if quick else PlanOptions(), groups=tuple(groups))
+    if setup.files is None:
+        raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
+    poses = Poses.load(setup.files.required("poses"))
+    if quick:
+        poses = replace(poses, sweeps=poses.sweeps[:1])
+    options = PlanOptions(poses=poses, groups=tuple(groups), **(_QUICK if quick else {}))
     return make_plan(setup.robot, setup.drives, options if speeds is None else replace(options, speeds=speeds))
 
 

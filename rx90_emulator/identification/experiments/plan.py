@@ -16,29 +16,14 @@ from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.experiments.motion import Motion
+from rx90_emulator.identification.experiments.poses import Poses
 from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
 
-HOME = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-POSES = (
-    (0.0, -0.6, 0.2, 0.0, 0.5, 0.0),
-    (0.4, 0.1, 1.4, -1.0, -0.7, 1.5),
-    (0.0, 0.6, -0.2, 1.0, 0.9, -1.5),
-    (-0.4, 0.3, -1.2, 0.5, -0.3, 0.7),
-)
-"""Where sweeps take place, rad.
-
-Gravity torques of either sign and over most of their range. A constant torque is not separable from the difference of
-the two directions' Coulomb torques, and over a small range the gravity torque is constant.
-"""
 _MOST_SPEEDS = 1000  # two hours for each group
 _SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
+_VALIDATION_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
 _LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
-VALIDATION_POSES = (
-    (0.6, 0.35, 0.9, -0.5, 0.7, 0.8),
-    (-0.4, -0.15, 1.2, 0.6, -0.4, -0.9),
-    (0.2, 0.25, 0.4, 0.2, 0.5, 0.3),
-)
 
 
 class Kind(str, Enum):
@@ -63,8 +48,7 @@ class PlanOptions:
         travel: longest travel of a sweep at its speed, rad. Speeds near omega_s determine the curve's shape; held for
             4 s instead of 0.7 s, the torque's noise changes omega_s and delta less than half as much.
         acceleration: of sweeps and moves, rad/s².
-        home: where every experiment begins and ends, rad.
-        poses: where the sweeps take place, rad.
+        poses: where the experiments take place; by default those of the RX90B.
         groups: which joints, by name of the direction; all of them if empty.
         presliding_cycles: amplitudes of the slow presliding cycles, rad.
         tones: frequencies of the micro-oscillation, Hz.
@@ -78,8 +62,7 @@ class PlanOptions:
     highest_share: float = 0.4
     travel: float = 0.6
     acceleration: float = 5.0
-    home: tuple[float, ...] = HOME
-    poses: tuple[tuple[float, ...], ...] = POSES
+    poses: Poses = field(default_factory=Poses.shipped)
     groups: tuple[str, ...] = ()
     presliding_cycles: tuple[float, ...] = (4e-3, 3e-3, 2e-3, 1e-3, 5e-4)
     tones: tuple[float, ...] = (3.0, 9.0, 19.0, 33.0)
@@ -102,8 +85,6 @@ class PlanOptions:
                 f"{len(self.presliding_cycles)} presliding cycles, {len(self.tone_amplitudes)} amplitudes of the "
                 f"micro-oscillation and {len(self.tones)} tones; accepted: as many cycles as amplitudes, and a tone"
             )
-        if not self.poses:
-            raise IdentificationError("no pose; accepted: one or more")
 
 
 @dataclass(frozen=True)
@@ -157,7 +138,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
         IdentificationError: for an option or a pose that does not fit the arm.
     """
     chosen = options or PlanOptions()
-    _check_poses(robot, chosen)
+    chosen.poses.check(robot)
     known = directions(robot.joint_names)
     names = [direction.name for direction in known]
     for name in chosen.groups:
@@ -171,18 +152,18 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
 
 
 def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, direction: Direction) -> Experiment:
-    motion = Motion(options.home)
+    motion = Motion(options.poses.home)
     highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
     speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, 2 * options.speeds, drives)
     # Many speeds, each in one direction at one pose, rather than few everywhere: the error by ripple in step with the
     # sampling differs between speeds, not between poses, and changes its sign with the direction.
     there_and_back = speeds.reshape(-1, 2) * (1.0, -1.0)
-    for number, pose in enumerate(options.poses):
-        for speed in there_and_back[number :: len(options.poses)].ravel():
+    for number, pose in enumerate(options.poses.sweeps):
+        for speed in there_and_back[number :: len(options.poses.sweeps)].ravel():
             _approach(robot, options, motion, _start(robot, options, direction, pose, float(speed)))
             motion.rest(0.1)
             motion.sweep(direction.vector, float(speed), _held(options, speed), options.acceleration)
-    _approach(robot, options, motion, options.home)
+    _approach(robot, options, motion, options.poses.home)
     return Experiment(f"sliding_{direction.name}", Kind.SLIDING, motion.points(robot.joint_names), len(speeds))
 
 
@@ -204,8 +185,8 @@ def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: 
 
 
 def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -> Experiment:
-    motion = Motion(options.home)
-    pose = np.asarray(options.poses[0])
+    motion = Motion(options.poses.home)
+    pose = np.asarray(options.poses.sweeps[0])
     _approach(robot, options, motion, pose - 0.03 * direction.vector)
     motion.rest(0.2)
     count = 0
@@ -219,34 +200,24 @@ def _presliding(robot: RobotModel, options: PlanOptions, direction: Direction) -
         motion.oscillate(direction.vector, amplitudes, options.tones, options.burst)
         count += 2
     motion.rest(0.2)
-    _approach(robot, options, motion, options.home)
+    _approach(robot, options, motion, options.poses.home)
     return Experiment(f"presliding_{direction.name}", Kind.PRESLIDING, motion.points(robot.joint_names), count)
 
 
 def _validation(robot: RobotModel, options: PlanOptions) -> Experiment:
     """Return moves of all joints at once that no other experiment has: fast, slow, with reversals."""
-    motion = Motion(options.home)
-    for pose, share in zip(VALIDATION_POSES, (0.3, 0.12, 0.04), strict=True):
+    motion = Motion(options.poses.home)
+    for number, pose in enumerate(options.poses.validation):
+        share = _VALIDATION_SHARES[number % len(_VALIDATION_SHARES)]
         motion.move(pose, robot.max_velocity * share, options.acceleration)
         motion.rest(0.15)
     wave = np.array([0.02, -0.015, 0.02, -0.03, 0.03, -0.02])
     motion.oscillate(wave, [1.0], [0.5], 6.0)
     motion.rest(0.2)
-    _approach(robot, options, motion, options.home)
-    return Experiment("validation", Kind.VALIDATION, motion.points(robot.joint_names), len(VALIDATION_POSES) + 1)
+    _approach(robot, options, motion, options.poses.home)
+    count = len(options.poses.validation) + 1
+    return Experiment("validation", Kind.VALIDATION, motion.points(robot.joint_names), count)
 
 
 def _approach(robot: RobotModel, options: PlanOptions, motion: Motion, pose: Sequence[float] | Array) -> None:
     motion.move(pose, 0.3 * robot.max_velocity, options.acceleration)
-
-
-def _check_poses(robot: RobotModel, options: PlanOptions) -> None:
-    named = [("home", options.home), *((f"pose {i + 1}", pose) for i, pose in enumerate(options.poses))]
-    for what, pose in named:
-        if len(pose) != len(robot.joint_names):
-            raise IdentificationError(f"{what} has {len(pose)} angles; accepted: {len(robot.joint_names)}")
-        for name, value, low, high in zip(robot.joint_names, pose, robot.lower, robot.upper, strict=True):
-            if not low <= value <= high:
-                raise IdentificationError(
-                    f"{what}: {name} is {value:g} rad; accepted: [{low:.4g}, {high:.4g}], the joint's limits"
-                )

@@ -15,8 +15,9 @@ class RobotOptions:
     """The robot that bags come from: this project's by default, any other one with `urdf`.
 
     Attributes:
-        tool: tool file of this project's robot, or "none"; by default the shipped laser head.
-        drives: drives file of this project's robot; by default the shipped one.
+        robot: name or folder of this project's robot; by default the RX90B.
+        tool: tool file of this project's robot, or "none"; by default the robot's own.
+        drives: drives file of this project's robot; by default the robot's own.
         urdf: description of another robot; the following attributes go with it, n is the number of its joints.
         topic: JointState topic; by default joint_states.
         joints: joints of interest from base to tip, the others are held at 0; by default all movable ones.
@@ -28,7 +29,7 @@ class RobotOptions:
         rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,).
         spring: amplitude k of a torque -k sin(q) on each joint, Nm, shape (n,).
         fallback: friction file for omega_d and for parameters that are not identifiable, or "none"; by default the
-            shipped file for this project's robot and none for another one.
+            robot's own file for this project's robot and none for another one.
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s: half a
             period for a torque that was sampled at its stamp.
         record_time: whether the times of recording replace the stamps in the headers.
@@ -36,6 +37,7 @@ class RobotOptions:
             default 0.
     """
 
+    robot: str | None = None
     tool: str | None = None
     drives: str | None = None
     urdf: Path | str | None = None

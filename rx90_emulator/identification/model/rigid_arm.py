@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.rigid_torque import configurations, rigid_torque
-from rx90_common.description.wrist import element_matrix
+from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
@@ -32,6 +32,7 @@ class RigidArm:
         model: Pinocchio's model of these joints alone.
         rotor: the rotors' share of the mass matrix, shape (n, n), kg m^2.
         spring: amplitude k of a gravity-compensation spring on each joint, torque -k sin(q), Nm, shape (n,).
+        coupling: motor turns per joint turn without the gears, shape (n, n).
     """
 
     names: tuple[str, ...]
@@ -40,13 +41,15 @@ class RigidArm:
     model: Any
     rotor: Array
     spring: Array
+    coupling: Array
 
     @classmethod
     def from_setup(cls, setup: Setup) -> RigidArm:
         """Return the arm of a setup: robot with tool, rotors, wrist coupling, spring, seven elements."""
         names = setup.robot.joint_names
-        drives = setup.drives
-        return cls(names, element_names(names), element_matrix(), setup.robot.model, drives.rotor_matrix, drives.spring)
+        matrix, coupling = element_matrix(), coupling_matrix()
+        model, rotor, spring = setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring_torque
+        return cls(names, element_names(names), matrix, model, rotor, spring, coupling)
 
     @classmethod
     def from_urdf(
@@ -82,7 +85,7 @@ class RigidArm:
         together = [row for row in turns if np.count_nonzero(row) > 1]
         labels = [_label(names, row) for row in together]
         matrix = np.vstack([np.eye(n), *together])
-        return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude)
+        return cls(names, (*names, *labels), matrix, model, turns.T @ np.diag(inertia) @ turns, amplitude, turns)
 
     def torque(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         """Return what the drives give at the joints without friction, Nm, all arrays of shape (m, n)."""

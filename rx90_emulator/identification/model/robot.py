@@ -12,7 +12,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import SHIPPED, RobotFiles
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
@@ -99,14 +99,15 @@ def _own(options: RobotOptions) -> RecordedRobot:
             raise IdentificationError(
                 f"--{name.replace('_', '-')} without --urdf; accepted: with --urdf of another robot"
             )
-    setup = Setup.load(RobotFiles.of_options(options))
+    files = RobotFiles.of_options(options)
+    setup = Setup.load(files)
     arm = RigidArm.from_setup(setup)
-    name = options.fallback or SHIPPED["friction"]
+    name = options.fallback or files.text("friction")
     return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)
 
 
 def _other(options: RobotOptions, urdf: Path) -> RecordedRobot:
-    for name in ("tool", "drives"):
+    for name in ("robot", "tool", "drives"):
         if getattr(options, name) is not None:
             raise IdentificationError(f"--{name} with --urdf; accepted: for this project's robot alone")
     n = len(RigidArm.from_urdf(urdf, options.joints).names)

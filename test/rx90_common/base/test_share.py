@@ -16,7 +16,7 @@ def test_the_source_tree_is_its_own_share_folder() -> None:
     """In a checkout the data folder is the checkout, and shipped files are found under config/."""
     root = Path(share.__file__).resolve().parents[2]
     assert share.share_directory() == root
-    assert share.config_path("robot/friction.yaml").is_file()
+    assert share.config_path("robots/rx90b/friction.yaml").is_file()
 
 
 def test_an_installed_package_finds_the_environment_s_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,8 +41,8 @@ def test_a_file_of_the_user_s_own_comes_first(tmp_path: Path, monkeypatch: pytes
     assert share.resolve_config(str(own)) == own
     monkeypatch.chdir(tmp_path)
     assert share.resolve_config("friction.yaml") == Path("friction.yaml")
-    assert share.resolve_config("robot/drives.yaml") == share.config_path("robot/drives.yaml")
+    assert share.resolve_config("robots/rx90b/drives.yaml") == share.config_path("robots/rx90b/drives.yaml")
     with pytest.raises(ConfigError, match="no file '~nobody_of_this_name/x'"):
         share.resolve_config("~nobody_of_this_name/x")
-    with pytest.raises(ConfigError, match=r"no file .robot/nothing\.yaml."):
-        share.resolve_config("robot/nothing.yaml")
+    with pytest.raises(ConfigError, match=r"no file .robots/rx90b/nothing\.yaml."):
+        share.resolve_config("robots/rx90b/nothing.yaml")

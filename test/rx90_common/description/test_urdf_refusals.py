@@ -116,7 +116,7 @@ def test_bad_tool_is_refused_naming_key_and_value(
     assert shipped_files.tool is not None
     with pytest.raises(ConfigError, match=expected) as refusal:
         load_robot(shipped_files.urdf, edited_yaml(shipped_files.tool, path, value))
-    assert "tool_laser_head.yaml" in str(refusal.value)
+    assert "tool.yaml" in str(refusal.value)
 
 
 def test_a_tool_needs_a_place_of_its_own(shipped_files: RobotFiles, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from rx90_common.process.children import executable
 
 TOOLS = {
-    "rx90_line": ["--from-file", "task/reference_line.yaml", "--dry-run"],
+    "rx90_line": ["--from-file", "robots/rx90b/task.yaml", "--dry-run"],
     "rx90_bag": ["info", str(Path(__file__).parents[2] / "reference/reference_task")],
     "rx90_run": ["--help"],
     "rx90_sweep": ["--help"],

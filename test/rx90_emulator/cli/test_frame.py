@@ -12,7 +12,7 @@ from importlib import import_module
 import pytest
 
 from rx90_common.base.share import config_path
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.description.robot_files import FILES
 from rx90_common.process.children import executable
 from rx90_emulator.cli.frame import EXECUTABLES
 from rx90_emulator.cli.options import CommandParser, split_ros_args
@@ -104,8 +104,9 @@ def test_an_option_means_the_same_everywhere() -> None:
         import_module(module).add_arguments(parser)
         for action in actions(parser):
             for flag in action.option_strings:
-                metavar = action.metavar if flag[2:] in {*SHIPPED, "node", "timeout"} else None
+                metavar = action.metavar if flag[2:] in {*FILES, "robot", "node", "timeout"} else None
                 kinds.setdefault(flag, set()).add((type(action), metavar))
     assert {flag for flag, found in kinds.items() if len(found) > 1} == set()
-    assert {kinds[f"--{role}"].pop()[1] for role in SHIPPED} == {"FILE"}
+    assert {kinds[f"--{role}"].pop()[1] for role in FILES} == {"FILE"}
+    assert kinds["--robot"].pop()[1] == "ROBOT"
     assert kinds["--node"].pop()[1] == "NAME"

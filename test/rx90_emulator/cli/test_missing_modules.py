@@ -29,7 +29,7 @@ CALLS = {
     "rx90_demo": ([], "numba"),
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
-    "rx90_line": (["--from-file", "task/reference_line.yaml"], "yaml numba"),
+    "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
     "rx90_run": ([], "yaml numba pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
 }

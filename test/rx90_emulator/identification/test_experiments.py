@@ -15,8 +15,11 @@ from rx90_emulator.identification.experiments.folder import read_index, write_in
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan
+from rx90_emulator.identification.experiments.poses import Poses
 from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.loop.setup import Setup
+
+HOME = (0.0,) * 6
 
 
 def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
@@ -30,7 +33,7 @@ def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
 def test_every_experiment_begins_and_ends_at_home(shipped: Setup) -> None:
     """Experiments can be run in any order, because each begins and ends at the home pose."""
     for experiment in make_plan(shipped.robot, shipped.drives):
-        assert np.allclose(experiment.points.position[[0, -1]], PlanOptions().home, atol=1e-12)
+        assert np.allclose(experiment.points.position[[0, -1]], Poses.shipped().home, atol=1e-12)
 
 
 def test_sweeps_cover_a_logarithmic_range_in_both_directions(shipped: Setup) -> None:
@@ -100,8 +103,10 @@ def test_oscillations_are_what_they_say() -> None:
     ("change", "text"),
     [
         ({"groups": ("joint_9",)}, "unknown group 'joint_9'"),
-        ({"poses": ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0),)}, "joint_2 is 9 rad"),
-        ({"poses": ((0.0, 0.0),)}, "pose 1 has 2 angles"),
+        ({"poses": Poses(HOME, ((0.0, 9.0, 0.0, 0.0, 0.0, 0.0),), (HOME,))}, "pose 1: joint_2 is 9 rad"),
+        ({"poses": Poses(HOME, ((0.0, 0.0),), (HOME,))}, "pose 1 has 2 angles"),
+        ({"poses": Poses(HOME, (HOME,), ((0.0,) * 5 + (-9.0,),))}, "pose 1 of the validation: joint_6 is -9 rad"),
+        ({"poses": Poses(HOME, (), (HOME,))}, "no pose; accepted: one or more"),
         ({"speeds": 4}, "4 speeds; accepted: 5 to 1000"),
         ({"speeds": 10**8}, "100000000 speeds; accepted: 5 to 1000"),
         ({"travel": 0.01}, "travel is 0.01 rad; accepted: 0.016 or more"),

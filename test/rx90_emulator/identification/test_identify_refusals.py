@@ -141,7 +141,7 @@ REFUSED = [
     ),
     (
         "other_fallback",
-        options("--fallback", "robot/friction.yaml"),
+        options("--fallback", "robots/rx90b/friction.yaml"),
         "friction.yaml: elements.hinge is missing; accepted",
     ),
     # the bags

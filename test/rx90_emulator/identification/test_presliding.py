@@ -230,7 +230,7 @@ def test_a_joint_that_slides_gives_a_reason(shipped: Setup) -> None:
 def test_an_unknown_payload_gives_no_wrong_bristles(shipped: Setup, tmp_path: Path) -> None:
     """With 1 kg on the flange that the description lacks, the wrist's c0 and c1 are right or not identifiable."""
     file = tmp_path / "tool.yaml"
-    tool = yaml.safe_load(config_path("robot/tool_laser_head.yaml").read_text(encoding="utf-8"))
+    tool = yaml.safe_load(config_path("robots/rx90b/tool.yaml").read_text(encoding="utf-8"))
     # The tool with a point mass of 1 kg at (0.03, -0.02, 0.15) m.
     tool["inertial"]["mass"] = 4.5
     tool["inertial"]["center_of_mass"] = [0.00667, -0.00444, 0.11111]

@@ -22,7 +22,7 @@ REFERENCE = Path(__file__).parents[2] / "reference" / "reference_task"
 @pytest.fixture(scope="module")
 def task() -> LineTask:
     """Return the reference task."""
-    return load_task(config_path("task/reference_line.yaml"))
+    return load_task(config_path("robots/rx90b/task.yaml"))
 
 
 def test_a_new_run_equals_the_reference_bag(shipped: Setup, task: LineTask, tmp_path: Path) -> None:

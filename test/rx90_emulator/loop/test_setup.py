@@ -25,8 +25,8 @@ def test_the_shipped_files_make_a_setup(shipped: Setup) -> None:
 
 def test_every_file_can_be_the_user_s_own(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
     """A changed value in any of the files reaches the setup; the other files stay the shipped ones."""
-    drives = edited_yaml(shipped_files.drives, ("spring", "torque"), 99.0)
-    assert Setup.load(RobotFiles(drives=drives)).drives.spring_torque == 99.0
+    drives = edited_yaml(shipped_files.drives, ("spring", "torque", 1), 99.0)
+    assert Setup.load(RobotFiles(drives=drives)).drives.spring_torque[1] == 99.0
     friction = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", "c2"), 0.7)
     assert Setup.load(RobotFiles(friction=friction)).friction.elements[6].c2 == 0.7
     controller = edited_yaml(shipped_files.controller, ("current_loop", "bandwidth"), 555.0)

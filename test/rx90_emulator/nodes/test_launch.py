@@ -10,7 +10,7 @@ import pytest
 import yaml
 from launch_stub import Action, arguments, build, ending
 
-from rx90_common.description.robot_files import SHIPPED
+from rx90_common.description.robot_files import DEFAULT_ROBOT, MODEL_FILES
 from rx90_common.process import exit_code
 
 FILE = "rx90.launch.py"
@@ -25,9 +25,10 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     """Files, time mode, pace, start and namespace are arguments with the nodes' defaults, and reach their nodes."""
     actions = build(monkeypatch, FILE)
     defaults, made = arguments(actions), nodes(actions)
-    assert {name: defaults[name] for name in SHIPPED} == SHIPPED
-    assert defaults.keys() - SHIPPED == {
-        *("namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
+    assert {name: defaults[name] for name in MODEL_FILES} == dict.fromkeys(MODEL_FILES, "")  # the robot's
+    assert defaults["robot"] == DEFAULT_ROBOT
+    assert defaults.keys() - MODEL_FILES == {
+        *("robot", "namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
         *("robot_state_publisher", "rviz"),
     }
     for node in made.values():
@@ -38,18 +39,18 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
         assert file.named == {"allow_substs": True}
     text = Path(file.given[0]).read_text(encoding="utf-8")
     sections = yaml.safe_load(re.sub(r"\$\(var (\w+)\)", r"\1", text))
-    own = ("time_mode", "real_time_factor", "initial_position", "paused", "urdf", "tool", "drives", "friction")
+    own = ("time_mode", "real_time_factor", "initial_position", "paused", "robot", "urdf", "tool", "drives", "friction")
     assert sections == {
         "/**/rx90_sim": {"ros__parameters": {name: name for name in own}},
-        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("urdf", "drives", "controller")}},
+        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("robot", "urdf", "drives", "controller")}},
     }
 
 
 def test_robot_state_publisher_gets_the_robot_with_its_tool(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is started with the links tool and tcp of the tool that the simulation gets, and with none without a tool."""
     (opaque,) = (action for action in build(monkeypatch, FILE) if action.kind == "OpaqueFunction")
-    for tool, links in ((SHIPPED["tool"], {"tool", "tcp"}), ("none", set())):
-        (node,) = opaque.named["function"]({"urdf": SHIPPED["urdf"], "tool": tool})
+    for tool, links in (("", {"tool", "tcp"}), ("none", set())):
+        (node,) = opaque.named["function"]({"robot": DEFAULT_ROBOT, "urdf": "", "tool": tool})
         (given,) = node.named["parameters"]
         robot = ET.fromstring(given["robot_description"].given[0])
         names = {link.get("name") for link in robot.findall("link")}

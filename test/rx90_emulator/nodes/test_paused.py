@@ -39,7 +39,7 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     (offered,) = client.node.get_publishers_info_by_topic("/cell_1/friction_states")
     assert offered.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
     assert offered.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
-    line = ("--from-file", "task/reference_line.yaml", "--approach", "--node", "/cell_1/rx90_controller")
+    line = ("--from-file", "robots/rx90b/task.yaml", "--approach", "--node", "/cell_1/rx90_controller")
     done = processes.run("rx90_line", *line)
     assert done.returncode == 0, done.stderr
     assert "time stands still at 0 s: the arm moves when it runs on" in done.stdout

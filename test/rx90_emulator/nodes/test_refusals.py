@@ -61,7 +61,7 @@ def test_a_bad_parameter_is_one_line(
     ("name", "arguments", "code"),
     [
         ("rx90_sim", [], 2),
-        ("rx90_line", ["--from-file", "task/reference_line.yaml"], 2),
+        ("rx90_line", ["--from-file", "robots/rx90b/task.yaml"], 2),
         ("rx90_bag", ["record", "--output", "never_made"], 2),
         ("rx90_demo", ["--output", "never_made"], 2),
     ],

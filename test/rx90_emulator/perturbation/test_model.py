@@ -53,7 +53,7 @@ def weightless(setup: Setup, controller: CS7BParameters) -> Setup:
     model = setup.robot.model.copy()
     model.gravity.linear = np.zeros(3)
     robot = dataclasses.replace(setup.robot, model=model, chain=setup.robot.chain._replace(gravity=np.zeros(3)))
-    drives = dataclasses.replace(setup.drives, spring_torque=0.0, encoder_counts=np.full(6, 2.0**30))
+    drives = dataclasses.replace(setup.drives, spring_torque=np.zeros(6), encoder_counts=np.full(6, 2.0**30))
     return dataclasses.replace(
         setup, robot=robot, drives=drives, friction=with_friction(setup.friction, 1e-9), controller=controller
     )

@@ -19,7 +19,8 @@ REST = [0.0] * 6
 
 def inverse_dynamics(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     """Return the torque on the joints at one state, shape (6,)."""
-    return rigid_torque(setup.robot.model, setup.drives.rotor_matrix, setup.drives.spring, q[None], v[None], a[None])[0]
+    drives = setup.drives
+    return rigid_torque(setup.robot.model, drives.rotor_matrix, drives.spring_torque, q[None], v[None], a[None])[0]
 
 
 def accepted(points: TrajectoryPoints, hold: ArrayLike, start: int, rates: Rates) -> TrajectoryGenerator:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import LogUniform, Uniform, Values
 from rx90_emulator.sweep.sweep import RunOutcome, Sweep
@@ -26,7 +27,7 @@ def plan(task_file: Path) -> SweepPlan:
             Block("payload", (masses, switch), (stiffness,), draws=2),
         ),
         seed=7,
-        base=SweepBase(task=task_file),
+        base=SweepBase(RobotFiles(task=task_file)),
     )
 
 

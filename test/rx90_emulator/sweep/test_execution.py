@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from rx90_common.base.errors import FAILED, ConfigError, FailureError, SweepError
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
 from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
@@ -113,7 +114,7 @@ def test_a_failing_run_is_a_row(
 ) -> None:
     """Divergence, a drive fault, a bad value, a line out of reach and a refused trajectory end their own run alone."""
     swept = SweptParameter("swept", paths=(path,), factor=factor, space=Values(values))
-    sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(task=task_file)))
+    sweep = Sweep(SweepPlan((Block("a", (swept,)),), base=SweepBase(RobotFiles(task=task_file))))
     assert run_sweep(sweep, tmp_path / "out.parquet", workers=1, quiet=True) == (2, 1)
     good, bad = read_results(tmp_path / "out.parquet").to_pylist()
     assert good["error"] is None

@@ -37,7 +37,7 @@ blocks:
 
 def written(folder: Path, text: str) -> Path:
     """Write a plan, and the line it may name beside it."""
-    shipped = config_path("task/reference_line.yaml").read_text(encoding="utf-8")
+    shipped = config_path("robots/rx90b/task.yaml").read_text(encoding="utf-8")
     (folder / "line.yaml").write_text(shipped, encoding="utf-8")
     file = folder / "plan.yaml"
     file.write_text(text, encoding="utf-8")
@@ -49,7 +49,7 @@ def test_everything_is_read(tmp_path: Path) -> None:
     plan = load_sweep_plan(written(tmp_path, FULL))
     (block,) = plan.blocks
     assert (plan.seed, plan.base.substeps, plan.base.rates.base_hz) == (5, 2, 8000)
-    assert plan.base.task == tmp_path / "line.yaml"
+    assert plan.base.files.task == tmp_path / "line.yaml"
     assert [p.space for p in block.grid] == [
         Values.geomspace(0.5, 2.0, 3),
         Values((0.1, 0.2)),

@@ -1,0 +1,284 @@
+"""Runs at an even rate, differentiated without delay, and the low-pass that torque and model share.
+
+Positions pass a Butterworth filter forwards and backwards, which delays nothing; velocity and acceleration are the
+derivatives of the quintic spline through the filtered samples (central differences lose a quarter of the velocity at a
+fifth of the sampling rate, the spline less than a hundredth). The torque is not filtered with them: it passes one
+low-pass together with everything that is to explain it (Gautier 1997, "Dynamic identification of robots with power
+model": parallel filtering), so that the filter distorts both sides of the equation alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, upfirdn, welch
+
+from rx90_common.base.arrays import Array, Index
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.records.record import BagSource, JointRecord
+
+_ORDER = 4  # of the Butterworth filter, in each direction
+_STOP = 60.0  # dB, of the parallel filter beyond twice its bandwidth
+_ABOVE_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
+_MOVES = 1e3  # power at its peak over that floor, from which a joint counts as moving
+_PER_MOTION = 10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
+_HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
+_ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
+_GAP = 3.5  # periods without a sample that split a run
+_EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
+BLOCK = 8192  # samples whose columns are held at a time
+
+
+@dataclass(frozen=True)
+class Bandwidths:
+    """Of the two filters.
+
+    Attributes:
+        position: of the positions' Butterworth filter (both directions together: half the amplitude), Hz.
+        torque: of the low-pass that torque and model share (half the amplitude at 1.5 times it), Hz.
+        reason: what in the data they come from, one sentence.
+
+    Raises:
+        IdentificationError: for a bandwidth that is not positive.
+    """
+
+    position: float
+    torque: float
+    reason: str = "as given"
+
+    def __post_init__(self) -> None:
+        for name in ("position", "torque"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise IdentificationError(f"bandwidth of {name}: {getattr(self, name)} Hz; accepted: above 0")
+
+    @classmethod
+    def of(cls, records: Sequence[JointRecord]) -> Bandwidths:
+        """Choose them from records.
+
+        The spectrum of a position falls with frequency until it meets the floor of its noise (encoder steps, mostly),
+        which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
+        bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
+        band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
+        torque gets half of it, where the positions' filter is still transparent (gain above 0.99).
+
+        Raises:
+            IdentificationError: if no joint moves.
+        """
+        found = [pair for record in records for pair in _crossings(record)]
+        if not found:
+            raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
+        crossing, motion = (float(np.median(column)) for column in zip(*found, strict=True))
+        rate = min(_rate(record.time) for record in records)
+        wanted = max(crossing, _PER_MOTION * motion)
+        position = min(wanted, _HIGHEST * rate)
+        source = f"the motion stands out of the positions' noise up to {crossing:.3g} Hz"
+        if wanted > crossing:
+            source += f", and {_PER_MOTION:g} times its own band is {wanted:.3g} Hz"
+        if position < wanted:
+            source += f"; no more than {_HIGHEST:g} of the sampling rate"
+        return cls(position, 0.5 * position, f"{source}; the torque gets half of it")
+
+
+def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
+    """Yield, for each joint that moves, where its spectrum meets the noise, and the band of its velocity, Hz."""
+    pieces = _pieces(record.time)
+    start, stop = max(pieces, key=lambda piece: piece[1] - piece[0])
+    time, position = record.time[start:stop], record.position[start:stop]
+    if stop - start < 64:
+        return
+    rate = _rate(time)
+    even = _even(time, rate)
+    length = min(len(even), max(256, round(4.0 * rate)))
+    values = _resampled(time, position, even, 3)
+    frequency, power = welch(values, rate, nperseg=length, axis=0)
+    for column in power.T:
+        floor = float(np.median(column[frequency > rate / 4.0]))
+        smooth = _smoothed(column)
+        peak = int(np.argmax(smooth))
+        lost = np.flatnonzero(smooth[peak:] < _ABOVE_FLOOR * max(floor, 1e-30))
+        if smooth[peak] > _MOVES * max(floor, 1e-30):
+            crossing = frequency[peak + lost[0] if len(lost) else -1]
+            velocity = np.cumsum(column * frequency**2)
+            yield float(crossing), float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
+
+
+def _smoothed(power: Array) -> Array:
+    """Return the median over neighbouring frequencies, a tenth of the frequency wide: lines of ripple drop out."""
+    result = power.copy()
+    for k in range(len(power)):
+        width = max(1, k // 10)
+        result[k] = np.median(power[max(0, k - width) : k + width + 1])
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRun:
+    """One run at its full, even rate; what the filter's edges spoil is cut off.
+
+    Attributes:
+        source: the bag.
+        names: n joints.
+        time: s, even, shape (m,).
+        position: rad, zero-phase filtered, shape (m, n).
+        velocity: rad/s, derivative of the filtered position, shape (m, n).
+        acceleration: rad/s^2, its second derivative, shape (m, n).
+        torque: as recorded, at the joints, Nm, shape (m, n).
+        reference: position set-points, rad, shape (m, n); None where none were recorded.
+        bandwidths: of both filters.
+    """
+
+    source: BagSource
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    reference: Array | None
+    bandwidths: Bandwidths
+
+    @property
+    def rate(self) -> float:
+        """Return samples per second."""
+        return _rate(self.time)
+
+    @cached_property
+    def down(self) -> int:
+        """Return how many samples lie between two rows."""
+        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque)))
+
+    @cached_property
+    def taps(self) -> Array:
+        """Return the parallel filter, shape (2 h + 1,): Kaiser window, -60 dB beyond twice the bandwidth."""
+        return _taps(self.rate, self.bandwidths.torque)
+
+    @cached_property
+    def rows(self) -> Index:
+        """Return the samples that the rows lie at, shape (k,): those around which the filter has its whole length."""
+        half = len(self.taps) // 2
+        return np.arange(half, len(self.time) - half, self.down)
+
+    def parallel(self, values: Array) -> Array:
+        """Return the low-pass of values, as that of the torque, at the rows.
+
+        Args:
+            values: at the full rate, shape (m, ...).
+
+        Returns:
+            Shape (k, ...), at the samples `rows`.
+        """
+        return _low_pass(np.asarray(values), self.taps, self.down)
+
+    def blocks(self) -> Iterator[tuple[slice, slice]]:
+        """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
+        count, size = len(self.rows), max(1, BLOCK // self.down)
+        for first in range(0, count, size):
+            last = min(first + size, count)
+            yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)
+
+
+def filter_record(
+    record: JointRecord, bandwidths: Bandwidths, reference: Array | None = None
+) -> tuple[FilteredRun, ...]:
+    """Return the runs of a record: a gap in the samples ends one and begins the next.
+
+    Args:
+        record: with any rate and jitter.
+        bandwidths: of the filters.
+        reference: position set-points at the record's samples, shape (m, n).
+
+    Raises:
+        IdentificationError: for bandwidths that the sampling rate does not carry, and if no piece is longer than the
+            edges of the filters.
+    """
+    rate = _rate(record.time)
+    if bandwidths.position > 0.45 * rate or bandwidths.torque > 0.22 * rate:
+        raise IdentificationError(
+            f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
+            f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
+        )
+    edge = math.ceil(1.5 * rate / bandwidths.position)  # three time constants of the filter's slowest pole, and more
+    shortest = 2 * edge + len(_taps(rate, bandwidths.torque)) + 1
+    pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
+    if not pieces:
+        raise IdentificationError(
+            f"{record.source}: no stretch of {shortest / rate:.3g} s without a gap, which the filters' edges take; "
+            "accepted: longer runs, or higher bandwidths"
+        )
+    return tuple(_filtered(record, slice(*piece), bandwidths, edge, reference) for piece in pieces)
+
+
+def _filtered(
+    record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: int, reference: Array | None
+) -> FilteredRun:
+    time = record.time[piece]
+    rate = _rate(time)
+    even = _even(time, rate)
+    position = _resampled(time, record.position[piece], even, 3)
+    torque = _resampled(time, record.torque[piece], even, 1)
+    target = None if reference is None else _resampled(time, reference[piece], even, 3)
+    sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
+    smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
+    curve = make_interp_spline(even, smooth, k=5)
+    inner = slice(edge, len(even) - edge)
+    return FilteredRun(
+        source=record.bag,
+        names=record.names,
+        time=even[inner],
+        position=smooth[inner],
+        velocity=np.asarray(curve(even[inner], 1)),
+        acceleration=np.asarray(curve(even[inner], 2)),
+        torque=torque[inner],
+        reference=None if target is None else target[inner],
+        bandwidths=bandwidths,
+    )
+
+
+def _rate(time: Array) -> float:
+    """Return samples per second; a gap does not count."""
+    if len(time) < 2:
+        raise IdentificationError(f"a run of {len(time)} samples; accepted: a second of motion or more")
+    steps = np.diff(time)
+    usual = steps[steps < _GAP * np.median(steps)]
+    return float(len(usual) / usual.sum())
+
+
+def _pieces(time: Array) -> list[tuple[int, int]]:
+    """Return the first sample and the one after the last of each piece without a gap."""
+    steps = np.diff(time)
+    breaks = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
+    return list(pairwise([0, *breaks.tolist(), len(time)]))
+
+
+def _even(time: Array, rate: float) -> Array:
+    return np.asarray(time[0] + np.arange(math.floor((time[-1] - time[0]) * rate + 1e-6) + 1) / rate)
+
+
+def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
+    """Return values at even times; those whose stamps are even stay as they are."""
+    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]):
+        return values
+    return np.asarray(make_interp_spline(time, values, k=degree)(even))
+
+
+def _taps(rate: float, bandwidth: float) -> Array:
+    """Return a symmetric low-pass: full amplitude up to the bandwidth, none from twice it."""
+    count, beta = kaiserord(_STOP, bandwidth / (0.5 * rate))
+    return np.asarray(firwin(count | 1, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
+
+
+def _low_pass(values: Array, taps: Array, down: int) -> Array:
+    """Return every down-th sample of the filtered values at which the filter has its whole length."""
+    count = max(0, (len(values) - len(taps)) // down + 1)
+    # Zeros in front delay the filter until its first whole sample is one of those that are kept.
+    ahead = -(len(taps) - 1) % down
+    first = (len(taps) - 1 + ahead) // down
+    flat = values.reshape(len(values), -1)
+    filtered = upfirdn(np.concatenate([np.zeros(ahead), taps]), flat, 1, down, axis=0)[first : first + count]
+    return np.asarray(filtered).reshape(count, *values.shape[1:])

@@ -1,0 +1,219 @@
+"""The stacked equations of excitation runs: what each joint's torque was, and what it is linear in.
+
+**Rows.** Torque and columns pass the same low-pass and are kept some two times per period of its bandwidth. A joint's
+equation at an instant is left out while an element that acts on the joint stands still (`standstill`): its torque is
+then anything up to its break-away value. Reversals, in which an element passes through rest, are kept: around them
+alone the bristles show, and Coulomb columns, filtered like the torque, have their step at the right time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.base_groups import BaseGroups
+from rx90_emulator.identification.excitation.columns import StandardColumns
+from rx90_emulator.identification.excitation.filtering import BLOCK, FilteredRun
+from rx90_emulator.identification.excitation.payload import Payload
+from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+
+Motion = tuple[Array, Array, Array]
+"""Position, velocity and acceleration, each of shape (m, n)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationProblem:
+    """The equations `torque` = `regressor` @ parameters + friction; rows sorted by run, joint, time.
+
+    Attributes:
+        arm: n joints, n_el friction elements.
+        runs: at their full rate.
+        columns: of the standard parameters.
+        base: the groups of them that the columns of the regressor mean.
+        run: number of each row's run, shape (r,).
+        joint: number of its joint, shape (r,).
+        sample: its sample in the run, shape (r,).
+        place: its place among the run's filtered samples, shape (r,).
+        time: s, shape (r,).
+        torque: as recorded, less that of known payloads, filtered, Nm, shape (r,).
+        payload: torque of known payloads, filtered, Nm, shape (r,).
+        regressor: filtered columns of the b base parameters, shape (r, b).
+        reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
+    """
+
+    arm: RigidArm
+    runs: tuple[FilteredRun, ...]
+    columns: StandardColumns
+    base: BaseGroups
+    run: Index
+    joint: Index
+    sample: Index
+    place: Index
+    time: Array
+    torque: Array
+    payload: Array
+    regressor: Array
+    reversal: Mask
+
+    @classmethod
+    def of(
+        cls,
+        arm: RigidArm,
+        runs: Sequence[FilteredRun],
+        springs: Sequence[str] | None = None,
+        payloads: Sequence[Payload | None] | None = None,
+    ) -> ExcitationProblem:
+        """Stack the equations of runs.
+
+        Args:
+            arm: kinematics, couplings and elements.
+            runs: of this arm.
+            springs: joints with a spring; by default those on which the arm's description has one.
+            payloads: of each run; by default none.
+
+        Raises:
+            IdentificationError: for runs of other joints, payloads of another number, and if no joint moves.
+        """
+        carried = [None] * len(runs) if payloads is None else list(payloads)
+        _check_runs(arm, runs, carried)
+        there = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
+        columns = StandardColumns.with_springs_on(arm, there if springs is None else springs)
+        base = BaseGroups.of(columns)
+        kept = [_kept_rows(number, run, arm) for number, run in enumerate(runs)]
+        rows = {name: np.concatenate([part[name] for part in kept]) for name in kept[0]}
+        if not len(rows["run"]):
+            raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
+        empty = np.zeros(len(rows["run"]))
+        bare = cls(arm, tuple(runs), columns, base, **rows, torque=empty, payload=empty, regressor=empty)
+        recorded = bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
+        regressor, payload = bare._stacked(carried)
+        return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
+
+    def __len__(self) -> int:
+        return len(self.torque)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the columns, shape (b,)."""
+        return self.base.names
+
+    @cached_property
+    def velocity(self) -> Array:
+        """Return the elements' velocities at the rows, rad/s, shape (r, n_el)."""
+        elements = self.arm.element_matrix.T
+        return self._gathered(lambda number, rows: self.runs[number].velocity[self.sample[rows]] @ elements)
+
+    def rows_of(self, along: Sequence[Array]) -> Array:
+        """Return joint torques at the rows, filtered like the recorded ones.
+
+        Args:
+            along: for each run c joint torques at its full rate, shape (m, n, c).
+
+        Returns:
+            Shape (r, c).
+        """
+        filtered = [run.parallel(values) for run, values in zip(self.runs, along, strict=True)]
+        return self._gathered(lambda number, rows: filtered[number][self.place[rows], self.joint[rows]])
+
+    def element_rows(self, along: Sequence[Array]) -> Array:
+        """Return elements' torques as joint torques at the rows, filtered like the recorded ones.
+
+        Args:
+            along: for each run c torques of each element at its full rate, shape (m, n_el, c).
+
+        Returns:
+            E^T times them, shape (r, n_el * c): the c columns of the first element, then those of the next.
+        """
+        filtered = [run.parallel(values) for run, values in zip(self.runs, along, strict=True)]
+        share = self.arm.element_matrix.T
+
+        def rows_of(number: int, rows: Index) -> Array:
+            torque = filtered[number][self.place[rows]] * share[self.joint[rows]][:, :, None]
+            return np.asarray(torque.reshape(len(rows), -1))
+
+        return self._gathered(rows_of)
+
+    def bare_torque(self, parameters: Array) -> list[Array]:
+        """Return each run's joint torques without friction and payload, Nm, shape (m, n), at the full rate.
+
+        Args:
+            parameters: of the base, shape (b,).
+        """
+        result = []
+        for run in self.runs:
+            blocks = (slice(k, k + BLOCK) for k in range(0, len(run.time), BLOCK))
+            parts = [self._columns(run, samples)[:, :, list(self.base.leading)] @ parameters for samples in blocks]
+            result.append(np.concatenate(parts))
+        return result
+
+    def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
+        """Return the same rows with the columns of other motions, one for each run at its times.
+
+        What is computed of the result (its regressor, friction along its runs) are instruments for the original.
+        """
+        runs = tuple(
+            replace(run, position=position, velocity=velocity, acceleration=acceleration)
+            for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
+        )
+        other = replace(self, runs=runs)
+        return replace(other, regressor=other._stacked([None] * len(runs))[0])
+
+    def _columns(self, run: FilteredRun, samples: slice) -> Array:
+        return self.columns.torque(run.position[samples], run.velocity[samples], run.acceleration[samples])
+
+    def _stacked(self, payloads: Sequence[Payload | None]) -> tuple[Array, Array]:
+        """Return the filtered columns of the base parameters and the torque of payloads, shape (r, b) and (r,)."""
+        leading, n = list(self.base.leading), len(self.arm.names)
+        regressor, payload = np.zeros((len(self.run), len(leading))), np.zeros(len(self.run))
+        for number, (run, body) in enumerate(zip(self.runs, payloads, strict=True)):
+            for samples, rows in run.blocks():
+                values = self._columns(run, samples)
+                here = self._rows_between(number, rows)
+                place = self.place[here] - rows.start
+                regressor[here] = run.parallel(values[:, :, leading])[place, self.joint[here]]
+                if body is not None:
+                    torque = values[:, :, 10 * n - 10 : 10 * n] @ body.parameters()
+                    payload[here] = run.parallel(torque)[place, self.joint[here]]
+        return regressor, payload
+
+    def _rows_between(self, number: int, places: slice) -> Index:
+        inside = (self.run == number) & (self.place >= places.start) & (self.place < places.stop)
+        return np.flatnonzero(inside)
+
+    def _gathered(self, rows_of: Callable[[int, Index], Array]) -> Array:
+        """Return rows that are made run by run."""
+        return np.concatenate([rows_of(k, np.flatnonzero(self.run == k)) for k in range(len(self.runs))])
+
+
+def _kept_rows(number: int, run: FilteredRun, arm: RigidArm) -> dict[str, Array | Index | Mask]:
+    state = element_states(run, arm.element_matrix)
+    acts = arm.element_matrix != 0.0
+    rests = (state == SlidingState.RESTS) @ acts
+    passes = (state == SlidingState.PASSES) @ acts
+    joint, place = np.nonzero(~rests.T)
+    return {
+        "run": np.full(len(joint), number, dtype=np.intp),
+        "joint": joint,
+        "sample": run.rows[place],
+        "place": place,
+        "time": run.time[run.rows[place]],
+        "reversal": passes[place, joint],
+    }
+
+
+def _check_runs(arm: RigidArm, runs: Sequence[FilteredRun], payloads: Sequence[Payload | None]) -> None:
+    if not runs:
+        raise IdentificationError("no excitation run; accepted: one or more")
+    if len(payloads) != len(runs):
+        raise IdentificationError(f"{len(payloads)} payloads for {len(runs)} runs; accepted: one (or none) for each")
+    for run in runs:
+        if run.names != arm.names:
+            raise IdentificationError(
+                f"{run.source.path}: joints {', '.join(run.names)}; accepted: {', '.join(arm.names)}"
+            )

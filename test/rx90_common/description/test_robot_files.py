@@ -1,0 +1,67 @@
+"""The files of a robot: a shipped name, a folder of the user's own, single files over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import DEFAULT_ROBOT, FILES, NO_TOOL, RobotFiles, shipped_robots
+
+
+def folder_with(folder: Path, *roles: str) -> Path:
+    """Make a folder with empty files of these roles."""
+    folder.mkdir()
+    for role in roles:
+        (folder / FILES[role]).write_text("", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("robot", sorted(path.name for path in config_path("robots").iterdir()))
+def test_a_shipped_name_names_every_file_of_its_folder(robot: str) -> None:
+    """Each folder below config/robots is a shipped robot with the files of its folder; no tool.yaml, no tool."""
+    assert robot in shipped_robots()
+    files, folder = RobotFiles.named(robot), config_path("robots") / robot
+    there = {path.name for path in folder.iterdir()}
+    assert there <= set(FILES.values())
+    for role, name in FILES.items():
+        assert getattr(files, role) == (folder / name if name in there else None)
+        assert files.text(role) == (f"robots/{robot}/{name}" if name in there else NO_TOOL)
+
+
+def test_the_rx90b_is_the_default() -> None:
+    """Without a name the files are those of the RX90B, with its tool, task and poses."""
+    assert RobotFiles() == RobotFiles.named() == RobotFiles.named(DEFAULT_ROBOT)
+    assert all(getattr(RobotFiles(), role).parent.name == "rx90b" for role in FILES)
+
+
+def test_a_folder_of_the_user_s_own_is_a_robot(tmp_path: Path) -> None:
+    """A path names a folder; no tool file, no tool; a missing task is refused where asked for; a single file wins."""
+    own = folder_with(tmp_path / "arm", "urdf", "drives", "friction", "controller")
+    files = RobotFiles.named(str(own))
+    assert (files.tool, files.task, files.poses) == (None, None, None)
+    assert (files.urdf, files.text("drives")) == (own / "robot.urdf", str(own / "drives.yaml"))
+    with pytest.raises(ConfigError, match=r"arm: no task.yaml; accepted: a task file, in the folder or named"):
+        files.required("task")
+    other = RobotFiles.named(str(own), tool="robots/rx90b/tool.yaml", drives=str(own / "friction.yaml"))
+    assert (other.tool, other.drives) == (config_path("robots/rx90b/tool.yaml"), own / "friction.yaml")
+    assert RobotFiles.named("rx90b", tool=NO_TOOL).tool is None
+
+
+def test_a_shipped_name_is_not_hidden_by_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder of a shipped robot's name in the working folder is named by its path, ./rx90b."""
+    folder_with(tmp_path / "rx90b")
+    monkeypatch.chdir(tmp_path)
+    assert RobotFiles.named("rx90b") == RobotFiles()
+    assert RobotFiles.named("./rx90b").urdf == Path("rx90b/robot.urdf")
+
+
+@pytest.mark.parametrize("name", ["tx50", "", "x" * 5000, "~nobody_of_this_name/x", "config/robots/rx90b/robot.urdf"])
+def test_an_unknown_robot_is_refused_with_those_that_there_are(name: str) -> None:
+    """What is neither a shipped name nor a folder is refused in one line that lists the shipped robots."""
+    with pytest.raises(ConfigError) as caught:
+        RobotFiles.named(name)
+    assert f"no such folder; accepted: {', '.join(shipped_robots())}, or a robot folder's path" in str(caught.value)
+    assert "\n" not in str(caught.value)
