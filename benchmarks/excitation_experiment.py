@@ -40,8 +40,9 @@ class Outcome:
         errors: by kind, errors: of exponents as they are, of others in parts of the value.
         floor: of each joint, RMS error of an unseen run's torque over that of the best model of the same form.
         noise: the same over the RMS noise, which leaves out ripple and load.
-        parts: how often parts of friction were found where they are, and where they are not: (found, there), (found,
-            not there), by part.
+        recorded: the same at all frequencies: the torque as it was recorded.
+        stribeck: elements with a Stribeck rise on which one was found, all that have one, elements without on which
+            one was found, all without.
         refusal: why nothing came out.
     """
 
@@ -49,7 +50,8 @@ class Outcome:
     errors: dict[str, list[float]] = field(default_factory=dict)
     floor: list[float] = field(default_factory=list)
     noise: list[float] = field(default_factory=list)
-    parts: dict[str, tuple[int, int, int, int]] = field(default_factory=dict)
+    recorded: list[float] = field(default_factory=list)
+    stribeck: tuple[int, int, int, int] = (0, 0, 0, 0)
     refusal: str = ""
 
     def note(self, kind: str, error: float, deviation: float, scale: float) -> None:
@@ -114,11 +116,12 @@ class Case:
         return truth_of(self.arm, columns, sigma, self.disturbances, self.motion)
 
 
-def random_case(seed: int, disturbances: Disturbances, *, bristles: bool = False) -> Case:
-    """Return a random arm, recorded at 67 Hz to 5 kHz, each motion once or twice in a run."""
+def random_case(seed: int, disturbances: Disturbances, *, largest: int = 6, bristles: bool = False) -> Case:
+    """Return a random arm of 2 to `largest` joints, recorded at 67 Hz to 5 kHz, each motion once or twice in a run."""
     rng = np.random.default_rng((seed, 40))
+    arm = random_arm(seed, int(rng.integers(2, largest + 1)), bristles=bristles)
     rate = float(rng.choice([67.0, 125.0, 250.0, 250.0, 500.0, 500.0, 1000.0, 5000.0]))
-    return Case.of(random_arm(seed, bristles=bristles), disturbances, rate, int(rng.integers(1, 3)), seed)
+    return Case.of(arm, disturbances, rate, int(rng.integers(1, 3)), seed)
 
 
 def experiment(case: Case, *, bristles: bool = False) -> Outcome:
@@ -129,32 +132,26 @@ def experiment(case: Case, *, bristles: bool = False) -> Outcome:
     truth = case.truth(problem, found.fit.sigma)
     for value, deviation, true in zip(found.fit.value, found.fit.deviation, truth.base, strict=False):
         outcome.note("base", value - true, deviation, 1.0)
-    for element, kind, value, deviation, true in _friction(found, truth):
-        del element
+    for kind, value, deviation, true in _friction(found, truth):
         outcome.note(kind, value - true, deviation, 1.0 if kind == "exponent" else true)
-    for part, there in ((Part.EXPONENT, None), (Part.STRIBECK, [law.rise > 0.0 for law in case.arm.friction])):
-        has = [part in parts for parts in found.parts]
-        true_parts = [True] * len(has) if there is None else there
-        pairs = list(zip(has, true_parts, strict=True))
-        outcome.parts[part.value] = (
-            sum(h and t for h, t in pairs),
-            sum(t for _, t in pairs),
-            sum(h and not t for h, t in pairs),
-            sum(not t for _, t in pairs),
-        )
+    there = [
+        (Part.STRIBECK in parts, law.rise > 0.0) for parts, law in zip(found.parts, case.arm.friction, strict=True)
+    ]
+    rises = [has for has, true in there if true], [has for has, true in there if not true]
+    outcome.stribeck = sum(rises[0]), len(rises[0]), sum(rises[1]), len(rises[1])
     _predict(case, problem, found, truth, outcome)
     return outcome
 
 
-def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, str, float, float, float]]:
-    """Yield element, kind, value, deviation and true value of what was identified of friction."""
+def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, float, float, float]]:
+    """Yield kind, value, deviation and true value of what was identified of friction."""
     kinds = (("tau_c_positive", "Coulomb", truth.coulomb), ("c2", "viscous", truth.viscous),
              ("alpha", "exponent", truth.exponent))  # fmt: skip
     for number, one in enumerate(found.elements):
         for name, kind, values in kinds:
             estimate = one.parameters[name]
             if estimate.identifiable:
-                yield one.element, kind, estimate.value, estimate.deviation, float(values[number])
+                yield kind, estimate.value, estimate.deviation, float(values[number])
 
 
 def _predict(case: Case, problem: ExcitationProblem, found: FrictionSelection, truth: Truth, outcome: Outcome) -> None:
@@ -165,12 +162,20 @@ def _predict(case: Case, problem: ExcitationProblem, found: FrictionSelection, t
     error = there.torque - predicted_torque(found, there)
     noise = _at_rows(case, there, unseen, unseen.noise)
     best = _at_rows(case, there, unseen, unseen.torque - best_model(case, unseen, truth, there))
-    for joint in range(len(case.arm.links)):
-        rows = there.joint == joint
-        if rows.any():
-            size = float(np.sqrt(np.mean(error[rows] ** 2)))
-            outcome.floor.append(size / float(np.sqrt(np.mean(best[rows] ** 2))))
-            outcome.noise.append(size / float(np.sqrt(np.mean(noise[rows] ** 2))))
+    # What the filter takes from the recorded torque is the same for each model that is smooth: noise and ripple.
+    lost = unseen.noise + unseen.ripple
+    above = np.mean(lost**2, axis=0) - _power(there, _at_rows(case, there, unseen, lost))
+    rest = np.maximum(above, 0.0)
+    sizes = [_power(there, values) for values in (error, best, noise)]
+    outcome.floor += np.sqrt(sizes[0] / sizes[1]).tolist()
+    outcome.noise += np.sqrt(sizes[0] / sizes[2]).tolist()
+    outcome.recorded += np.sqrt((sizes[0] + rest) / np.mean(unseen.noise**2, axis=0)).tolist()
+
+
+def _power(problem: ExcitationProblem, values: Array) -> Array:
+    """Return the mean square of rows, shape (r,), for each joint, shape (n,)."""
+    count = np.bincount(problem.joint, minlength=len(problem.arm.names))
+    return np.bincount(problem.joint, values**2, len(problem.arm.names)) / np.maximum(count, 1)
 
 
 def best_model(case: Case, run: ExcitationRun, truth: Truth, problem: ExcitationProblem) -> Array:

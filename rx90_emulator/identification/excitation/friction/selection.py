@@ -50,10 +50,16 @@ class Selected:
 
 
 def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
-    """Try parts in the order given and keep those with which the model predicts better."""
+    """Try parts in the order given and keep those with which the model predicts better.
+
+    A part that is kept gives the earlier ones another chance: an exponent below 1 and a Stribeck rise bend the curve in
+    opposite directions, and where both are missing neither may show.
+    """
     search = _Selection(problem)
-    for part in parts:
-        search.attempt(part)
+    for number, part in enumerate(parts):
+        if search.attempt(part):
+            for earlier in parts[:number]:
+                search.attempt(earlier)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
 
 
@@ -74,26 +80,33 @@ class _Selection:
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
 
-    def attempt(self, part: Part) -> None:
-        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
+    def attempt(self, part: Part) -> bool:
+        """Give a part to all elements without it, take it from those that do not need it, and keep it where it helps.
+
+        Returns:
+            Whether the model predicts better with it.
+        """
         shapes = self._started(part)
-        keys = [(e, part) for e, shape in enumerate(shapes) if part in shape.parts]
+        pairs = zip(shapes, self.now.fit.shapes, strict=True)
+        keys = [(e, part) for e, (shape, now) in enumerate(pairs) if part in shape.parts - now.parts]
         if not keys:
-            return
+            return False
         # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
         trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
-        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        left = [e for e, _ in keys if part in trimmed.fit.shapes[e].parts]
         kept = bool(left) and trimmed.better_than(before)
         same = len(left) == len(keys)
         if not same:
             gone = "kept on some elements, see below" if kept else "no element predicts better with it"
-            self._add(f"+ {part.value}: all", everywhere, before, False, gone)
+            tried = "all" if len(keys) == len(shapes) else "the others"
+            self._add(f"+ {part.value}: {tried}", everywhere, before, False, gone)
         if left:
-            names = "all" if same else ", ".join(self._problem.arm.element_names[e] for e in left)
+            every = len(left) == len(shapes)
+            names = "all" if every else ", ".join(self._problem.arm.element_names[e] for e in left)
             verdict = _verdict(trimmed, before)
             self._add(f"+ {part.value}: {names}", trimmed, before, kept, verdict)
             if not kept:
@@ -102,6 +115,7 @@ class _Selection:
             self.now = trimmed
             self._replace_earlier(part)
         self._reweight()
+        return kept
 
     def _replace_earlier(self, part: Part) -> None:
         """Take away earlier parts of elements that predict as well without them now."""
@@ -125,7 +139,11 @@ class _Selection:
         """Return the shapes with a part on every element that moves, from the best of several starts."""
         shapes = list(self.now.fit.shapes)
         for e, shape in enumerate(shapes):
-            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+            if (
+                part in shape.parts
+                or not len(self._elements[e].rows)
+                or (part is Part.DAMPING and Part.BRISTLE not in shape.parts)
+            ):
                 continue
             begun = replace(shape, parts=shape.parts | {part})
             shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
