@@ -61,8 +61,9 @@ def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in PARAMETERS}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in PARAMETERS}
+    names = [name for name in PARAMETERS if name in one.estimates]
+    bags = {name: [labels[bag] for bag in one.sources[name]] for name in names}
+    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in names}
 
 
 def _parameter(
