@@ -41,8 +41,9 @@ class ElementMotion:
         return cls(velocity, np.diff(position, prepend=position[:1]) / step, step)
 
     def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
-        """Return what `steady_columns` returns, with the bristle's deflection in place of steady sliding."""
-        columns, derivatives = steady_columns(shape, self.velocity)
+        """Return columns and derivatives by the free parameters, with the bristle in place of steady sliding."""
+        columns, slopes = steady_columns(shape, self.velocity)
+        derivatives = {name: slopes[name] for name in shape.free}
         if Part.BRISTLE not in shape.parts:
             return columns, derivatives
         places = [0, 2]

@@ -8,11 +8,12 @@ from collections.abc import Callable
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import DELTA, LINEAR, Part
+from rx90_emulator.identification.excitation.friction.law import DELTA, FITTED, Part
 from rx90_emulator.identification.excitation.friction.models import FittedElement
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 
+_UNTOLD = 0.3  # deviation of an exponent that says nothing about it
 _WEAK = ("omega_s", "c0", "c1")
 _LARGEST = 0.5  # relative deviation up to which one of these counts as known
 
@@ -44,15 +45,12 @@ def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSou
 
 
 def _natural(one: FittedElement) -> dict[str, tuple[float, Array]]:
-    """Return values by name with their derivatives by the parameters of the fit, shape (3 + q,)."""
-    shape, size = one.shape, len(one.covariance)
+    """Return values by name with their derivatives by the parameters of the fit, shape (7,)."""
+    shape = one.shape
     tau_c, c2, c1 = one.linear.tolist()
 
     def by(**slopes: float) -> Array:
-        result = np.zeros(size)
-        for name, slope in slopes.items():
-            result[LINEAR.index(name) if name in LINEAR else len(LINEAR) + shape.free.index(name)] = slope
-        return result
+        return np.array([slopes.get(name, 0.0) for name in FITTED])
 
     coulomb = (tau_c, by(tau_c=1.0))
     static, omega_s, c0 = coulomb, (math.nan, by()), (math.nan, by())
@@ -61,11 +59,10 @@ def _natural(one: FittedElement) -> dict[str, tuple[float, Array]]:
         omega_s = (shape.omega_s, by(omega_s=shape.omega_s))
     if Part.BRISTLE in shape.parts:
         c0 = (tau_c * shape.stiffness, by(tau_c=shape.stiffness, stiffness=tau_c * shape.stiffness))
-    alpha = (shape.alpha, by(alpha=1.0) if Part.EXPONENT in shape.parts else by())
     return {
         "tau_c_positive": coulomb, "tau_c_negative": coulomb, "tau_s_positive": static, "tau_s_negative": static,
-        "omega_s": omega_s, "delta": (DELTA, by()), "c2": (c2, by(c2=1.0)), "alpha": alpha, "c0": c0,
-        "c1": (c1, by(c1=1.0)),
+        "omega_s": omega_s, "delta": (DELTA, by()), "c2": (c2, by(c2=1.0)), "alpha": (shape.alpha, by(alpha=1.0)),
+        "c0": c0, "c1": (c1, by(c1=1.0)),
     }  # fmt: skip
 
 

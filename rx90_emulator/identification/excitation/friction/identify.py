@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.estimates import element_estimate
-from rx90_emulator.identification.excitation.friction.law import LINEAR, Part
+from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent_fit
 from rx90_emulator.identification.excitation.least_squares import LinearFit
@@ -32,19 +33,18 @@ def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = 
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
     selected = select_parts(problem, parts)
-    final = tangent_fit(selected.weighted, selected.fit)
+    inner, final = _final(selected, parts)
     size = problem.regressor.shape[1]
-    inner = selected.fit.inner()
     shapes, linear = list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
     for (e, name), value in zip(inner, final.value[size:].tolist(), strict=True):
         if name in LINEAR:
             linear[e, LINEAR.index(name)] = value
-        else:
+        elif name in shapes[e].free:
             moved[e][shapes[e].free.index(name)] += value
     shapes = [shape.with_values(values) for shape, values in zip(shapes, moved, strict=True)]
     fitted = tuple(
-        FittedElement(name, shapes[e], linear[e], _block(e, selected, final.covariance), rows.speeds())
+        FittedElement(name, shapes[e], linear[e], _block(e, inner, final.covariance), rows.speeds())
         for e, (name, rows) in enumerate(zip(problem.arm.element_names, selected.weighted.elements, strict=True))
     )
     sources = tuple(run.source for run in problem.runs)
@@ -76,16 +76,35 @@ def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -
     return np.asarray(torque)
 
 
-def _block(element: int, selected: Selected, covariance: Array) -> Array:
-    """Return the covariance of an element's linear and free parameters; 0 for what is not fitted."""
-    shape = selected.fit.shapes[element]
-    names = (*LINEAR, *shape.free)
-    result = np.zeros((len(names), len(names)))
-    offset = len(covariance) - len(selected.fit.inner())
-    mine = [(offset + k, names.index(name)) for k, (e, name) in enumerate(selected.fit.inner()) if e == element]
-    if mine:
-        rows, places = (list(column) for column in zip(*mine, strict=True))
-        result[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
+def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, str], ...], LinearFit]:
+    """Return the friction's parameters and the fit of the whole model, linear around the one selected.
+
+    Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
+    tau_c and c2 because an exponent was left out.
+    """
+    fit = selected.fit
+    inner = fit.inner()
+    final = tangent_fit(selected.weighted, fit)
+    open_ones = [
+        (e, "alpha")
+        for e, shape in enumerate(fit.shapes)
+        if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
+    ]
+    if not open_ones:
+        return inner, final
+    wide = tangent_fit(selected.weighted, fit, [*inner, *open_ones])
+    value = np.concatenate([final.value, np.zeros(len(open_ones))])
+    same = replace(wide, value=value, residual=final.residual, sigma=final.sigma, weights=final.weights)
+    return (*inner, *open_ones), same
+
+
+def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
+    """Return the covariance of an element's parameters in FITTED, shape (7, 7); 0 for what is not fitted."""
+    result = np.zeros((len(FITTED), len(FITTED)))
+    offset = len(covariance) - len(inner)
+    rows = [offset + k for k, (e, _) in enumerate(inner) if e == element]
+    places = [FITTED.index(name) for e, name in inner if e == element]
+    result[np.ix_(places, places)] = covariance[np.ix_(rows, rows)]
     return result
 
 

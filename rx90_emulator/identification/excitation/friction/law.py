@@ -26,6 +26,8 @@ DELTA = 1.0
 COULOMB, VISCOUS, DAMPING = 0, 1, 2
 """Places of the linear parameters tau_c, c2 and c1."""
 LINEAR = ("tau_c", "c2", "c1")
+FITTED = (*LINEAR, "alpha", "rise", "omega_s", "stiffness")
+"""All parameters of an element as the fit writes them: the last two stand for their logarithms."""
 
 
 class Part(Enum):
@@ -129,7 +131,7 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
         velocity: rad/s, shape (m,).
 
     Returns:
-        Columns of LINEAR, shape (m, 3), and for each free parameter, as the fit writes it, their derivatives.
+        Columns of LINEAR, shape (m, 3), and their derivatives by each other parameter in FITTED.
     """
     sign = np.sign(velocity)
     factor, by_rise, by_omega = stribeck_factor(shape, velocity)
@@ -141,4 +143,4 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
         "omega_s": np.column_stack([sign * by_omega, nothing, nothing]),
         "stiffness": np.zeros((len(velocity), 3)),
     }
-    return np.column_stack([sign * factor, column, nothing]), {name: derivatives[name] for name in shape.free}
+    return np.column_stack([sign * factor, column, nothing]), derivatives

@@ -8,7 +8,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.friction.law import ElementShape, Part, steady_columns
+from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, ElementShape, Part, steady_columns
 from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.model.estimates import ElementEstimate
 
@@ -110,7 +110,9 @@ class FittedElement:
         element: its name.
         shape: the parameters that are not linear, and the parts it has.
         linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for what it does not have, shape (3,).
-        covariance: of the linear and the free non-linear parameters (as the fit writes them), shape (3 + q, 3 + q).
+        covariance: of the parameters in FITTED, shape (7, 7); 0 for what is not fitted. The exponent of a viscous
+            part is free in it where the runs were asked for exponents, also if it is left at 1: what is not known of
+            it is not known of tau_c and c2 either.
         ranges: least and greatest speed of its data in each direction, positive and negative: ((low, high),
             (low, high)), rad/s; (0, 0) for a direction in which it did not move.
     """
@@ -139,8 +141,8 @@ class FittedElement:
             accepted = f"{-high_back:.4g} to {-low_back:.4g} and {low:.4g} to {high:.4g} rad/s, where there were data"
             raise IdentificationError(f"{found}; accepted: {accepted}")
         columns, derivatives = steady_columns(self.shape, given)
-        slopes = [columns, *(derivatives[name] @ self.linear[:, None] for name in self.shape.free)]
-        matrix = np.hstack(slopes)
+        slopes = [derivatives[name] @ self.linear for name in FITTED[len(LINEAR) :]]
+        matrix = np.column_stack([columns, *slopes])
         variance = np.einsum("ki,ij,kj->k", matrix, self.covariance, matrix)
         return FrictionCurve(self.element, given, columns @ self.linear, np.sqrt(np.maximum(variance, 0.0)))
 
@@ -161,7 +163,8 @@ class FrictionSelection:
         fitted: elements as they were fitted, in the arm's order.
         elements: their estimates by the names of LuGreElement, with the reason for each that is not identifiable.
         fit: of the kept model, linear around the non-linear parameters (whose values there are their last changes):
-            the problem's parameters, then the friction's; HAC covariance, weights, residuals.
+            the problem's parameters, then the friction's, with HAC covariance. Its last values may be exponents that
+            are left at 1, and whose uncertainty the covariance knows.
         names: of the values of `fit`; a friction parameter is `element.parameter`.
         predicted: torque of every row by the kept model, Nm, shape (r,).
         remarks: what a reader of the figures must know.

@@ -241,12 +241,21 @@ def _groups(problem: ExcitationProblem) -> list[tuple[int, ...]]:
     return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
 
 
-def tangent_fit(weighted: WeightedProblem, fit: SeparableFit) -> LinearFit:
-    """Fit the whole model, linear around a fit: regressor, then `fit.inner()`, with HAC covariance and new weights.
+def tangent_fit(
+    weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]] | None = None
+) -> LinearFit:
+    """Fit the whole model, linear around a fit, with HAC covariance and new weights.
 
     The values of non-linear parameters are their changes.
+
+    Args:
+        weighted: the rows.
+        fit: around which.
+        inner: elements and names of the friction's parameters, whose columns follow the regressor; by default those
+            that are fitted.
     """
-    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in fit.inner()]
+    chosen = fit.inner() if inner is None else inner
+    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in chosen]
     return solve(weighted.problem, np.column_stack([weighted.problem.regressor, *columns]))
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import ElementRows
-from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape
+from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape, Part
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _ALPHA = (0.2, 2.0)
@@ -116,14 +116,17 @@ class WeightedProblem:
             shapes: of the elements.
             linear: tau_c, c2, c1 of each, shape (n_el, 3).
             element: whose parameter.
-            name: in LINEAR or a free parameter of the shape, as the fit writes it.
+            name: in LINEAR or a parameter of the shape, as the fit writes it; alpha need not be free.
         """
-        values = self._columns(element, shapes[element]).values
+        shape = shapes[element]
+        if name == "alpha":
+            shape = replace(shape, parts=shape.parts | {Part.EXPONENT})
+        values = self._columns(element, shape).values
         result = np.zeros(len(self.weight))
         if name in LINEAR:
             own = values[:, LINEAR.index(name)]
         else:
-            place = 3 * (1 + shapes[element].free.index(name))
+            place = 3 * (1 + shape.free.index(name))
             own = values[:, place : place + 3] @ linear[element]
         result[self.elements[element].rows] = own
         return result
