@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
-from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
@@ -241,26 +242,21 @@ def _groups(problem: ExcitationProblem) -> list[tuple[int, ...]]:
     return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
 
 
-def tangent_fit(
-    weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]] | None = None
-) -> LinearFit:
-    """Fit the whole model, linear around a fit, with HAC covariance and new weights.
-
-    The values of non-linear parameters are their changes.
+def tangent(weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]]) -> Array:
+    """Return the columns of the whole model, linear around a fit, shape (r, q).
 
     Args:
         weighted: the rows.
         fit: around which.
-        inner: elements and names of the friction's parameters, whose columns follow the regressor; by default those
-            that are fitted.
+        inner: elements and names of the friction's parameters, whose columns follow the regressor. Those of non-linear
+            parameters belong to their changes.
     """
-    chosen = fit.inner() if inner is None else inner
-    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in chosen]
-    return solve(weighted.problem, np.column_stack([weighted.problem.regressor, *columns]))
+    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in inner]
+    return np.column_stack([weighted.problem.regressor, *columns])
 
 
 def _reweighted(weighted: WeightedProblem, fit: SeparableFit) -> WeightedProblem:
     """Return the rows with the weights of a fit's residuals."""
-    linear = tangent_fit(weighted, fit)
+    linear = solve(weighted.problem, tangent(weighted, fit, fit.inner()))
     weight = np.sqrt(linear.weights) / linear.sigma[weighted.problem.joint]
     return WeightedProblem.of(weighted.problem, weighted.elements, weight)
