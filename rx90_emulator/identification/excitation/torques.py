@@ -93,19 +93,24 @@ class TorqueValidation:
     """The verdict of a run that was not used.
 
     Attributes:
-        torques: of the run.
+        torques: of the run, predicted by the identified parameters.
+        consistent: the same, predicted by the inertias that bodies can have, which the robot's files hold.
         tolerances: what counts as agreement.
     """
 
     torques: RunTorques
+    consistent: RunTorques
     tolerances: ExcitationTolerances
 
     @property
     def passed(self) -> bool:
-        """Return whether each joint that moves, and all of them together, agree."""
-        share = self.torques.share
+        """Return whether each joint that moves, and all of them together, agree with both predictions."""
+        return all(self._agrees(torques) for torques in (self.torques, self.consistent))
+
+    def _agrees(self, torques: RunTorques) -> bool:
+        share = torques.share
         within = bool((share[np.isfinite(share)] <= self.tolerances.joint).all())
-        return within and self.torques.total_share <= self.tolerances.total
+        return within and torques.total_share <= self.tolerances.total
 
 
 @dataclass(frozen=True)
@@ -160,8 +165,8 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
 def torque_noise(run: FilteredRun) -> Array:
     """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
 
-    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples, and
-    the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
+    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples,
+    and the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
     """
     if len(run.torque) <= _DIFFERENCES:
         return np.zeros(run.torque.shape[1])

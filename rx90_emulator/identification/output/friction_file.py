@@ -10,7 +10,7 @@ from typing import Any
 
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 
@@ -72,8 +72,11 @@ def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in PARAMETERS}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in PARAMETERS}
+    bags = {name: [labels[bag] for bag in some] for name, some in one.sources.items()}
+    return {
+        name: _parameter(values[name], estimate, bags[name], date, fallback_name)
+        for name, estimate in one.estimates.items()
+    }
 
 
 def _parameter(
@@ -84,6 +87,8 @@ def _parameter(
             "provenance": "assumed", "value": value, "identifiable": False, "reason": estimate.reason,
             "taken_from": fallback_name, "bags": list(bags), "date": date,
         }  # fmt: skip
+    if not estimate.deviation:  # given, not estimated
+        return {"provenance": "assumed", "value": value, "bags": list(bags), "date": date}
     return {
         "provenance": "identified",
         "value": value,

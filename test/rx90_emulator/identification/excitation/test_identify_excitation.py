@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,8 @@ import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
 
-import rx90_emulator as rx
-from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO
+from rx90_common.base.errors import DONE
 from rx90_emulator.cli.frame import run
-from rx90_emulator.identification import excitation_job
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
