@@ -15,10 +15,11 @@ from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimat
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.sliding import stribeck
+from rx90_emulator.identification.sliding.blocks import Blocks, find_blocks
 from rx90_emulator.identification.sliding.identifiability import element_estimate, natural_covariance, without_stribeck
-from rx90_emulator.identification.sliding.plateaus import Blocks, find_blocks
 from rx90_emulator.identification.sliding.rows import sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
+from rx90_emulator.identification.sliding.usage import BagUse
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom."""
@@ -60,6 +61,7 @@ class SlidingFit:
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
         inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
         plateaus: how many stretches of constant velocity were used.
+        usage: what was used of each record, and why the rest was not.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -67,6 +69,7 @@ class SlidingFit:
     inertial: Array
     inertial_covariance: Array
     plateaus: int
+    usage: tuple[BagUse, ...] = ()
 
 
 def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
@@ -92,7 +95,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
     for name in required:
         if name not in arm.element_names:
             raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(arm.element_names)}")
-    blocks = find_blocks(records, arm.element_matrix)
+    blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
     for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:
         if name in lacking:
@@ -116,7 +119,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
     )
     curves = tuple(_curve(solution, e) for e in range(len(arm.element_names)))
     inertial = rows.directions @ solution.nuisance, _inertial_covariance(solution, arm)
-    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)))
+    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage)
 
 
 def _inertial_covariance(solution: SlidingSolution, arm: RigidArm) -> Array:
