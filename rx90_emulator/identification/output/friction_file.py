@@ -10,7 +10,7 @@ from typing import Any
 
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 
