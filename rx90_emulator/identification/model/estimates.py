@@ -14,8 +14,10 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_emulator.identification.records.record import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
+VISCOUS_EXPONENT = "alpha"
+"""Of the sliding regime too, and estimated where the data prefer another value than 1."""
 PRESLIDING = ("c0", "c1")
-PARAMETERS = (*SLIDING, *PRESLIDING)
+PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 _MOST_DECIMALS = 7
 
 
