@@ -66,7 +66,7 @@ class Bandwidths:
         which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
         bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
         band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
-        torque gets half of it, where the positions' filter is still transparent (gain above 0.99).
+        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96).
 
         Raises:
             IdentificationError: if no joint moves.
@@ -83,7 +83,7 @@ class Bandwidths:
             source += f", and {_PER_MOTION:g} times its own band is {wanted:.3g} Hz"
         if position < wanted:
             source += f"; no more than {_HIGHEST:g} of the sampling rate"
-        return cls(position, 0.5 * position, f"{source}; the torque gets half of it")
+        return cls(position, position / 3.0, f"{source}; the torque gets a third of it")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:

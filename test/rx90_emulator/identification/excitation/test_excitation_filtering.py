@@ -52,7 +52,7 @@ def test_bandwidths_follow_the_noise_of_the_positions() -> None:
     """The noisier the positions, the less is let pass; never less than ten times the motion, and the user reads why."""
     chosen = [Bandwidths.of([record(500.0, 20.0, noise=noise)]) for noise in (1e-8, 1e-2)]
     assert 10.0 <= chosen[1].position / np.mean([2.0, 1.1]) < chosen[0].position / np.mean([2.0, 1.1]) <= 0.3 * 500.0
-    assert all(one.torque == 0.5 * one.position for one in chosen)
+    assert all(one.torque == pytest.approx(one.position / 3.0) for one in chosen)
     assert f"{chosen[1].position:.3g} Hz" in chosen[1].reason
 
 
