@@ -88,7 +88,7 @@ class FourierMotion:
         harmonics: int = 6,
         period: float = 12.0,
         periods: int = 2,
-        speed: tuple[float, float] = (1.5, 3.0),
+        speed: tuple[float, float] = (2.0, 4.0),
     ) -> FourierMotion:
         """Return a series whose joints reach speeds in this range, rad/s, and stay within a turn."""
         rng = np.random.default_rng((seed, 20))

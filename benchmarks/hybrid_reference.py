@@ -18,6 +18,7 @@ from tqdm import tqdm
 from rx90_common.description.wrist import to_joint_torque
 from rx90_common.friction.bristle import one_element
 from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -54,7 +55,7 @@ def _derivative(y: Array, _: float, arm: Any, body: Any, friction: Any, drive: A
         g = (e.tau_c[sign] + (e.tau_s[sign] - e.tau_c[sign]) * stribeck) / e.c0
         z_dot = velocity - abs(velocity) / g * z[i]
         c1 = e.c1 * np.exp(-((velocity * e.inverse_omega_d) ** 2))
-        tau = e.c0 * z[i] + c1 * z_dot + e.c2 * velocity
+        tau = e.c0 * z[i] + c1 * z_dot + e.c2 * velocity * max(abs(velocity), LINEAR_SPEED) ** (e.alpha - 1.0)
         derivative[12 + i] = z_dot
         if i < 6:
             torque[i] -= tau

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dposv
 
 from rx90_common.description.wrist import element_matrix
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -35,8 +36,8 @@ class PinocchioArm:
         self._to_joint = _ELEMENT_INPUT[[0, 1, 2, 3, 4, 6]].T * setup.drives.gear
         self._period = setup.rates.period
         elements = setup.friction.elements
-        self._c0, self._c1, self._c2, self._omega_s, self._omega_d, self._delta = np.array(
-            [(e.c0, e.c1, e.c2, e.omega_s, e.omega_d, e.delta) for e in elements]
+        self._c0, self._c1, self._c2, self._alpha, self._omega_s, self._omega_d, self._delta = np.array(
+            [(e.c0, e.c1, e.c2, e.alpha, e.omega_s, e.omega_d, e.delta) for e in elements]
         ).T
         self._coulomb = np.array([(e.tau_c_positive, e.tau_c_negative) for e in elements]).T
         self._static = np.array([(e.tau_s_positive, e.tau_s_negative) for e in elements]).T
@@ -70,4 +71,5 @@ class PinocchioArm:
         mean = self.z + self._period * z_dot * (1.0 - phi) / x
         self.z = self.z + advance
         damping = self._c1 * np.exp(-((velocity / self._omega_d) ** 2))
-        return np.asarray(self._c0 * mean + damping * z_dot * phi + self._c2 * velocity)
+        viscous = self._c2 * velocity * np.maximum(speed, LINEAR_SPEED) ** (self._alpha - 1.0)
+        return np.asarray(self._c0 * mean + damping * z_dot * phi + viscous)

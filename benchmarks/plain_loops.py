@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_sim.manipulator import factorise, solve
@@ -69,6 +70,11 @@ def _clip(x: float, bound: float) -> float:
     return min(bound, max(-bound, x))
 
 
+@inlined
+def _signed_power(x: float, exponent: float) -> float:
+    return x if exponent == 1.0 else math.copysign(abs(x) ** exponent, x)
+
+
 @kernel
 def _position_loop(law: Any, state: Any, setpoint: Array, position: Array) -> None:
     for i in range(6):
@@ -80,7 +86,8 @@ def _position_loop(law: Any, state: Any, setpoint: Array, position: Array) -> No
         if error * state.limited[i] <= 0.0:
             state.integrator[i] = _clip(state.integrator[i] + law.integral[i] * error, law.integrator_limit[i])
         sign = _clip(velocity / law.coulomb_velocity[i], 1.0)
-        forward = law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign + law.viscous[i] * velocity
+        forward = law.inertia[i] * state.reference[2, i] + law.coulomb[i] * sign
+        forward += law.viscous[i] * _signed_power(velocity, law.viscous_exponent[i])
         state.position_torque[i] = law.proportional[i] * error + state.integrator[i]
         state.feed_forward[i] = forward
 
@@ -159,7 +166,9 @@ def _element_step(elements: Any, i: int, z: float, velocity: float, step: float)
         phi = (1.0 - math.exp(-x)) / x
         psi = (1.0 - phi) / x
     z_dot = velocity - rate * z
-    torque = elements.c0[i] * (z + step * z_dot * psi) + damping * z_dot * phi + elements.c2[i] * velocity
+    alpha = elements.alpha[i]
+    viscous = elements.c2[i] * velocity * (1.0 if alpha == 1.0 else max(speed, LINEAR_SPEED) ** (alpha - 1.0))
+    torque = elements.c0[i] * (z + step * z_dot * psi) + damping * z_dot * phi + viscous
     return z + step * z_dot * phi, torque
 
 

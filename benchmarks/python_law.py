@@ -5,6 +5,7 @@ Plain floats, because for six motors they are faster than numpy's calls.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -73,7 +74,8 @@ class PythonLaw:
                 bound = c["integrator_limit"][i]
                 self._integrator[i] = min(bound, max(-bound, self._integrator[i] + c["integral"][i] * error))
             sign = min(1.0, max(-1.0, speed / c["coulomb_velocity"][i]))
-            forward = c["inertia"][i] * acceleration + c["coulomb"][i] * sign + c["viscous"][i] * speed
+            viscous = c["viscous"][i] * math.copysign(abs(speed) ** c["viscous_exponent"][i], speed)
+            forward = c["inertia"][i] * acceleration + c["coulomb"][i] * sign + viscous
             self._held[i] = c["proportional"][i] * error + self._integrator[i] + forward
             self._velocity_reference[i] = c["velocity_weight"][i] * speed
 

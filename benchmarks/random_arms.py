@@ -147,16 +147,16 @@ def random_link(rng: np.random.Generator, number: int, *, square: bool) -> Link:
 
 
 def random_law(rng: np.random.Generator, torque: float, *, bristle: bool, stribeck: bool) -> FrictionLaw:
-    """Return friction of a size that suits a joint with this torque, Nm."""
-    coulomb, fast = torque * rng.uniform(0.08, 0.35), 2.0
+    """Return friction of a size that suits a joint with this torque, Nm; that of a Staubli TX40 lies in the range."""
+    coulomb, fast = torque * rng.uniform(0.1, 0.35), 3.0
     lean = rng.uniform(-0.15, 0.15) * (rng.random() < 0.5)
     alpha = rng.uniform(0.6, 1.0)
-    c2 = torque * rng.uniform(0.15, 0.5) / fast**alpha
+    c2 = torque * rng.uniform(0.25, 0.8) / fast**alpha
     rise = rng.uniform(0.2, 0.5) if stribeck else 0.0
     c0 = coulomb / 10 ** rng.uniform(-3.7, -2.7) if bristle else 0.0
     c1 = c0 * rng.uniform(2e-4, 1e-3)
     both = (coulomb * (1.0 + lean), coulomb * (1.0 - lean))
-    return FrictionLaw(both, c2, alpha, rise, rng.uniform(0.03, 0.15), rng.uniform(0.8, 1.6), c0, c1)
+    return FrictionLaw(both, c2, alpha, rise, rng.uniform(0.03, 0.15), 1.0, c0, c1)
 
 
 def random_arm(

@@ -119,6 +119,6 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     """
     data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
     brakes = element_arrays([LuGreElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
-    brake["tau_c"] = brake["tau_s"] = 1.0
+    brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]

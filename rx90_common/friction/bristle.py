@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, power
-from rx90_common.kernels.lanes import Lanes, Number, absolute, fma, load, select
+from rx90_common.kernels.lanes import Lanes, Number, absolute, any_lane, fma, load, select
 
 # Below this product of bristle rate and step, series replace the exponential: they are exact to the last
 # bits there, where (1 - exp(-x)) / x would cancel.
@@ -28,6 +29,7 @@ class Elements(NamedTuple):
     c1: Lanes
     c2: Lanes
     inverse_omega_d: Lanes
+    alpha: Lanes
 
 
 @inlined
@@ -42,6 +44,7 @@ def load_elements(arrays: Any, width: int) -> Elements:
         load(arrays.c1, width),
         load(arrays.c2, width),
         load(arrays.inverse_omega_d, width),
+        load(arrays.alpha, width),
     )
 
 
@@ -57,6 +60,7 @@ def one_element(arrays: Any, index: int) -> Elements:
         arrays.c1[index],
         arrays.c2[index],
         arrays.inverse_omega_d[index],
+        arrays.alpha[index],
     )
 
 
@@ -77,12 +81,28 @@ def damping(element: Any, velocity: Number) -> Number:
     return element.c1 * exponential(-(ratio * ratio))
 
 
+@inlined
+def viscous_torque(element: Any, velocity: Number) -> Number:
+    """Return c2 |v|^alpha sign(v), Nm; below LINEAR_SPEED the chord of it. With alpha = 1 it has the bits of c2 v.
+
+    With alpha < 1 the power has an infinite slope at rest. A velocity that is held for a step would change its sign
+    from step to step there, and a sticking joint would creep; the chord lets it come to rest to the last bit.
+    """
+    shaped = velocity
+    other = absolute(element.alpha - 1.0) > 0.0
+    if any_lane(other):
+        speed = absolute(velocity)
+        base = select(speed < LINEAR_SPEED, LINEAR_SPEED, speed)
+        shaped = select(other, velocity / base * power(base, element.alpha), velocity)
+    return element.c2 * shaped
+
+
 @kernel
 def friction_torque(element: Any, z: Number, velocity: Number) -> Number:
     """Return the friction torque of equation 18 at one instant, Nm."""
     rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
     z_dot = velocity - rate * z
-    return element.c0 * z + damping(element, velocity) * z_dot + element.c2 * velocity
+    return element.c0 * z + damping(element, velocity) * z_dot + viscous_torque(element, velocity)
 
 
 @kernel
@@ -96,13 +116,13 @@ def bristle_step(element: Any, z: Number, velocity: Number, step: float) -> tupl
 
     Returns:
         The new bristle deflection, rad, and the friction torque (equation 18) averaged over the step, Nm:
-        c0 mean(z) + c1 mean(dz/dt) + c2 v, with mean(z) = z + (v step - x z) (1 - phi) / x.
+        c0 mean(z) + c1 mean(dz/dt) + viscous torque, with mean(z) = z + (v step - x z) (1 - phi) / x.
     """
     rate = element.c0 * absolute(velocity) / sliding_torque(element, velocity)
     phi, psi = decay(rate * step)
     z_dot = velocity - rate * z  # at the start of the step; phi times it is the mean
     mean = z + step * z_dot * psi
-    torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + element.c2 * velocity
+    torque = element.c0 * mean + damping(element, velocity) * z_dot * phi + viscous_torque(element, velocity)
     return z + step * z_dot * phi, torque
 
 

@@ -105,14 +105,14 @@ def read_element(section: Section) -> LuGreElement:
     """
     values: dict[str, float] = {}
     for parameter in FRICTION_PARAMETERS:
-        name, above = parameter.name, parameter.positive
+        name, (low, high, above) = parameter.name, parameter.interval
         if parameter.signed and section.holds_mapping(name):
             pair = section.section(name)
-            numbers = [pair.number(sign, 0.0, above=above) for sign in SIGNS]
+            numbers = [pair.number(sign, low, high, above=above) for sign in SIGNS]
             pair.finish()
             values |= zip(parameter.attributes, numbers, strict=True)
         elif name in section or parameter.default is None:
-            values |= dict.fromkeys(parameter.attributes, section.number(name, 0.0, above=above))
+            values |= dict.fromkeys(parameter.attributes, section.number(name, low, high, above=above))
     section.finish()
     try:
         return LuGreElement(**values)

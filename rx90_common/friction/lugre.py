@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, SIGNS
 
 
 @dataclass(frozen=True)
@@ -19,11 +19,13 @@ class LuGreElement:
     """One LuGre element, joint side, SI units.
 
         dz/dt = v - |v| / g(v) * z                                            (17)
-        tau_f = c0 z + c1(v) dz/dt + c2 v                                     (18)
+        tau_f = c0 z + c1(v) dz/dt + c2 |v|^alpha sign(v)                     (18)
         c0 g(v) = tau_c + (tau_s - tau_c) exp(-(|v| / omega_s)^delta)         (19)
 
     The paper's c1 is a constant. That model is passive only while c1 < 4 c0 g(v) / |v|, so c1 may fade as
     c1 exp(-(v / omega_d)^2) (Olsson 1996, section 3.5); `omega_d` infinite is the paper's constant c1.
+    The paper's viscous part is c2 v, `alpha` 1. With another exponent it is linear below LINEAR_SPEED, up to the same
+    value there. Its power is never negative, so the limit of c1 does not depend on it (docs/closed_loop.md).
 
     Attributes:
         tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.
@@ -32,8 +34,9 @@ class LuGreElement:
         delta: Stribeck exponent, 1.
         c0: bristle stiffness, Nm/rad.
         c1: micro-viscous damping at rest, Nm s/rad.
-        c2: viscous friction, Nm s/rad.
+        c2: viscous friction, Nm (s/rad)^alpha.
         omega_d: velocity in the fading c1 exp(-(v/omega_d)^2), rad/s.
+        alpha: viscous exponent, 1.
 
     Raises:
         ConfigError: for a value that is not finite or not in its range.
@@ -49,6 +52,7 @@ class LuGreElement:
     c1: float
     c2: float
     omega_d: float = math.inf
+    alpha: float = 1.0
 
     def __post_init__(self) -> None:
         for parameter in FRICTION_PARAMETERS:
@@ -71,10 +75,17 @@ class LuGreElement:
         """Return c1(v), Nm s/rad."""
         return np.asarray(self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2)))
 
+    def viscous_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
+        """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
+        v = np.asarray(velocity, dtype=np.float64)
+        if self.alpha == 1.0:
+            return np.asarray(self.c2 * v)
+        return np.asarray(self.c2 * v * np.maximum(np.abs(v), LINEAR_SPEED) ** (self.alpha - 1.0))
+
     def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
         v = np.asarray(velocity, dtype=np.float64)
-        return np.asarray(np.sign(v) * self.sliding_torque(v) + self.c2 * v)
+        return np.asarray(np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v))
 
     def passivity_limit(self, max_velocity: float) -> float:
         """Return the speed, rad/s, from which c1(v) |v| > 4 c0 g(v); infinite if none up to `max_velocity`.
@@ -113,6 +124,7 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
             ("c1", np.float64, plain),
             ("c2", np.float64, plain),
             ("inverse_omega_d", np.float64, plain),  # 0 for a constant c1
+            ("alpha", np.float64, plain),
         ],
         align=True,
     )

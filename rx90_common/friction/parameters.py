@@ -12,6 +12,16 @@ from rx90_common.base.errors import ConfigError
 SIGNS = ("positive", "negative")
 """Of the velocity, in the order in which everything keeps them."""
 
+ALPHA_BOUNDS = (0.3, 2.0)
+"""Of the viscous exponent.
+
+Two is the drag of a turbulent fluid. Below 0.3 the slope at rest, LINEAR_SPEED^(alpha - 1) c2, comes near what a light
+wrist can bear in a tick: the part would be a Coulomb torque without bristles.
+"""
+
+LINEAR_SPEED = 1e-3
+"""The speed, rad/s, below which the viscous part is linear whatever its exponent: motion this slow is presliding."""
+
 
 @dataclass(frozen=True)
 class FrictionParameter:
@@ -24,6 +34,7 @@ class FrictionParameter:
         positive: whether 0 is refused; negative values always are.
         signed: whether it has a value for each sign of the velocity.
         default: its value where it is left out; None where it is required.
+        bounds: its least and its largest value, where it has such bounds.
     """
 
     name: str
@@ -32,6 +43,7 @@ class FrictionParameter:
     positive: bool = True
     signed: bool = False
     default: float | None = None
+    bounds: tuple[float, float] | None = None
 
     @cached_property
     def attributes(self) -> tuple[str, ...]:
@@ -39,8 +51,15 @@ class FrictionParameter:
         return tuple(f"{self.name}_{sign}" for sign in SIGNS) if self.signed else (self.name,)
 
     @property
+    def interval(self) -> tuple[float, float, bool]:
+        """Return the least and the largest value, and whether values must be above the least."""
+        return (0.0, math.inf, self.positive) if self.bounds is None else (*self.bounds, False)
+
+    @property
     def accepted(self) -> str:
         """Return its range in words."""
+        if self.bounds is not None:
+            return "a number in [{:g}, {:g}]".format(*self.bounds)
         return f"a {'' if self.default == math.inf else 'finite '}number {'>' if self.positive else '>='} 0"
 
     def check(self, attribute: str, value: float) -> None:
@@ -49,8 +68,9 @@ class FrictionParameter:
         Raises:
             ConfigError: naming attribute, value and range.
         """
-        above = value > 0.0 if self.positive else value >= 0.0
-        if not above or (value > sys.float_info.max and self.default != math.inf):
+        low, high, above = self.interval
+        inside = (value > low if above else value >= low) and value <= high
+        if not inside or (value > sys.float_info.max and self.default != math.inf):
             raise ConfigError(f"{attribute} is {value}; accepted: {self.accepted}")
 
 
@@ -61,8 +81,9 @@ FRICTION_PARAMETERS = (
     FrictionParameter("delta", "Stribeck exponent", "1"),
     FrictionParameter("c0", "bristle stiffness", "Nm/rad"),
     FrictionParameter("c1", "micro-viscous damping at rest", "Nm s/rad", positive=False),
-    FrictionParameter("c2", "viscous friction", "Nm s/rad", positive=False),
+    FrictionParameter("c2", "viscous friction", "Nm (s/rad)^alpha", positive=False),
     FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", default=math.inf),
+    FrictionParameter("alpha", "viscous exponent", "1", default=1.0, bounds=ALPHA_BOUNDS),
 )
 
 FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
@@ -75,6 +96,6 @@ def legend() -> str:
     for parameter in FRICTION_PARAMETERS:
         signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
         optional = "" if parameter.default is None else f"; {parameter.default:g} if it is left out"
-        accepted = ">" if parameter.positive else ">="
-        lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted} 0{signed}{optional}\n"
+        accepted = parameter.accepted.rpartition("number ")[2]
+        lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}{signed}{optional}\n"
     return lines

@@ -150,6 +150,17 @@ def power(base: Number, exponent: Number) -> Number:
 
 
 @inlined
+def signed_power(x: Number, exponent: Number) -> Number:
+    """Return |x|^exponent with the sign of x, for exponent > 0; exponent 1 gives the bits of x."""
+    other = absolute(exponent - 1.0) > 0.0
+    result = select(other, x, x)  # a lane for each exponent, also of a single x
+    if any_lane(other):
+        size = power(absolute(x), exponent)
+        result = select(other, select(x < 0.0, -size, size), x)
+    return result
+
+
+@inlined
 def _general_power(base: Number, exponent: Number) -> Number:
     """Return exp(exponent ln(base)); the logarithm is the sum of two numbers, so that its rounding does not count."""
     whole = nearest_exponent(base)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.elementary import arctangent, exponential, exponential_less_one, sine_cosine
+from rx90_common.kernels.elementary import arctangent, exponential, exponential_less_one, power, sine_cosine
 
 _Array = NDArray[np.float64]
 
@@ -27,6 +27,14 @@ def angles_of(y: ArrayLike, x: ArrayLike) -> _Array:
     return angle.reshape(points[0].shape)
 
 
+def powers(base: ArrayLike, exponent: ArrayLike) -> _Array:
+    """Return base^exponent for bases >= 0 and exponents > 0; the shapes are broadcast."""
+    pairs = np.stack(np.broadcast_arrays(np.asarray(base, dtype=np.float64), np.asarray(exponent, dtype=np.float64)))
+    result = np.empty(pairs[0].size)
+    _powers(pairs[0].ravel(), pairs[1].ravel(), result)
+    return result.reshape(pairs[0].shape)
+
+
 @kernel
 def exponential_of(x: float) -> float:
     """Return exp(x) for x up to 708; below -708 it is 0."""
@@ -43,6 +51,12 @@ def exponential_less_one_of(x: float) -> float:
 def _sines_cosines(angle: _Array, sine: _Array, cosine: _Array) -> None:
     for i in range(angle.size):
         sine[i], cosine[i] = sine_cosine(angle[i])
+
+
+@kernel
+def _powers(base: _Array, exponent: _Array, result: _Array) -> None:
+    for i in range(base.size):
+        result[i] = power(base[i], exponent[i])
 
 
 @kernel

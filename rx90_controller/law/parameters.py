@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+from rx90_common.friction.parameters import ALPHA_BOUNDS
+from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
 from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
@@ -29,13 +30,14 @@ CONTROLLER_DTYPE = np.dtype(
         ("velocity_weight", np.float64, 6),  # of the velocity set-point in D; 0 where it is off
         ("coulomb", np.float64, 6),  # motor side, Nm; 0 where the compensation is off
         ("coulomb_velocity", np.float64, 6),  # motor side, rad/s
-        ("viscous", np.float64, 6),  # motor side, Nm s/rad; 0 where the compensation is off
+        ("viscous", np.float64, 6),  # motor side, Nm (s/rad)^exponent; 0 where the compensation is off
         ("torque_constant", np.float64, 6),
         ("peak_current", np.float64, 6),
         ("current_step", np.float64, 6),  # what the amplifier can change in a tick, A
         ("current_gain", np.float64),  # of the current loop per tick
         ("following_error", np.float64, 6),  # supervised, motor side, rad
         ("over_speed", np.float64, 6),  # supervised, motor side, rad/s
+        ("viscous_exponent", np.float64, 6),
     ],
     align=True,
 )
@@ -79,7 +81,7 @@ class CS7BParameters:
         integrator_limit: the most the integrator gives, Nm.
         coulomb: Coulomb friction to compensate, Nm.
         coulomb_velocity: velocity set-point at which the compensation is complete, rad/s.
-        viscous: viscous friction to compensate, Nm s/rad.
+        viscous: viscous friction to compensate, Nm (s/rad)^viscous_exponent.
         feed_forward: switches of all feed-forward parts.
         current_bandwidth: bandwidth of the current loop, Hz.
         current_slew: the amplifier's fastest change of current, A/s.
@@ -87,6 +89,7 @@ class CS7BParameters:
         over_speed: likewise, as a multiple of the joint's nominal speed.
         start_tolerance: how far a trajectory may start from the held set-point, rad.
         max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
+        viscous_exponent: of the viscous friction to compensate, 1.
     """
 
     inertia: Array
@@ -104,14 +107,13 @@ class CS7BParameters:
     over_speed: float
     start_tolerance: float
     max_acceleration: Array
+    viscous_exponent: Array = field(default_factory=lambda: np.ones(6))
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if field.name == "feed_forward":
-                continue
-            value = np.asarray(getattr(self, field.name), dtype=np.float64)
+        for name in (each.name for each in fields(self) if each.name != "feed_forward"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
             if not np.all(np.isfinite(value)) or np.any(value < 0):
-                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
+                raise ConfigError(f"{name} is {value.tolist()}; accepted: finite numbers >= 0")
         for name in (
             "inertia",
             "coulomb_velocity",
@@ -123,6 +125,10 @@ class CS7BParameters:
         ):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
+        least, most = ALPHA_BOUNDS
+        if np.any(self.viscous_exponent < least) or np.any(self.viscous_exponent > most):
+            accepted = f"numbers in [{least:g}, {most:g}]"
+            raise ConfigError(f"viscous_exponent is {self.viscous_exponent.tolist()}; accepted: {accepted}")
 
     def limits(self, robot: RobotModel) -> JointLimits:
         """Return the limits that the set-points of an arm must keep."""
@@ -139,9 +145,10 @@ class CS7BParameters:
         """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
         record = np.zeros(1, CONTROLLER_DTYPE)
         law = record[0]
-        gear, gear_squared = drives.gear, drives.gear * drives.gear
+        gear_squared = drives.gear * drives.gear
+        gear = np.abs(drives.gear)  # limits and friction are the same in both directions of a motor
         switch = self.feed_forward
-        law["gear"] = gear
+        law["gear"] = drives.gear
         law["derivative"] = self.inertia * self.kv / gear_squared
         law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
@@ -150,7 +157,9 @@ class CS7BParameters:
         law["inertia"] = self.inertia / gear_squared * switch.acceleration
         law["coulomb"] = self.coulomb / gear * switch.coulomb
         law["coulomb_velocity"] = self.coulomb_velocity * gear
-        law["viscous"] = self.viscous / gear_squared * switch.viscous
+        # A torque tau_v |v|^a of the joint, at the motor: 1/n of it, at a velocity n times as fast.
+        law["viscous"] = self.viscous / powers(np.abs(gear), 1.0 + self.viscous_exponent) * switch.viscous
+        law["viscous_exponent"] = self.viscous_exponent
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current
         law["current_step"] = self.current_slew * rates.period
@@ -169,6 +178,7 @@ def load_controller(path: Path) -> CS7BParameters:
     root = load_yaml(path)
     names = ("servo", "feed_forward", "current_loop", "supervision", "trajectory")
     servo, forward, current, supervision, trajectory = (root.section(name) for name in names)
+    exponents = forward.numbers("viscous_exponent", 6, *ALPHA_BOUNDS) if "viscous_exponent" in forward else (1.0,) * 6
     parameters = CS7BParameters(
         inertia=np.array(servo.numbers("inertia", 6, 0.0, above=True)),
         kp=np.array(servo.numbers("kp", 6, 0.0)),
@@ -190,6 +200,7 @@ def load_controller(path: Path) -> CS7BParameters:
         over_speed=supervision.number("over_speed", 0.0, above=True),
         start_tolerance=trajectory.number("start_tolerance", 0.0),
         max_acceleration=np.array(trajectory.numbers("max_acceleration", 6, 0.0, above=True)),
+        viscous_exponent=np.array(exponents),
     )
     for section in (servo, forward, current, supervision, trajectory, root):
         section.finish()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.elementary import signed_power
 from rx90_common.kernels.lanes import Lanes, load, select
 
 
@@ -23,6 +24,7 @@ class Gains(NamedTuple):
     coulomb: Lanes
     coulomb_velocity: Lanes
     viscous: Lanes
+    viscous_exponent: Lanes
     torque_constant: Lanes
     peak_current: Lanes
     current_step: Lanes
@@ -65,6 +67,7 @@ def load_gains(law: Any, width: int) -> Gains:
         load(law.coulomb, width),
         load(law.coulomb_velocity, width),
         load(law.viscous, width),
+        load(law.viscous_exponent, width),
         load(law.torque_constant, width),
         load(law.peak_current, width),
         load(law.current_step, width),
@@ -88,7 +91,8 @@ def position_servo(
     integrator = select(error * limited <= 0.0, advanced, integrator)
     # The sign function, made continuous: a set-point that crosses zero must not switch the torque back and forth.
     sign = clip(velocity_setpoint / gains.coulomb_velocity, 1.0)
-    feed_forward = gains.inertia * acceleration_setpoint + gains.coulomb * sign + gains.viscous * velocity_setpoint
+    viscous = gains.viscous * signed_power(velocity_setpoint, gains.viscous_exponent)
+    feed_forward = gains.inertia * acceleration_setpoint + gains.coulomb * sign + viscous
     return PositionLoop(error, integrator, gains.proportional * error + integrator, feed_forward)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from benchmarks.excitation_runs import NOTHING, FourierMotion, measured, write_run
+from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured, write_run
+from benchmarks.excitation_truth import Truth, truth_of
 from benchmarks.friction_equations import FrictionLaw
 from benchmarks.random_arms import random_arm
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -52,3 +54,25 @@ def test_a_run_is_the_robots_of_its_urdf(tmp_path: Path, coupled: bool) -> None:
         friction[:, k] = side + law.c2 * np.sign(inputs[:, k]) * np.abs(inputs[:, k]) ** law.alpha
     assert rest == pytest.approx(friction @ read.element_matrix, abs=1e-9)
     assert record.position == pytest.approx(run.exact[0], abs=1e-12)
+
+
+def test_without_misfit_the_best_fitting_parameters_are_the_true_ones() -> None:
+    """With friction of the model's own form the limit of many runs is the friction; load adds its mean to Coulomb's."""
+    arm = random_arm(6, 2, coupled=True)
+    laws = [FrictionLaw((law.coulomb, law.coulomb), law.c2, law.alpha, 0.4, 0.1) for law in arm.friction]
+    arm = replace(arm, friction=tuple(laws), offset=np.array([0.3, -0.2]))
+
+    def truth(disturbances: Disturbances) -> Truth:
+        def offsets(*motion: np.ndarray) -> np.ndarray:
+            bare = arm.frictionless(*motion) - arm.offset
+            return np.concatenate([bare[:, :, None], np.broadcast_to(np.eye(2), (len(bare), 2, 2))], axis=2)
+
+        return truth_of(arm, offsets, np.ones(2), disturbances, lambda seed: FourierMotion.random(arm, seed), 8)
+
+    exact = truth(NOISE)
+    assert exact.base == pytest.approx([1.0, 0.3, -0.2], abs=1e-5)
+    for name, values in (("coulomb", exact.coulomb), ("c2", exact.viscous), ("alpha", exact.exponent)):
+        assert values == pytest.approx([getattr(law, name) for law in laws], rel=1e-4)
+    assert exact.rise == pytest.approx(0.4, rel=1e-3)
+    growth = truth(Disturbances(load=0.05)).coulomb / exact.coulomb - 1.0
+    assert ((growth > 0.01) & (growth < 0.09)).all()

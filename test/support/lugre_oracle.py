@@ -42,7 +42,9 @@ class LuGreOracle:
         c0 = self._values("c0")
         z_dot = v - np.abs(v) * c0 / self.stribeck(v) * z
         c1 = self._values("c1") * np.exp(-((v / self._values("omega_d")) ** 2))
-        return z_dot, c0 * z + c1 * z_dot + self._values("c2") * v
+        slow = np.maximum(np.abs(v), 1e-3)  # linear below 1 mrad/s
+        viscous = self._values("c2") * v / slow * slow ** self._values("alpha")
+        return z_dot, c0 * z + c1 * z_dot + viscous
 
 
 @pytest.fixture(scope="session")

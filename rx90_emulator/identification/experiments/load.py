@@ -67,6 +67,7 @@ def _setpoints(experiment: Experiment, limits: JointLimits) -> Array:
 
 def _expected_torque(setpoints: Array, robot: RobotModel, drives: DriveParameters, controller: CS7BParameters) -> Array:
     velocity = setpoints[:, 1]
-    friction = controller.coulomb * np.sign(velocity) + controller.viscous * velocity
+    viscous = controller.viscous * np.abs(velocity) ** controller.viscous_exponent
+    friction = np.sign(velocity) * (controller.coulomb + viscous)
     rigid = rigid_torque(robot.model, drives.rotor_matrix, drives.spring_torque, *setpoints.transpose(1, 0, 2))
     return np.asarray(rigid + friction)

@@ -18,7 +18,7 @@ from scipy.linalg import qr, solve_triangular
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.sliding.plateaus import Blocks
+from rx90_emulator.identification.sliding.blocks import Blocks
 
 _OBSERVABLE = 1e-2  # effect of an inertial error on all data together, in standard deviations of the noise
 

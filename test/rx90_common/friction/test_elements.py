@@ -32,12 +32,21 @@ def together(arrays: Any, z: Array, velocity: Array, out: Array) -> None:
     store(out[2], friction_torque(elements, deflection, speed))
 
 
-@pytest.mark.parametrize("deltas", [[1.0] * 7, [2.0] * 7, [1.0, 2.0, 0.5, 1.0, 2.7, 2.0, 1.0]])
-def test_the_set_equals_its_elements(shipped: Setup, record: Record, deltas: list[float]) -> None:
+@pytest.mark.parametrize(
+    ("deltas", "alphas"),
+    [
+        ([1.0] * 7, [1.0] * 7),
+        ([2.0] * 7, [0.6] * 7),
+        ([1.0, 2.0, 0.5, 1.0, 2.7, 2.0, 1.0], [1.0, 0.7, 1.0, 2.0, 0.3, 1.0, 1.5]),
+    ],
+)
+def test_the_set_equals_its_elements(shipped: Setup, record: Record, deltas: list[float], alphas: list[float]) -> None:
     """Stuck, creeping and sliding either way, each lane gives the bits that its element gives by itself."""
     shaped = [
-        dataclasses.replace(element, delta=delta, tau_c_negative=1.1 * element.tau_c_positive, tau_s_negative=60.0)
-        for element, delta in zip(shipped.friction.elements, deltas, strict=True)
+        dataclasses.replace(
+            element, delta=delta, alpha=alpha, tau_c_negative=1.1 * element.tau_c_positive, tau_s_negative=60.0
+        )
+        for element, delta, alpha in zip(shipped.friction.elements, deltas, alphas, strict=True)
     ]
     arrays = element_arrays(shaped)
     rng = np.random.default_rng(11)
@@ -56,6 +65,6 @@ def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
     element = LuGreElement(2.0, 3.0, 4.0, 5.0, 0.5, 6.0, 7.0, 8.0, 9.0)
     arrays = element_arrays((*shipped.friction.elements, element))[0]
     assert (arrays["tau_c"][:, 7].tolist(), arrays["tau_s"][:, 7].tolist()) == ([2.0, 3.0], [4.0, 5.0])
-    rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d")]
-    assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0]
+    rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d", "alpha")]
+    assert rest == [2.0, 6.0, 7.0, 8.0, 9.0, 0.0, 1.0]
     assert arrays["tau_c"][1, :7].tolist() == [e.tau_c_negative for e in shipped.friction.elements]

@@ -27,8 +27,9 @@ from rx90_emulator.loop.setup import Setup
 Edit = Callable[..., Path]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 ELEMENTS = (*NAMES, "joint_5_6")
-KEYS = ("tau_c", "tau_s", "omega_s", "delta", "c0", "c1", "c2", "omega_d")
+KEYS = ("tau_c", "tau_s", "omega_s", "delta", "c0", "c1", "c2", "omega_d", "alpha")
 MAY_BE_ZERO = {"c1", "c2"}
+MAY_BE_LEFT_OUT = {"omega_d", "alpha"}
 
 
 def refusal(path: Path) -> str:
@@ -58,7 +59,7 @@ def test_a_missing_element_is_refused(shipped_files: RobotFiles, edited_yaml: Ed
     assert f"elements.{name} is missing" in refusal(path)
 
 
-@pytest.mark.parametrize("key", [k for k in KEYS if k != "omega_d"])
+@pytest.mark.parametrize("key", [k for k in KEYS if k not in MAY_BE_LEFT_OUT])
 def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
     """An element that lacks a value is refused by element and key."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_5_6", key), None, remove=True)
@@ -72,7 +73,7 @@ def test_a_missing_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, 
 )
 def test_an_unknown_key_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, ...]) -> None:
     """A misspelt key is refused at every level instead of being ignored."""
-    other = dict.fromkeys((k for k in KEYS if k != "omega_d"), 1.0)
+    other = dict.fromkeys((k for k in KEYS if k not in MAY_BE_LEFT_OUT), 1.0)
     path = edited_yaml(shipped_files.friction, place, other if place[-1] == "joint_7" else 1.0)
     assert f"{'.'.join(place)} is not a known key" in refusal(path)
 
@@ -162,6 +163,15 @@ def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
 def test_the_range_stands_in_the_message_as_in_the_table() -> None:
     """Each parameter refuses what its own words exclude, and takes what they include."""
     for parameter in FRICTION_PARAMETERS:
+        if parameter.bounds is not None:
+            low, high = parameter.bounds
+            assert parameter.accepted == f"a number in [{low}, {high:g}]"
+            parameter.check("x", low)
+            parameter.check("x", high)
+            for beyond in (np.nextafter(low, 0.0), np.nextafter(high, 9.0), math.inf):
+                with pytest.raises(ConfigError, match=r"x is .*; accepted: a number in "):
+                    parameter.check("x", beyond)
+            continue
         if parameter.positive:
             assert parameter.accepted.endswith("number > 0")
             with pytest.raises(ConfigError, match=rf"x is 0\.0; accepted: {parameter.accepted}"):
@@ -201,7 +211,8 @@ def elements(draw: st.DrawFn) -> LuGreElement:
     down = draw(st.sampled_from([up, sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))]))
     omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
     c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
-    return LuGreElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, draw(POSITIVE | st.just(math.inf)))
+    omega_d, alpha = draw(POSITIVE | st.just(math.inf)), draw(st.just(1.0) | st.floats(0.3, 2.0))
+    return LuGreElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha)
 
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
@@ -233,6 +244,8 @@ def test_what_is_written_is_read_back(
         assert again == file
         assert repr(again.elements) == repr(file.elements)  # tells 0.0 from -0.0, which == does not
         old = yaml.safe_load(path.read_text(encoding="utf-8"))
+    written = [values.get("alpha") for values in old["elements"].values()]
+    assert written == [None if element.alpha == 1.0 else element.alpha for element in content.values()]
     assert old.get("source") == source
     assert old.get("identification") == identification
     assert [values["c0"] for values in old["elements"].values()] == [element.c0 for element in content.values()]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.sources import ROOT
 from rx90_common.kernels import elementary
-from rx90_common.kernels.elementary import arctangent, exponential, power, sine_cosine
+from rx90_common.kernels.elementary import arctangent, exponential, power, signed_power, sine_cosine
 from rx90_common.kernels.elementary_arrays import angles_of, exponential_less_one_of
 from rx90_common.kernels.lanes import load, store
 
@@ -25,13 +25,13 @@ Array = NDArray[np.float64]
 
 @numba.njit
 def in_lanes(x: Array, out: Array) -> None:
-    """Write exp(-|x|), sin(x), cos(x), a power and an angle, shape (5, 8 n), lanes eight at a time."""
+    """Write exp(-|x|), sin(x), cos(x), |x|^e sign(x) and an angle, shape (5, 8 n), lanes eight at a time."""
     for i in range(0, x.size, 8):
         sine, cosine = sine_cosine(load(x[i:], 8))
         store(out[0, i:], exponential(load(-np.abs(x[i : i + 8]), 8)))
         store(out[1, i:], sine)
         store(out[2, i:], cosine)
-        store(out[3, i:], power(load(np.abs(x[i : i + 8]), 8), 0.5 + load(out[0, i:], 8)))
+        store(out[3, i:], signed_power(load(x[i:], 8), 0.5 + load(out[0, i:], 8)))
         for k in range(i, i + 8):
             out[4, k] = arctangent(x[k], x[(k * 7) % x.size])
 
@@ -42,7 +42,7 @@ def one_by_one(x: Array, out: Array) -> None:
     for i in range(x.size):
         out[0, i] = exponential(-abs(x[i]))
         out[1, i], out[2, i] = sine_cosine(x[i])
-        out[3, i] = power(abs(x[i]), 0.5 + out[0, i])
+        out[3, i] = signed_power(x[i], 0.5 + out[0, i])
         out[4, i] = arctangent(x[i], x[(i * 7) % x.size])
 
 
@@ -151,6 +151,22 @@ def test_power() -> None:
         with np.errstate(over="ignore"):
             assert out == pytest.approx(base**exponent, rel=1e-15, abs=0.0)
             assert np.array_equal(out[plain], np.where(exponent == 1.0, base, base * base)[plain])
+
+
+def test_a_signed_power() -> None:
+    """It has the sign of its base and the power of its size; exponent 1 keeps every bit, beside others too."""
+
+    @numba.njit
+    def compute(x: Array, exponent: Array, out: Array) -> None:
+        store(out[0], signed_power(load(x, 7), load(exponent, 7)))
+        store(out[1], signed_power(x[1], load(exponent, 7)))
+
+    x = np.array([0.0, -0.3, 1.7, -0.0, -5e-324, -1.7, 1e300])
+    for exponent in (np.ones(7), np.array([0.6, 0.6, 1.5, 1.0, 1.0, 2.0, 0.3])):
+        out = np.empty((2, 7))
+        compute(x, exponent, out)
+        assert out == pytest.approx(np.sign([x, [-0.3] * 7]) * np.abs([x, [-0.3] * 7]) ** exponent, rel=1e-15, abs=0.0)
+        assert out[0, exponent == 1.0].tobytes() == x[exponent == 1.0].tobytes()
 
 
 def test_a_processor_without_vector_and_fma_instructions_gives_the_same_bits(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
@@ -56,7 +57,8 @@ class Controller:
         self.integral = np.where(e * self.sign > 0, self.integral, advanced)
         pi = c.inertia / n**2 * c.kv * c.kp * e + self.integral
         coulomb = c.coulomb / n * limit(dr / (n * c.coulomb_velocity), 1.0)
-        forward = c.inertia / n**2 * ddr + coulomb + c.viscous / n**2 * dr
+        a = c.viscous_exponent
+        forward = c.inertia / n**2 * ddr + coulomb + c.viscous / np.abs(n) ** (1 + a) * np.sign(dr) * np.abs(dr) ** a
         self.held, self.rate = pi + forward, dr
 
     def velocity_loop(self, w: Array) -> Array:
@@ -108,7 +110,8 @@ class Arm:
             psi = (1 - phi) / x if x > 1e-4 else 0.5 - x / 6 + x * x / 24
             rate = speed - e.c0 * abs(speed) * self.z[i] / g
             damping = e.c1 * np.exp(-((speed / e.omega_d) ** 2))
-            torques[i] = e.c0 * (self.z[i] + T * rate * psi) + damping * rate * phi + e.c2 * speed
+            torques[i] = e.c0 * (self.z[i] + T * rate * psi) + damping * rate * phi
+            torques[i] += e.c2 * speed * max(abs(speed), 1e-3) ** (e.alpha - 1)
             self.z[i] += T * rate * phi
         return torques
 
@@ -128,12 +131,24 @@ class Arm:
         self.theta = self.count * np.round(angle / self.count)
 
 
-def test_the_page_suffices_to_write_the_loop_again(shipped: Setup) -> None:
+EXPONENTS = {
+    "friction.joint_1.alpha": 0.6,
+    "friction.joint_2.alpha": 0.8,
+    "friction.joint_5_6.alpha": 1.3,
+    "controller.viscous_exponent[0]": 0.6,
+    "controller.viscous_exponent[1]": 0.9,
+    "controller.viscous_exponent[5]": 1.2,
+}
+
+
+@pytest.mark.parametrize("changes", [{}, EXPONENTS], ids=["as shipped", "viscous exponents"])
+def test_the_page_suffices_to_write_the_loop_again(shipped: Setup, changes: dict[str, float]) -> None:
     """Joints, bristles and motor torques of a move and of the rest after it agree to rounding, tick by tick."""
+    setup = with_parameters(shipped, changes)
     points = TrajectoryPoints(np.array([0.0, SECONDS]), np.array([START, GOAL]), np.zeros((2, 6)), np.zeros((2, 6)))
-    ours = simulate(shipped, points, START, TICKS * T, record_fast=True)
+    ours = simulate(setup, points, START, TICKS * T, record_fast=True)
     assert ours.fast is not None
-    arm, controller = Arm(shipped), Controller(shipped)
+    arm, controller = Arm(setup), Controller(setup)
     joints, bristles, motors = [], [], []
     for k in range(TICKS):
         if k % RATIO == 0:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import FITTED, Part
+from rx90_emulator.identification.excitation.friction.law import FITTED, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.models import FittedElement
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
@@ -77,14 +77,12 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
     part = _PART_OF.get(name)
     if part is not None and part not in one.shape.parts:
         return refusal(part)
+    weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST * value if name in _WEAK else math.inf)
     checks = (
         (not one.linear.any(), "the element does not move"),
         (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),
-        (name in ("c2", "alpha") and one.linear[1] <= 0.0, "no viscous friction shows: the best value is 0"),
+        (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, "no viscous friction shows: the best value is 0"),
         (not math.isfinite(value) or not math.isfinite(deviation), "the runs do not determine it"),
-        (
-            name in _WEAK and deviation > _LARGEST * value,
-            f"standard deviation {deviation:.3g} at a value of {value:.3g}",
-        ),
+        (weak, f"standard deviation {deviation:.3g} at a value of {value:.3g}"),
     )
     return next((reason for applies, reason in checks if applies), "")

@@ -1,0 +1,256 @@
+"""Block means of the plateaus of records, each block judged by its own velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.sliding.plateaus import SCALES, Bins, accelerates, plateau_ranges
+from rx90_emulator.identification.sliding.usage import (
+    ACCELERATES,
+    CHANGES,
+    LITTLE_TRAVEL,
+    REASONS,
+    RESTS,
+    RESTS_TRAVEL,
+    SETTLES,
+    SHORT,
+    UNSTEADY,
+    USED,
+    BagUse,
+)
+
+_SETTLE_TIME = 0.25  # s, for the servo loops after a change of velocity; their integrators' pole is near 20 /s
+_SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for the element to count as sliding
+_LONGEST_BLOCK = 0.25  # s
+_LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
+_SHORTEST_BLOCK = 8  # samples
+_OUTLIER = 5.0  # standard deviations from a block's median
+_OWN_VELOCITY = 0.75  # of the plateau's velocity that a block's may be off by
+
+SETTLE_DISTANCE = 5e-3
+"""Travel after which a bristle has its steady deflection, rad: ten times g or more for joints of this class."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Block means of plateaus: b blocks of n joints with n_el friction elements.
+
+    Attributes:
+        position: rad, shape (b, n).
+        velocity: of the straight line fitted to the plateau's velocity, rad/s, shape (b, n).
+        acceleration: slope of that line, rad/s^2, shape (b, n).
+        torque: drive torque, Nm, shape (b, n).
+        count: samples in each mean, shape (b,).
+        sliding: whether an element slides steadily, shape (b, n_el).
+        plateau: number of the plateau, shape (b,).
+        source: number of the record, shape (b,).
+        time: s, shape (b,).
+        noise: covariance of the torque's samples, Nm^2, shape (n, n).
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    count: Array
+    sliding: NDArray[np.bool_]
+    plateau: NDArray[np.int64]
+    source: NDArray[np.int64]
+    time: Array
+    noise: Array
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+
+def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks, tuple[BagUse, ...]]:
+    """Cut records into plateaus, and these into blocks; say what was used of each record.
+
+    Args:
+        records: of the same joints.
+        elements: E, joint velocities to input velocities of the friction elements, shape (n_el, n).
+
+    Raises:
+        IdentificationError: if no record holds a plateau in which an element slides.
+    """
+    parts: list[Blocks] = []
+    uses = []
+    for source, record in enumerate(records):
+        cut = _Cut(record, elements, source)
+        parts += cut.blocks(len(parts))
+        uses.append(cut.use())
+    if not parts:
+        each = "; ".join(
+            f"{record.source}: {', '.join(f'{s:.3g} s {why}' for why, s in use.reasons)}"
+            for record, use in zip(records, uses, strict=True)
+        )
+        raise IdentificationError(
+            f"{each or 'no bag'}: no stretch of constant velocity; accepted: sweeps at constant velocity"
+        )
+    joined = {field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blocks)}
+    weights = np.array([part.count.sum() for part in parts])
+    joined["noise"] = np.einsum("p,pij->ij", weights / weights.sum(), np.array([part.noise for part in parts]))
+    return Blocks(**joined), tuple(uses)
+
+
+class _Cut:
+    """Cuts one record into blocks, and keeps account of what each sample was used for."""
+
+    def __init__(self, record: JointRecord, elements: Array, source: int) -> None:
+        self._record, self._elements, self._source = record, elements, source
+        self._state = np.full(len(record.time), REASONS.index(CHANGES))
+        self._parts: list[Blocks] = []
+
+    def blocks(self, first: int) -> list[Blocks]:
+        """Return the blocks of each plateau; plateaus are numbered from `first` on."""
+        if len(self._record.time) < 2:
+            return []
+        period = float(np.median(np.diff(self._record.time)))
+        top = np.percentile(np.abs(self._record.velocity), 99.0, axis=0)
+        for seconds, fastest in SCALES:
+            free = self._state != REASONS.index(USED)
+            edges = np.flatnonzero(np.diff(free, prepend=False, append=False))
+            for begin, end in edges.reshape(-1, 2).tolist():
+                bins = Bins.of(self._record, slice(begin, end), period, seconds)
+                for start, stop in [] if bins is None else plateau_ranges(bins, top):
+                    assert bins is not None
+                    rows = slice(begin + start * bins.size, begin + stop * bins.size)
+                    self._take(rows, bins.size, fastest, first)
+        return self._parts
+
+    def use(self) -> BagUse:
+        """Return the account."""
+        velocities = [part.velocity @ self._elements.T * part.sliding for part in self._parts]
+        return BagUse.of(self._record, self._elements, self._state, velocities)
+
+    def _take(self, rows: slice, size: int, fastest: float, first: int) -> None:
+        """Add the blocks of one plateau, or say why there are none."""
+        record = self._record
+        duration = float(record.time[rows.stop - 1] - record.time[rows.start])
+        # Travel over time is more precise than the mean of the drive's velocities.
+        travel = np.abs(self._elements @ (record.position[rows.stop - 1] - record.position[rows.start]))
+        if travel.max() > fastest * duration:
+            return
+        sliding = travel * _SETTLE_SHARE >= SETTLE_DISTANCE
+        if not sliding.any():
+            self._mark(rows, LITTLE_TRAVEL if travel.max() > RESTS_TRAVEL else RESTS)
+            return
+        self._mark(rows, SETTLES)
+        start = self._settled(rows, sliding)
+        kept = slice(start, rows.stop)
+        for begin in (start, start + (rows.stop - start) // 2):  # the first half may be a slow start
+            kept = slice(begin, rows.stop)
+            if not accelerates(self._binned(kept, size), self._moving(sliding)):
+                break
+        else:
+            self._mark(kept, ACCELERATES)
+            return
+        self._add(kept, sliding, first + len(self._parts))
+
+    def _binned(self, rows: slice, size: int) -> Array:
+        count = (rows.stop - rows.start) // size
+        velocity = self._record.velocity[rows.start : rows.start + count * size]
+        return np.asarray(velocity.reshape(count, size, velocity.shape[1]).mean(axis=1))
+
+    def _mark(self, rows: slice | NDArray[np.int64], reason: str) -> None:
+        self._state[rows] = REASONS.index(reason)
+
+    def _moving(self, sliding: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which joints take part in the motion of an element that slides."""
+        return np.asarray((self._elements[sliding] != 0.0).any(axis=0))
+
+    def _settled(self, rows: slice, sliding: NDArray[np.bool_]) -> int:
+        """Return the sample from which on servo loops and bristles of the sliding elements are settled."""
+        record = self._record
+        inputs = record.position[rows] @ self._elements[sliding].T
+        along = inputs * np.sign(inputs[-1] - inputs[0])
+        gone = (along - np.minimum.accumulate(along, axis=0)).min(axis=1)
+        late = record.time[rows] - record.time[rows][0] >= _SETTLE_TIME
+        ready = np.flatnonzero(late & (gone >= SETTLE_DISTANCE))
+        return int(rows.start + ready[0]) if len(ready) else rows.stop
+
+    def _add(self, kept: slice, sliding: NDArray[np.bool_], plateau: int) -> None:
+        """Add the blocks of a settled plateau."""
+        record = self._record
+        count = kept.stop - kept.start
+        if count < _SHORTEST_BLOCK:
+            self._mark(kept, SHORT)
+            return
+        duration = float(record.time[kept.stop - 1] - record.time[kept.start])
+        speed = np.abs(self._elements @ (record.position[kept.stop - 1] - record.position[kept.start])) / duration
+        length = min(_LONGEST_BLOCK, _LONGEST_TRAVEL / max(float(speed.max()), 1e-9))
+        size = min(max(_SHORTEST_BLOCK, int(length * (count - 1) / duration)), count)
+        rows = kept.start + np.arange(count // size * size).reshape(-1, size)
+        self._mark(kept, SHORT)
+        self._mark(rows, UNSTEADY)
+        rows = rows[self._steady(rows, sliding)]
+        if len(rows) == 0:
+            return
+        self._mark(rows, USED)
+        mean_time = record.time[rows].mean(axis=1)
+        flat = rows.ravel()
+        velocity, acceleration = _line(record.time[flat], record.velocity[flat], mean_time[:, None])
+        torque = record.torque[rows]
+        mean, used = _robust_mean(torque)
+        steps = np.diff(torque, axis=1).reshape(-1, torque.shape[2])
+        part = Blocks(
+            position=record.position[rows].mean(axis=1),
+            velocity=velocity,
+            acceleration=acceleration,
+            torque=mean,
+            count=used,
+            sliding=np.tile(sliding, (len(rows), 1)),
+            plateau=np.full(len(rows), plateau),
+            source=np.full(len(rows), self._source),
+            time=mean_time,
+            noise=_clipped_covariance(steps) / 2.0,
+        )
+        self._parts.append(part)
+
+    def _steady(self, rows: NDArray[np.int64], sliding: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return which blocks, their samples' numbers in `rows` (b, m), have a velocity of their own near that of all.
+
+        Either the mean velocity or the travel over time may say so: the one is noisy, the other counts encoder steps.
+        """
+        record, elements = self._record, self._elements[sliding].T
+        time = record.time[rows[:, -1]] - record.time[rows[:, 0]]
+        travel = (record.position[rows[:, -1]] - record.position[rows[:, 0]]) @ elements / time[:, None]
+        steady = np.zeros(len(rows), dtype=np.bool_)
+        usual = (record.position[rows[-1, -1]] - record.position[rows[0, 0]]) @ elements
+        usual = usual / (record.time[rows[-1, -1]] - record.time[rows[0, 0]])
+        for own in (travel, record.velocity[rows].mean(axis=1) @ elements):
+            steady |= (np.abs(own - usual) <= _OWN_VELOCITY * np.abs(usual)).all(axis=1)
+        return steady
+
+
+def _line(time: Array, values: Array, at: Array) -> tuple[Array, Array]:
+    """Return the straight line through values (m, n) at the times `at` (b, 1), and its slope, both (b, n)."""
+    centre = time.mean()
+    spread = time - centre
+    slope = spread @ values / (spread @ spread)
+    return values.mean(axis=0) + (at - centre) * slope, np.tile(slope, (len(at), 1))
+
+
+def _robust_mean(samples: Array) -> tuple[Array, Array]:
+    """Return the means over axis 1 without outliers, shape (b, n), and how many samples are in the smallest."""
+    middle = np.median(samples, axis=1, keepdims=True)
+    distance = np.abs(samples - middle)
+    spread = 1.4826 * np.median(distance, axis=1, keepdims=True)
+    good = distance <= _OUTLIER * spread + 1e-12
+    used = good.sum(axis=1)
+    return np.where(good, samples, 0.0).sum(axis=1) / used, used.min(axis=1).astype(np.float64)
+
+
+def _clipped_covariance(steps: Array) -> Array:
+    """Return the second moment of the rows, shape (n, n), without rows that hold an outlier."""
+    spread = 1.4826 * np.median(np.abs(steps), axis=0)
+    good = (np.abs(steps) <= _OUTLIER * spread + 1e-12).all(axis=1)
+    rows = steps[good] if good.any() else steps
+    return np.asarray(rows.T @ rows / len(rows))

@@ -1,0 +1,264 @@
+"""Physically consistent inertias, held against point masses, NumPy, Pinocchio's regressor and a solver of SciPy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from foreign_arms import urdf_text
+from numpy.typing import NDArray
+from scipy.linalg import qr
+from scipy.optimize import least_squares
+
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.physical.cost import torque_cost
+from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
+from rx90_emulator.identification.excitation.physical.prior import InertialPrior
+from rx90_emulator.identification.excitation.physical.pseudo_inertia import (
+    central,
+    inertial_parameters,
+    is_body,
+    pseudo_inertia,
+)
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(11)
+JOINTS = ["a", "b", "c"]
+URDF = urdf_text(JOINTS, ["0 0 1", "0 1 0", "0 1 0"], [4.0, 3.0, 2.0])
+ROTORS = np.array([0.3, 0.2, 0.1])
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """Three joints with rotors; everything from Pinocchio's regressor.
+
+    Attributes:
+        matrix: torque columns of 30 inertial parameters and 3 rotors at 40 random motions, shape (120, 33).
+        mapping: to base parameters by a pivoted QR decomposition, shape (p, 33).
+        truth: a set of parameters that bodies have, other than the URDF's, shape (33,).
+    """
+
+    matrix: Array
+    mapping: Array
+    truth: Array
+
+    def estimate(self, value: Array, deviation: float) -> BaseEstimate:
+        """Return an estimate with the covariance of equal noise on all torques."""
+        base = self.matrix @ np.linalg.pinv(self.mapping)
+        covariance = deviation**2 * np.linalg.inv(base.T @ base)
+        names = tuple(f"base {i}" for i in range(len(self.mapping)))
+        return BaseEstimate(names, self.mapping, value, 0.5 * (covariance + covariance.T))
+
+
+def cloud(mass: float, place: Array, size: float) -> tuple[Array, Array]:
+    """Return six point masses: masses, shape (6,), and places, shape (6, 3)."""
+    share = RNG.uniform(0.5, 1.5, 6)
+    return mass * share / share.sum(), place + size * RNG.standard_normal((6, 3))
+
+
+def parameters_of(masses: Array, places: Array) -> Array:
+    """Return the ten parameters of point masses about the origin, by sums over them."""
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, places, strict=True))
+    xx, xy, xz, yy, yz, zz = np.asarray(inertia)[np.triu_indices(3)]
+    return np.array([masses.sum(), *(masses @ places), xx, xy, yy, xz, yz, zz])
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Arm:
+    """Return the arm."""
+    file = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    file.write_text(URDF)
+    q, v, a = RNG.uniform(-2.0, 2.0, (3, 40, 3))
+    links = RigidArm.from_urdf(file).regressor(q, v, a).reshape(120, 30)
+    matrix = np.hstack([links, (a[:, :, None] * np.eye(3)).reshape(120, 3)])
+    _, r, order = qr(matrix, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(r)) > 1e-9 * abs(r[0, 0])).sum())
+    mapping = np.zeros((rank, 33))
+    mapping[:, order] = np.linalg.solve(r[:rank, :rank], r[:rank])
+    links = [parameters_of(*cloud(m, np.array([0.0, 0.05, 0.15]), 0.08)) for m in (5.0, 4.0, 1.5)]
+    return Arm(matrix, mapping, np.concatenate([*links, 1.4 * ROTORS]))
+
+
+def assert_bodies(result: ConsistentInertias) -> None:
+    """Check by NumPy's eigenvalues that every part of a result can exist, also as its joint's sum."""
+    for pseudo in result.pseudo:
+        assert np.linalg.eigvalsh(pseudo)[0] > 0.0
+        _, _, inertia = central(pseudo)
+        moments = np.linalg.eigvalsh(inertia)
+        assert moments[0] > 0.0
+        assert moments[0] + moments[1] > moments[2]
+    assert (result.rotors > 0.0).all()
+
+
+def test_pseudo_inertia_is_that_of_point_masses() -> None:
+    """P is the sum of m (r, 1)(r, 1)^T; the ten parameters come back; fewer than four masses are no solid body."""
+    masses, places = cloud(3.0, np.array([0.1, -0.2, 0.4]), 0.1)
+    one = np.column_stack([places, np.ones(6)])
+    pseudo = pseudo_inertia(parameters_of(masses, places))
+    np.testing.assert_allclose(pseudo, (masses * one.T) @ one, atol=1e-14)
+    np.testing.assert_allclose(inertial_parameters(pseudo), parameters_of(masses, places), atol=1e-14)
+    mass, center, inertia = central(pseudo)
+    about = parameters_of(masses, places - masses @ places / 3.0)[[4, 5, 7, 6, 8, 9]]
+    assert mass == pytest.approx(3.0)
+    np.testing.assert_allclose(center, masses @ places / 3.0)
+    np.testing.assert_allclose(inertia[np.triu_indices(3)], about, atol=1e-14)
+    assert is_body(pseudo)
+    assert not is_body(pseudo_inertia(parameters_of(masses[:3], places[:3])))
+
+
+def test_consistent_truth_is_reproduced(arm: Arm) -> None:
+    """Base parameters of an arm that can exist come back to 1e-9, from a prior that is far off."""
+    prior = InertialPrior.of_urdf(URDF, JOINTS, ROTORS)
+    result = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e-9), prior)
+    np.testing.assert_allclose(arm.matrix @ result.parameters, arm.matrix @ arm.truth, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(result.base, arm.mapping @ arm.truth, rtol=1e-9, atol=1e-9)
+    assert_bodies(result)
+
+
+def nearest(arm: Arm, estimate: BaseEstimate) -> float:
+    """Return the least squared distance that consistent inertias have, by SciPy on log-Cholesky factors."""
+    white = np.linalg.inv(np.linalg.cholesky(estimate.covariance))
+    rows, columns = np.tril_indices(4)
+
+    def parameters(x: Array) -> Array:
+        factors = np.zeros((3, 4, 4))
+        factors[:, rows, columns] = x[:30].reshape(3, 10)
+        factors[:, range(4), range(4)] = np.exp(factors[:, range(4), range(4)])
+        links = inertial_parameters(factors @ factors.transpose(0, 2, 1))
+        return np.concatenate([links.ravel(), np.exp(x[30:])])
+
+    start = np.concatenate([np.tile(np.where(rows == columns, -1.5, 0.0), 3), np.log(ROTORS)])
+    found = least_squares(lambda x: white @ (arm.mapping @ parameters(x) - estimate.value), start, max_nfev=400)
+    return float(2.0 * found.cost)
+
+
+@pytest.mark.parametrize("spoiled", ["rotor", "moment"])
+def test_inconsistent_estimate_changes_least(arm: Arm, spoiled: str) -> None:
+    """Where no body has the estimate, all bodies exist in the end, within 5 % of the distance that SciPy finds."""
+    theta = arm.truth.copy()
+    if spoiled == "rotor":
+        theta[32] = -0.05
+    else:
+        theta[24:30] = [0.3, 0.0, 0.05, 0.0, 0.0, 0.05]  # Ixx > Iyy + Izz
+    estimate = arm.estimate(arm.mapping @ theta, 0.05)
+    result = consistent_inertias(estimate, InertialPrior.of_urdf(URDF, JOINTS, ROTORS))
+    assert_bodies(result)
+    least = nearest(arm, estimate) / len(estimate.value)
+    assert least > 1.0
+    assert least - 1e-6 <= result.distance**2 <= (1.0 + 0.3**2) * least + 1e-3
+    np.testing.assert_allclose(result.deviations, (result.base - estimate.value) / estimate.deviation)
+    white = np.linalg.solve(np.linalg.cholesky(estimate.covariance), result.shift)
+    assert np.sqrt(np.mean(white**2)) == pytest.approx(result.distance)
+
+
+def test_what_the_data_do_not_determine_counts_for_nothing(arm: Arm) -> None:
+    """The value of a parameter with an infinite deviation does not matter; springs and offsets may be anything."""
+    mapping = np.zeros((len(arm.mapping) + 1, 34))
+    mapping[:-1, :33], mapping[-1, 33] = arm.mapping, 1.0
+    inner = arm.estimate(arm.mapping @ arm.truth, 1e-4).covariance
+    covariance = np.zeros((len(mapping), len(mapping)))
+    covariance[:-1, :-1], covariance[-1, -1] = inner, 1e-6
+    covariance[2, :], covariance[:, 2] = 7.0, 7.0
+    covariance[2, 2] = np.inf
+    results = []
+    for nonsense in (-1e6, np.nan):
+        value = mapping @ np.append(arm.truth, -33.0)
+        value[2] = nonsense
+        estimate = BaseEstimate(tuple(map(str, value)), mapping, value, covariance)
+        results.append(consistent_inertias(estimate, InertialPrior.of_urdf(URDF, JOINTS, ROTORS)))
+    np.testing.assert_array_equal(results[0].parameters, results[1].parameters)
+    known = np.arange(len(mapping)) != 2
+    np.testing.assert_allclose(results[1].base[known], (mapping @ np.append(arm.truth, -33.0))[known], atol=1e-3)
+    assert results[1].shift[2] == results[1].deviations[2] == 0.0
+    assert_bodies(results[1])
+
+
+def test_prior_decides_what_the_data_leave_open(arm: Arm) -> None:
+    """With data of next to no weight the result is the prior; with a known tool its share stays, whatever the data."""
+    tool = (
+        '<link name="tool"><inertial><mass value="2"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+    )
+    tool += '</inertial></link><joint name="t" type="fixed"><origin xyz="0 0 0.3"/><parent link="c_link"/>'
+    tool += '<child link="tool"/></joint></robot>'
+    urdf = URDF.replace("</robot>", tool)
+    prior = InertialPrior.of_urdf(urdf, JOINTS, ROTORS, known=["tool"])
+    np.testing.assert_allclose(prior.known[2], [2.0, 0, 0, 0.6, 0.28, 0, 0.28, 0, 0, 0.1], atol=1e-15)
+    result = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e4), prior)
+    for pseudo, body in zip(result.pseudo, prior.bodies, strict=True):
+        np.testing.assert_allclose(pseudo, body.pseudo, rtol=1e-3, atol=1e-4)
+    strong = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e-3), prior)
+    np.testing.assert_allclose(
+        strong.parameters[20:30] - inertial_parameters(strong.pseudo[2]), prior.known[2], atol=1e-14
+    )
+    assert_bodies(strong)
+    both = InertialPrior.of_urdf(urdf, JOINTS, ROTORS)
+    assert [body.link for body in both.bodies] == ["a_link", "b_link", "c_link", "tool"]
+    shared = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e-6), both)
+    assert_bodies(shared)
+    np.testing.assert_allclose(arm.matrix @ shared.parameters, arm.matrix @ arm.truth, atol=1e-5)
+
+
+BARE = URDF.replace(URDF[URDF.index("<inertial>") : URDF.index("</inertial>") + len("</inertial>")], "", 1)
+SAME = urdf_text(JOINTS, ["0 0 1", "0 1 0", "0 1 0"], [1.0, 1.0, 1.0])
+FLAT = URDF.replace('iyy="0.08"', 'iyy="0.9"')
+
+
+@pytest.mark.parametrize(
+    ("urdf", "words"),
+    [(BARE, ["a_link at a: <inertial> is missing"]), (FLAT, ["a_link at a: <inertial> is none that a body can have"]),
+     (SAME, [f"{name}_link at {name}: <inertial> is the same for all links" for name in JOINTS])],
+    ids=["missing", "impossible", "placeholders"],
+)  # fmt: skip
+def test_prior_without_inertials(urdf: str, words: list[str]) -> None:
+    """What the URDF lacks begins as a body along the link, and the prior says so, for unknown rotors too."""
+    prior = InertialPrior.of_urdf(urdf, JOINTS, [0.0, 0.2, 0.1])
+    assert [text.split(";")[0] for text in prior.replaced[:-1]] == words
+    assert prior.replaced[-1].startswith("rotor of a: begins at ")
+    assert all(np.linalg.eigvalsh(body.pseudo)[0] > 0.0 for body in prior.bodies)
+    mass, center, inertia = central(prior.bodies[0].pseudo)
+    np.testing.assert_allclose(center, [0.0, 0.0, 0.2])  # joint b lies 0.4 m above joint a
+    radius, half = 0.4 / 6.0, 0.2
+    assert mass == pytest.approx(1500.0 * 4.0 / 3.0 * np.pi * radius**2 * half)
+    np.testing.assert_allclose(np.diag(inertia), mass / 5.0 * np.array([half**2 + radius**2] * 2 + [2 * radius**2]))
+
+
+@pytest.mark.parametrize("wrong", ["value", "variance", "mapping", "rotor", "joint"])
+def test_nonsense_is_refused(arm: Arm, wrong: str) -> None:
+    """Numbers that are none, variances of 0 and parameters of another arm are refused in one line."""
+    value = arm.mapping @ arm.truth
+    good = arm.estimate(value, 1.0)
+    rotors, joints = ROTORS, JOINTS
+    mapping, covariance = good.mapping, good.covariance.copy()
+    if wrong == "value":
+        value[3] = np.nan
+    elif wrong == "variance":
+        covariance[3, 3] = 0.0
+    elif wrong == "mapping":
+        mapping = mapping[:, :32]
+    elif wrong == "rotor":
+        rotors = np.array([0.1, -0.1, 0.1])
+    else:
+        joints = ["a", "b", "d"]
+    with pytest.raises(IdentificationError, match="accepted: ") as refusal:
+        consistent_inertias(
+            BaseEstimate(good.names, mapping, value, covariance), InertialPrior.of_urdf(URDF, joints, rotors)
+        )
+    assert "\n" not in str(refusal.value)
+
+
+def test_cost_is_what_the_shift_adds(arm: Arm) -> None:
+    """Torque and residuals of a shift are those of torques computed with and without it, joint by joint."""
+    joint, theta = np.arange(120) % 3 * (np.arange(120) % 3 != 1), arm.truth
+    moved = theta * RNG.uniform(0.9, 1.1, 33)
+    noise = RNG.standard_normal(120)
+    rows = arm.matrix @ np.linalg.pinv(arm.mapping)
+    cost = torque_cost(rows, joint, noise, arm.mapping @ (moved - theta), 3)
+    difference = arm.matrix @ (moved - theta)
+    for k in (0, 2):
+        mine = joint == k
+        assert cost.added[k] == pytest.approx(np.sqrt(np.mean(difference[mine] ** 2)))
+        assert cost.before[k] == pytest.approx(np.sqrt(np.mean(noise[mine] ** 2)))
+        assert cost.after[k] == pytest.approx(np.sqrt(np.mean((noise - difference)[mine] ** 2)))
+    assert cost.added[1] == cost.before[1] == cost.after[1] == 0.0
