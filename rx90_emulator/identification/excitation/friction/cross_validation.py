@@ -133,10 +133,9 @@ def _validation(squares: Array, other: Array, rows: Array, relative: float) -> C
     error, before = float(np.sqrt(squares.sum() / count)), float(np.sqrt(other.sum() / count))
     gain = before - error
     # Sums over blocks that are independent; the error is the root of their mean.
-    own = _sum_deviation(squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
-    difference = other - squares
-    paired = _sum_deviation(difference - rows * difference.sum() / count) / (count * max(before + error, 1e-300))
-    return CrossValidation(error, own, relative, gain, paired)
+    own = (squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
+    its = (other - rows * other.sum() / count) / (2.0 * count * max(before, 1e-300))
+    return CrossValidation(error, _sum_deviation(own), relative, gain, _sum_deviation(its - own))
 
 
 def _sum_deviation(parts: Array) -> float:
