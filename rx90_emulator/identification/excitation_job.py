@@ -7,6 +7,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from rx90_common.base.versions import versions
+from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
@@ -14,10 +15,11 @@ from rx90_emulator.identification.output.excitation.parameters_file import param
 from rx90_emulator.identification.output.excitation.report import report_page
 from rx90_emulator.identification.output.excitation.summary import excitation_summary
 from rx90_emulator.identification.output.files import check_folder, write_folder
+from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
 from rx90_emulator.identification.progress import steps
 
 REPORT, PARAMETERS = "report.html", "parameters.yaml"
-_FILES = (REPORT, PARAMETERS)
+_FILES = (REPORT, PARAMETERS, *FILES.values())
 
 
 def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
@@ -38,8 +40,31 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
     check_folder(folder, _FILES, force=force)
     date = datetime.now(timezone.utc)
     texts = {REPORT: report_page(result, date, versions()), PARAMETERS: parameters_text(result, date, versions())}
-    write_folder(folder, texts)
+    write_folder(folder, texts | _robot(result, date))
     return folder
+
+
+def _base(result: ExcitationIdentification) -> tuple[RobotFiles | None, str]:
+    """Return the files that the robot's folder begins with, None for no whole folder, and what that means."""
+    own = result.robot.setup
+    if own is not None and own.files is not None:
+        return own.files, f"what was not identified is that of {own.files.urdf.parent.name}"
+    assert result.robot.urdf is not None
+    return folder_base(result.problem.arm, result.robot.urdf)
+
+
+def _robot(result: ExcitationIdentification, date: datetime) -> dict[str, str]:
+    sources = tuple(bag for use, bag in result.bags if use == "excitation")
+    robot = IdentifiedRobot(
+        result.problem.arm,
+        result.inertias.bodies,
+        result.problem.base.standard,
+        result.elements,
+        result.robot.fallback_name,
+        sources,
+    )
+    assert result.robot.urdf is not None
+    return robot_texts(robot, result.robot.urdf, _base(result)[0], date)
 
 
 def run_excitation(
@@ -67,8 +92,9 @@ def run_excitation(
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     check_folder(output, _FILES, force=force)
-    with steps(len(bags) + 2 * len(validation) + 2) as step:
+    with steps(len(bags) + 2 * len(validation) + 3) as step:
         result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
     folder = write_excitation(result, output, force=force)
-    print(f"{excitation_summary(result)}\nreport: {folder / REPORT}\nparameters: {folder / PARAMETERS}")
+    print(f"{excitation_summary(result)}\nrobot: {folder}: {_base(result)[1]}")
+    print(f"report: {folder / REPORT}\nparameters: {folder / PARAMETERS}")
     return result.confirmed

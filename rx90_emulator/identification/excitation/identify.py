@@ -20,6 +20,7 @@ from rx90_emulator.identification.excitation.friction.identify import (
     identify_friction_parts,
     predicted_torque,
 )
+from rx90_emulator.identification.excitation.inertias import identify_inertias
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
@@ -70,7 +71,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot)
+    source = RecordedRobot.load(robot, massless=True)
     records = _read([*used, *unused], source, progress)
     fitted, unseen = records[: len(used)], records[len(used) :]
     _check_unused(fitted, unseen)
@@ -80,6 +81,8 @@ def identify_excitation(
     _check_motion(problem, source)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    progress("inertias")
+    inertias = identify_inertias(source, problem, friction.fit)
     checks = []
     for record in unseen:
         progress(record.source.name)
@@ -92,7 +95,8 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback),
-        base=base_parameters(problem, friction),
+        base=base_parameters(problem, friction, inertias),
+        inertias=inertias,
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),

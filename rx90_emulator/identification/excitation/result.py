@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.inertias import IdentifiedInertias
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
@@ -28,8 +29,7 @@ class BaseParameter:
         unit: SI.
         estimate: by weighted least squares, together with the friction.
         instrumental: by instrumental variables; None where there are no instruments.
-        consistent: its value by the physically consistent inertias; None where these were not asked for, and for
-            what is no inertia.
+        consistent: its value by the physically consistent inertias.
     """
 
     name: str
@@ -50,6 +50,7 @@ class ExcitationIdentification:
         friction: what was compared, and the friction that was kept.
         elements: of the friction, to simulate with, and what is known of each parameter.
         base: linear parameters but friction.
+        inertias: of bodies that can exist, near to the base parameters.
         torques: recorded against predicted, of each run that was used.
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
@@ -61,6 +62,7 @@ class ExcitationIdentification:
     friction: FrictionSelection
     elements: tuple[IdentifiedElement, ...]
     base: tuple[BaseParameter, ...]
+    inertias: IdentifiedInertias
     torques: tuple[RunTorques, ...]
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
@@ -77,15 +79,22 @@ class ExcitationIdentification:
         return next(row for row in reversed(self.friction.models) if row.kept)
 
 
-def base_parameters(problem: ExcitationProblem, friction: FrictionSelection) -> tuple[BaseParameter, ...]:
+def base_parameters(
+    problem: ExcitationProblem, friction: FrictionSelection, inertias: IdentifiedInertias
+) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
     values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
-    rows = zip(problem.names, problem.base.groups, values, deviations, strict=True)
+    consistent = inertias.bodies.base.tolist()
+    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
     return tuple(
-        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread))
-        for name, group, value, spread in rows
+        BaseParameter(name, group, _unit(name), _estimate(value, spread), consistent=near)
+        for name, group, value, spread, near in rows
     )
+
+
+def _unit(name: str) -> str:
+    return UNITS.get(name.split("_", maxsplit=1)[0].rstrip("R"), "kg m^2")
 
 
 def _estimate(value: float, deviation: float) -> ParameterEstimate:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class TorqueCost:
     after: Array
 
 
-def torque_cost(regressor: Array, joint: Array, residual: Array, shift: Array, count: int) -> TorqueCost:
+def torque_cost(regressor: Array, joint: Index, residual: Array, shift: Array, count: int) -> TorqueCost:
     """Return what a shift of the base parameters costs.
 
     Args:

@@ -45,6 +45,11 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             "reason": bandwidths.reason,
         },
         "base_parameters": {one.name: _base(one) for one in result.base},
+        "inertias": {
+            "distance": _rounded(result.inertias.bodies.distance),
+            "prior_weight": _rounded(result.inertias.bodies.prior_weight),
+            "remarks": list(result.inertias.lines),
+        },
         "friction": {
             name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
