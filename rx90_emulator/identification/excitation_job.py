@@ -7,15 +7,15 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from rx90_common.base.versions import versions
-from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.description.robot_files import FILES
 from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.output.excitation.parameters_file import parameters_text
 from rx90_emulator.identification.output.excitation.report import report_page
+from rx90_emulator.identification.output.excitation.robot import robot_files
 from rx90_emulator.identification.output.excitation.summary import excitation_summary
 from rx90_emulator.identification.output.files import check_folder, write_folder
-from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
 from rx90_emulator.identification.progress import steps
 
 REPORT, PARAMETERS = "report.html", "parameters.yaml"
@@ -39,32 +39,10 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
     folder = Path(folder)
     check_folder(folder, _FILES, force=force)
     date = datetime.now(timezone.utc)
-    texts = {REPORT: report_page(result, date, versions()), PARAMETERS: parameters_text(result, date, versions())}
-    write_folder(folder, texts | _robot(result, date))
+    robot, note = robot_files(result, date)
+    page = report_page(result, date, versions(), (*robot, note))
+    write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
     return folder
-
-
-def _base(result: ExcitationIdentification) -> tuple[RobotFiles | None, str]:
-    """Return the files that the robot's folder begins with, None for no whole folder, and what that means."""
-    own = result.robot.setup
-    if own is not None and own.files is not None:
-        return own.files, f"what was not identified is that of {own.files.urdf.parent.name}"
-    assert result.robot.urdf is not None
-    return folder_base(result.problem.arm, result.robot.urdf)
-
-
-def _robot(result: ExcitationIdentification, date: datetime) -> dict[str, str]:
-    sources = tuple(bag for use, bag in result.bags if use == "excitation")
-    robot = IdentifiedRobot(
-        result.problem.arm,
-        result.inertias.bodies,
-        result.problem.base.standard,
-        result.elements,
-        result.robot.fallback_name,
-        sources,
-    )
-    assert result.robot.urdf is not None
-    return robot_texts(robot, result.robot.urdf, _base(result)[0], date)
 
 
 def run_excitation(
@@ -95,6 +73,5 @@ def run_excitation(
     with steps(len(bags) + 2 * len(validation) + 3) as step:
         result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
     folder = write_excitation(result, output, force=force)
-    print(f"{excitation_summary(result)}\nrobot: {folder}: {_base(result)[1]}")
-    print(f"report: {folder / REPORT}\nparameters: {folder / PARAMETERS}")
+    print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed

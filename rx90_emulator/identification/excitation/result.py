@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90_emulator.identification.excitation.consistency import Consistency
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
-from rx90_emulator.identification.excitation.inertias import IdentifiedInertias
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import IdentifiedElement
@@ -28,16 +29,16 @@ class BaseParameter:
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
         estimate: by weighted least squares, together with the friction.
-        instrumental: by instrumental variables; None where there are no instruments.
         consistent: its value by the physically consistent inertias.
+        instrumental: by instrumental variables; None where there are no instruments.
     """
 
     name: str
     group: str
     unit: str
     estimate: ParameterEstimate
+    consistent: float
     instrumental: ParameterEstimate | None = None
-    consistent: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +46,13 @@ class ExcitationIdentification:
     """An arm's dynamics from excitation runs.
 
     Attributes:
-        robot: as it was described.
+        robot: that the runs come from.
+        options: that describe it.
         problem: the equations of the runs.
         friction: what was compared, and the friction that was kept.
         elements: of the friction, to simulate with, and what is known of each parameter.
         base: linear parameters but friction.
-        inertias: of bodies that can exist, near to the base parameters.
+        consistency: inertias that bodies can have, near to these.
         torques: recorded against predicted, of each run that was used.
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
@@ -58,11 +60,12 @@ class ExcitationIdentification:
     """
 
     robot: RecordedRobot
+    options: RobotOptions
     problem: ExcitationProblem
     friction: FrictionSelection
     elements: tuple[IdentifiedElement, ...]
     base: tuple[BaseParameter, ...]
-    inertias: IdentifiedInertias
+    consistency: Consistency
     torques: tuple[RunTorques, ...]
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
@@ -80,21 +83,17 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem, friction: FrictionSelection, inertias: IdentifiedInertias
+    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
 ) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
     values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
-    consistent = inertias.bodies.base.tolist()
+    consistent = consistency.inertias.base.tolist()
     rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
     return tuple(
-        BaseParameter(name, group, _unit(name), _estimate(value, spread), consistent=near)
+        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near)
         for name, group, value, spread, near in rows
     )
-
-
-def _unit(name: str) -> str:
-    return UNITS.get(name.split("_", maxsplit=1)[0].rstrip("R"), "kg m^2")
 
 
 def _estimate(value: float, deviation: float) -> ParameterEstimate:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.reading import BagReader
+from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -36,7 +37,6 @@ class RecordedRobot:
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
         record_time: whether the times of recording replace the stamps in the headers.
         zero: recorded angle of each joint where that of its URDF is 0, rad, shape (n,); None for 0.
-        urdf: file of its description, without a tool; None if the arm was not read from one.
     """
 
     arm: RigidArm
@@ -47,7 +47,6 @@ class RecordedRobot:
     torque_delay: float = 0.0
     record_time: bool = False
     zero: Array | None = None
-    urdf: Path | None = None
 
     @classmethod
     def load(cls, options: RobotOptions, *, massless: bool = False) -> RecordedRobot:
@@ -62,8 +61,6 @@ class RecordedRobot:
             ConfigError: for a file that cannot be used.
         """
         robot = _own(options) if options.urdf is None else _other(options, Path(options.urdf), massless=massless)
-        urdf = None if robot.setup is None or robot.setup.files is None else robot.setup.files.urdf
-        robot = replace(robot, urdf=Path(options.urdf) if options.urdf is not None else urdf)
         if options.zero is None:
             return robot
         n = len(robot.arm.names)
@@ -80,7 +77,7 @@ class RecordedRobot:
         """Return what to read of a bag: the motors' states where the rate matters and they are there.
 
         Raises:
-            BagError: if the bag cannot be read.
+            BagError: if the bag cannot be read, or is another robot's.
             IdentificationError: if it holds neither motor nor joint states.
         """
         return replace(self._layout(bag, fast=fast), record_time=self.record_time, zero=self.zero)
@@ -89,6 +86,7 @@ class RecordedRobot:
         if self.own_layout is not None:
             return self.own_layout
         assert self.setup is not None
+        check_robot(bag, self.setup.robot.model.name)
         motors, joints = BagLayout.rx90_motors(self.setup), BagLayout.rx90_joints(self.setup)
         with BagReader(bag) as reader:
             there = {topic.name for topic in reader.topics}

@@ -87,6 +87,8 @@ def _parameter(
             "provenance": "assumed", "value": value, "identifiable": False, "reason": estimate.reason,
             "taken_from": fallback_name, "bags": list(bags), "date": date,
         }  # fmt: skip
+    if not estimate.deviation:  # given, not estimated
+        return {"provenance": "assumed", "value": value, "bags": list(bags), "date": date}
     return {
         "provenance": "identified",
         "value": value,

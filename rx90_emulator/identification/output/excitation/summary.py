@@ -19,7 +19,6 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *_lacking(result),
         *_fits(result),
         f"model: {result.model.name}; {result.model.reason}",
-        *result.inertias.lines,
         *(f"drift: {one.text}" for one in result.trends),
         *(_verdict(check) for check in result.validations),
     ]
