@@ -73,7 +73,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot)
+    source = RecordedRobot.load(robot, massless=True)
     records = _read([*used, *unused], source, progress)
     fitted, unseen = records[: len(used)], records[len(used) :]
     _check_unused(fitted, unseen)
