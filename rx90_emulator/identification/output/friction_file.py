@@ -29,28 +29,39 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
         result: what was identified.
         now: date of the identification; by default the present.
     """
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now)
+
+
+def elements_text(
+    names: Sequence[str], elements: Sequence[IdentifiedElement], fallback_name: str | None, now: datetime | None = None
+) -> str:
+    """Return the text of a file with these elements.
+
+    Args:
+        names: of the elements.
+        elements: what was identified of each.
+        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        now: date of the identification; by default the present.
+    """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    fallback_name = result.fallback_name
     sources: dict[BagSource, str] = {}
-    for one in result.elements:
+    for one in elements:
         for bags in one.sources.values():
             for bag in bags:
                 sources.setdefault(bag, f"bag_{len(sources) + 1}")
-    names = result.arm.element_names
     source = f"{len(sources)} bags, {date}; omega_d is not identified"
     identification = {
         "date": date,
         "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": _date_of(bag.path)}
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": recorded(bag.path)}
             for bag, label in sources.items()
         },
         "parameters": {
-            name: _provenance(one, sources, date, fallback_name)
-            for name, one in zip(names, result.elements, strict=True)
+            name: _provenance(one, sources, date, fallback_name) for name, one in zip(names, elements, strict=True)
         },
     }
     return FrictionFile(
-        {name: _rounded_element(one.element) for name, one in zip(names, result.elements, strict=True)},
+        {name: _rounded_element(one.element) for name, one in zip(names, elements, strict=True)},
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
@@ -61,8 +72,9 @@ def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in PARAMETERS}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in PARAMETERS}
+    names = [name for name in PARAMETERS if name in one.estimates]
+    bags = {name: [labels[bag] for bag in one.sources[name]] for name in names}
+    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in names}
 
 
 def _parameter(
@@ -73,6 +85,8 @@ def _parameter(
             "provenance": "assumed", "value": value, "identifiable": False, "reason": estimate.reason,
             "taken_from": fallback_name, "bags": list(bags), "date": date,
         }  # fmt: skip
+    if not estimate.deviation:  # given, not estimated
+        return {"provenance": "assumed", "value": value, "bags": list(bags), "date": date}
     return {
         "provenance": "identified",
         "value": value,
@@ -92,7 +106,7 @@ def _rounded_element(element: LuGreElement) -> LuGreElement:
     return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
 
 
-def _date_of(path: Path) -> str:
+def recorded(path: Path) -> str:
     """Return when a bag's newest file was written: simulated bags carry no wall time."""
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     newest = max((file.stat().st_mtime for file in files), default=0.0)
