@@ -93,3 +93,12 @@ def test_friction_and_inertia_are_those_of_the_arm(bench: Bench, identified: Pat
     gravity = next(entry for name, entry in found["base_parameters"].items() if entry["group"].startswith("mz_2"))
     assert abs(gravity["value"] - mass * centre) < 4.0 * gravity["deviation"]
     assert gravity["unit"] == "kg m"
+
+
+def test_instrumental_variables_stand_beside(bench: Bench, identified: Path) -> None:
+    """Values by instrumental variables hold the truth, too, and a remark says which of both are taken."""
+    found = yaml.safe_load((identified / "parameters.yaml").read_text(encoding="utf-8"))
+    gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
+    other = gravity["instrumental_variables"]
+    assert abs(other["value"] - 3.0 * bench.model.inertias[2].lever[2]) < 4.0 * other["deviation"]
+    assert any("are taken" in text and "the measured path" in text for text in found["remarks"])
