@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, c
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts, viscous_sum
 from rx90_emulator.identification.output.robot.inertials import with_inertials
 from rx90_emulator.identification.output.robot.marking import Identified, marked
@@ -276,3 +278,17 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
     np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "deviation"),
+    [("tau_s_positive", 1e48, 1.0), ("c2", 1e7, 1.0), ("omega_s", 1e5, 1.0), ("c2", 1.0, math.nan)],
+)
+def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
+    """A friction value that no arm has, or whose deviation is no number, is refused by name in one line."""
+    good = element_of(LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
+    assert "tau_c: 1.0" in elements_text(["a"], [good], None)
+    estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
+    bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)
+    with pytest.raises(IdentificationError, match=f"^a: {parameter} came out as .*accepted: up to "):
+        elements_text(["a"], [bad], None)
