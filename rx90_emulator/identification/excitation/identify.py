@@ -12,6 +12,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.closed_loop_bias import compare_with_instruments
 from rx90_emulator.identification.excitation.consistency import make_consistent
 from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -43,6 +44,7 @@ def identify_excitation(
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
     bristles: bool = False,
+    instruments: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
@@ -55,6 +57,8 @@ def identify_excitation(
         validation: runs to predict, which are not used.
         tolerances: what counts as agreement with them.
         bristles: whether bristles along the motion are tried, too, which takes some times as long.
+        instruments: whether the model is fitted by instrumental variables, too, which tells a bias by noise in the
+            closed loop; it simulates the arm along the runs several times.
         progress: called with the name of each step before it.
 
     Returns:
@@ -81,6 +85,10 @@ def identify_excitation(
     _check_motion(problem, source)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    comparison = None
+    if instruments:
+        progress("instrumental variables")
+        comparison = compare_with_instruments(problem, friction)
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     checks = []
@@ -98,11 +106,12 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback),
-        base=base_parameters(problem, friction, consistency),
+        base=base_parameters(problem, friction, consistency, comparison),
         consistency=consistency,
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
+        instruments=comparison,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from rx90_emulator.identification.excitation.consistency import Consistency
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
@@ -57,6 +58,7 @@ class ExcitationIdentification:
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
+        instruments: least squares against instrumental variables; None where these were not asked for.
     """
 
     robot: RecordedRobot
@@ -70,6 +72,7 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
+    instruments: InstrumentalComparison | None = None
 
     @property
     def confirmed(self) -> bool:
@@ -83,16 +86,26 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
+    problem: ExcitationProblem,
+    friction: FrictionSelection,
+    consistency: Consistency,
+    instruments: InstrumentalComparison | None = None,
 ) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
     values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
     consistent = consistency.inertias.base.tolist()
-    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
+    others: list[ParameterEstimate | None] = [None] * count
+    if instruments is not None:
+        other = instruments.instrumental
+        pairs = zip(other.value[:count].tolist(), other.deviation[:count].tolist(), strict=True)
+        others = [_estimate(value, spread) for value, spread in pairs]
+    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, others, strict=True)
     return tuple(
-        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near)
-        for name, group, value, spread, near in rows
+        BaseParameter(
+            name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near, other
+        )
+        for name, group, value, spread, near, other in rows
     )
 
 
