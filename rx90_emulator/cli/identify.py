@@ -48,8 +48,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "which takes some times as long")  # fmt: skip
-    bags.add_argument("--instruments", action="store_true", help="with --excitation: compare with instrumental "
-                      "variables, which tell a bias by noise in the closed loop; takes minutes")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
@@ -111,7 +109,7 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
     tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
     return run_excitation(
         options.excitation, robot, options.validation, tolerances, options.output,
-        bristles=options.bristles, instruments=options.instruments, force=options.force,
+        bristles=options.bristles, force=options.force,
     )  # fmt: skip
 
 

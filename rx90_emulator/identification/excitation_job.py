@@ -53,29 +53,25 @@ def run_excitation(
     output: Path,
     *,
     bristles: bool = False,
-    instruments: bool = False,
     force: bool = False,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
 
     Args:
-        bags: as in `identify_excitation`, as are robot, validation, tolerances, bristles, instruments.
+        bags: as in `identify_excitation`, as are robot, validation, tolerances and bristles.
         robot: that they come from.
         validation: runs to predict.
         tolerances: of the validation.
         output: folder; checked before anything long begins.
         bristles: whether they are tried.
-        instruments: whether instrumental variables are compared.
         force: whether files that exist are replaced.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     check_folder(output, _FILES, force=force)
-    with steps(len(bags) + 2 * len(validation) + 3 + instruments) as step:
-        result = identify_excitation(
-            bags, robot, validation, tolerances, bristles=bristles, instruments=instruments, progress=step
-        )
+    with steps(len(bags) + 2 * len(validation) + 4) as step:
+        result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed

@@ -58,7 +58,7 @@ class ExcitationIdentification:
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
-        instruments: least squares against instrumental variables; None where these were not asked for.
+        instruments: least squares against instrumental variables.
     """
 
     robot: RecordedRobot
@@ -72,7 +72,7 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
-    instruments: InstrumentalComparison | None = None
+    instruments: InstrumentalComparison
 
     @property
     def confirmed(self) -> bool:
@@ -86,26 +86,16 @@ class ExcitationIdentification:
 
 
 def base_parameters(
-    problem: ExcitationProblem,
-    friction: FrictionSelection,
-    consistency: Consistency,
-    instruments: InstrumentalComparison | None = None,
+    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
 ) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
     values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
     consistent = consistency.inertias.base.tolist()
-    others: list[ParameterEstimate | None] = [None] * count
-    if instruments is not None:
-        other = instruments.instrumental
-        pairs = zip(other.value[:count].tolist(), other.deviation[:count].tolist(), strict=True)
-        others = [_estimate(value, spread) for value, spread in pairs]
-    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, others, strict=True)
+    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
     return tuple(
-        BaseParameter(
-            name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near, other
-        )
-        for name, group, value, spread, near, other in rows
+        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near)
+        for name, group, value, spread, near in rows
     )
 
 

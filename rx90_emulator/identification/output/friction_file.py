@@ -20,6 +20,7 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
+_NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
 def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
@@ -72,9 +73,10 @@ def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    names = [name for name in PARAMETERS if name in one.estimates]
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in names}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in names}
+    names = [*PARAMETERS, *(name for name in one.estimates if name not in PARAMETERS)]
+    bags = {name: [labels[bag] for bag in one.sources.get(name, ())] for name in names}
+    estimates = {name: one.estimates.get(name, _NOT_FITTED) for name in names}
+    return {name: _parameter(values[name], estimates[name], bags[name], date, fallback_name) for name in names}
 
 
 def _parameter(

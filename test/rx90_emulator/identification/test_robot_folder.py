@@ -24,7 +24,7 @@ from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, c
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
+from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts, viscous_sum
 from rx90_emulator.identification.output.robot.inertials import with_inertials
 from rx90_emulator.identification.output.robot.marking import Identified, marked
 from rx90_emulator.identification.records.record import BagSource
@@ -237,3 +237,37 @@ def test_each_value_of_a_block_says_where_it_comes_from() -> None:
     }  # fmt: skip
     twice = marked(once, {"b": Identified(4, "identified", "bags")})
     assert twice == {"provenance": "identified", "source": "bags", "note": "n", "a": 3, "b": 4}
+
+
+def test_noisy_tx40_stays_a_robot() -> None:
+    """The TX40's base parameters from torques with 1 % noise give bodies, with and without a prior, and its torques."""
+    arm = RigidArm.from_setup(Setup.load(RobotFiles.named("tx40")))
+    columns = StandardColumns(arm)
+    groups, rng = BaseGroups.of(columns), np.random.default_rng(1)
+    q, v, a = rng.uniform(-1.0, 1.0, (3, 60, 6)) * np.array([3.0, 2.0, 5.0])[:, None, None]
+    rows, theta = columns.torque(q, v, a).reshape(360, -1), columns.values()
+    base = rows[:, list(groups.leading)]
+    noise = 0.01 * np.sqrt(np.mean((rows @ theta) ** 2))
+    found = np.linalg.lstsq(base, rows @ theta + noise * rng.standard_normal(360), rcond=None)[0]
+    estimate = BaseEstimate(groups.names, groups.combination, found, noise**2 * np.linalg.inv(base.T @ base))
+    urdf = RobotFiles.named("tx40").urdf
+    blank = re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL)
+    for text in (urdf.read_text(), blank):
+        result = consistent_inertias(estimate, InertialPrior.of_urdf(text, arm.names, [0.0] * 6))
+        assert all(np.linalg.eigvalsh(pseudo)[0] > 0.0 for pseudo in result.pseudo)
+        assert result.distance < 1.0
+        assert np.sqrt(np.mean((rows @ (result.parameters - theta)) ** 2)) < 0.5 * noise
+
+
+def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
+    """Motor 6 turns against two elements: of different exponents, their sum is met within 2 % at speeds that matter."""
+    written = yaml.safe_load(case.files.controller.read_text())["feed_forward"]
+    assert written["viscous_friction"] == [14.0, 14.0, 7.0, 2.0, 1.5, 0.7]
+    assert written["viscous_exponent"] == [1.0] * 6
+    assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
+    parts = [
+        LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=alpha) for c2, alpha in ((2.0, 0.6), (1.0, 1.0))
+    ]
+    c2, alpha = viscous_sum([bent, straight], 8.0)
+    speed = np.linspace(1.5, 9.0, 20)
+    np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)

@@ -103,7 +103,7 @@ def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, 
 
 
 def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
-    """Return the covariance of an element's parameters in FITTED, shape (7, 7); 0 for what is not fitted."""
+    """Return the covariance of an element's parameters in FITTED, shape (8, 8); 0 for what is not fitted."""
     result = np.zeros((len(FITTED), len(FITTED)))
     offset = len(covariance) - len(inner)
     rows = [offset + k for k, (e, _) in enumerate(inner) if e == element]

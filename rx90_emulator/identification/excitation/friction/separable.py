@@ -49,7 +49,7 @@ class SeparableFit:
         return tuple(found)
 
 
-_SHAPED = {"alpha": 1, "rise": 0, "omega_s": 0, "stiffness": 0}
+_SHAPED = {"alpha": 1, "rise": 0, "omega_s": 0, "delta": 0, "stiffness": 0}
 
 
 def fit_shapes(
