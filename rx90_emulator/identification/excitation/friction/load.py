@@ -16,7 +16,7 @@ from rx90_emulator.identification.excitation.friction.law import COULOMB
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.load_friction import load_dependent
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _LEAST = 1e-6  # Nm, of a load that elements' friction is compared with
 _SIGNIFICANT = 2.0  # deviations of the coefficient from 0
@@ -61,3 +61,26 @@ def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     found = LoadDependence(value, deviation, wide.value[:-1] - without.value)
     return found if found.significant else found._replace(shift=np.zeros_like(found.shift))
+
+
+def load_dependent(problem: ExcitationProblem, parameters: Array) -> tuple[tuple[str, ...], Array]:
+    """Return names and columns, one for each element: |load| sign(v), Nm per unit of relative growth; (r, n_el).
+
+    Where friction grows with the load and the model does not say so, Coulomb torques come out as those at the mean
+    load, with deviations that know nothing of it. With these columns they are the torques of the unloaded gear.
+
+    Args:
+        problem: r rows.
+        parameters: values of the problem's b base parameters, from a fit without these columns, shape (b,): they give
+            the torque of the arm alone, which is the load. An element of a motor that turns with several joints
+            carries the torque of that motor.
+    """
+    arm = problem.arm
+    n = len(arm.names)
+    together = [k for k in range(n) if np.count_nonzero(arm.coupling[k]) > 1]
+    along = []
+    for run, bare in zip(problem.runs, problem.bare_torque(parameters), strict=True):
+        motors = bare @ np.linalg.inv(arm.coupling)
+        load = np.abs(np.hstack([bare, motors[:, together]]))
+        along.append((load * np.sign(run.velocity @ arm.element_matrix.T))[:, :, None])
+    return tuple(f"{name}.load" for name in arm.element_names), problem.element_rows(along)
