@@ -149,19 +149,6 @@ class ExcitationProblem:
 
         return self._gathered(rows_of)
 
-    def bare_torque(self, parameters: Array) -> list[Array]:
-        """Return each run's joint torques without friction and payload, Nm, shape (m, n), at the full rate.
-
-        Args:
-            parameters: of the base, shape (b,).
-        """
-        result = []
-        for run in self.runs:
-            blocks = (slice(k, k + BLOCK) for k in range(0, len(run.time), BLOCK))
-            parts = [_columns(self, run, samples)[:, :, list(self.base.leading)] @ parameters for samples in blocks]
-            result.append(np.concatenate(parts))
-        return result
-
     def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
         """Return the same rows with the columns of other motions, one for each run at its times.
 
