@@ -26,6 +26,7 @@ from rx90_emulator.identification.excitation.friction.identify import (
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
+from rx90_emulator.identification.excitation.zeros import check_zeros
 from rx90_emulator.identification.identify import check_range
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -81,6 +82,7 @@ def identify_excitation(
     bandwidths = Bandwidths.of(fitted)
     problem = ExcitationProblem.of(source.arm, _filtered(fitted, source, bandwidths))
     _check_motion(problem, source)
+    zeros = check_zeros(problem, source.zero)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
     progress("instrumental variables")
@@ -109,6 +111,7 @@ def identify_excitation(
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
         instruments=closed_loop,
+        zeros=zeros,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 

@@ -11,6 +11,7 @@ from rx90_emulator.identification.excitation.friction.models import FrictionSele
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
+from rx90_emulator.identification.excitation.zeros import ZeroCheck
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -59,6 +60,7 @@ class ExcitationIdentification:
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
         instruments: least squares against instrumental variables.
+        zeros: which encoder zeros seem wrong.
     """
 
     robot: RecordedRobot
@@ -73,6 +75,7 @@ class ExcitationIdentification:
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
     instruments: InstrumentalComparison
+    zeros: ZeroCheck
 
     @property
     def confirmed(self) -> bool:

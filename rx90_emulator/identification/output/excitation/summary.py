@@ -18,6 +18,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         _friction(result),
         *_lacking(result),
         *_fits(result),
+        *([f"zeros: {result.zeros.text}"] if result.zeros.text else []),
         f"model: {result.model.name}; {result.model.reason}",
         f"closed loop: {result.instruments.reason}",
         *(f"drift: {one.text}" for one in result.trends),
