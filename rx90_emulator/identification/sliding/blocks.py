@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Blocks:
         sliding: whether an element slides steadily, shape (b, n_el).
         plateau: number of the plateau, shape (b,).
         source: number of the record, shape (b,).
-        time: s, shape (b,).
+        time: in the series, s, shape (b,).
         noise: covariance of the torque's samples, Nm^2, shape (n, n).
     """
 
@@ -82,8 +83,8 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     """
     parts: list[Blocks] = []
     uses = []
-    for source, record in enumerate(records):
-        cut = _Cut(record, elements, source)
+    for source, (record, begin) in enumerate(zip(records, _beginnings(records), strict=True)):
+        cut = _Cut(record, elements, source, begin)
         parts += cut.blocks(len(parts))
         uses.append(cut.use())
     if not parts:
@@ -100,11 +101,20 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     return Blocks(**joined), tuple(uses)
 
 
+def _beginnings(records: Sequence[JointRecord]) -> list[float]:
+    """Return when each record begins in the series, s: by its stamps, or one behind the other where these overlap."""
+    order = sorted(records, key=lambda record: float(record.time[0]))
+    if all(a.time[-1] <= b.time[0] for a, b in pairwise(order)):
+        return [float(record.time[0]) for record in records]
+    lasting = [float(record.time[-1] - record.time[0]) for record in records]
+    return [sum(lasting[:k]) for k in range(len(records))]
+
+
 class _Cut:
     """Cuts one record into blocks, and keeps account of what each sample was used for."""
 
-    def __init__(self, record: JointRecord, elements: Array, source: int) -> None:
-        self._record, self._elements, self._source = record, elements, source
+    def __init__(self, record: JointRecord, elements: Array, source: int, begin: float) -> None:
+        self._record, self._elements, self._source, self._begin = record, elements, source, begin
         self._state = np.full(len(record.time), REASONS.index(CHANGES))
         self._parts: list[Blocks] = []
 
@@ -209,7 +219,7 @@ class _Cut:
             sliding=np.tile(sliding, (len(rows), 1)),
             plateau=np.full(len(rows), plateau),
             source=np.full(len(rows), self._source),
-            time=mean_time,
+            time=mean_time - record.time[0] + self._begin,
             noise=_clipped_covariance(steps) / 2.0,
         )
         self._parts.append(part)
