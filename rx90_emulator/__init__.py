@@ -20,7 +20,8 @@ Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepB
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
-                ValidationTolerances
+                ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
+                write_excitation, ExcitationIdentification, ExcitationTolerances
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
@@ -55,13 +56,21 @@ if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
+    from rx90_emulator.identification.excitation.identify import identify_excitation
+    from rx90_emulator.identification.excitation.result import ExcitationIdentification
+    from rx90_emulator.identification.excitation_job import write_excitation
     from rx90_emulator.identification.experiments.folder import IdentificationBags
     from rx90_emulator.identification.experiments.job import plan_experiments, record_on_engine
     from rx90_emulator.identification.experiments.plan import Experiment
     from rx90_emulator.identification.friction_check import check_friction
     from rx90_emulator.identification.identify import identify_friction
     from rx90_emulator.identification.job import write_identification
-    from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+    from rx90_emulator.identification.model.options import (
+        ExcitationTolerances,
+        RobotOptions,
+        ValidationTolerances,
+    )
+    from rx90_emulator.identification.output.excitation.summary import excitation_summary
     from rx90_emulator.identification.output.summary import identification_summary
     from rx90_emulator.identification.result.identification import FrictionIdentification
     from rx90_emulator.identification.result.validation import Validation
@@ -81,6 +90,8 @@ if TYPE_CHECKING:
 __all__ = [
     "BagComparison",
     "Block",
+    "ExcitationIdentification",
+    "ExcitationTolerances",
     "Experiment",
     "FrictionFile",
     "FrictionIdentification",
@@ -117,7 +128,9 @@ __all__ = [
     "compare_bags",
     "compare_series",
     "comparison_text",
+    "excitation_summary",
     "identification_summary",
+    "identify_excitation",
     "identify_friction",
     "load_setup",
     "load_sweep_plan",
@@ -137,6 +150,7 @@ __all__ = [
     "simulate",
     "with_parameters",
     "write_bag",
+    "write_excitation",
     "write_identification",
     "write_joint_states",
 ]
@@ -156,13 +170,17 @@ _HOMES = {
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
+    "rx90_emulator.identification.excitation.identify": "identify_excitation",
+    "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
+    "rx90_emulator.identification.excitation_job": "write_excitation",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",
     "rx90_emulator.identification.experiments.job": "plan_experiments record_on_engine",
     "rx90_emulator.identification.experiments.plan": "Experiment",
     "rx90_emulator.identification.friction_check": "check_friction",
     "rx90_emulator.identification.identify": "identify_friction",
     "rx90_emulator.identification.job": "write_identification",
-    "rx90_emulator.identification.model.options": "RobotOptions ValidationTolerances",
+    "rx90_emulator.identification.model.options": "ExcitationTolerances RobotOptions ValidationTolerances",
+    "rx90_emulator.identification.output.excitation.summary": "excitation_summary",
     "rx90_emulator.identification.output.summary": "identification_summary",
     "rx90_emulator.identification.result.identification": "FrictionIdentification",
     "rx90_emulator.identification.result.validation": "Validation",

@@ -29,6 +29,12 @@ def shipped() -> Setup:
 
 
 @pytest.fixture(scope="session")
+def tx40() -> Setup:
+    """Return the setup of the TX40: its motor 4 turns against its joint, and it carries no tool."""
+    return Setup.load(RobotFiles.named("tx40"))
+
+
+@pytest.fixture(scope="session")
 def shipped_files() -> RobotFiles:
     """Return the paths of the shipped files."""
     return RobotFiles()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.wrist import coupled_inertia
 
@@ -18,7 +18,7 @@ class DriveParameters:
     """Six drives; every array has shape (6,), motor 6 drives joints 5 and 6 together.
 
     Attributes:
-        gear: motor revolutions per joint revolution.
+        gear: motor revolutions per joint revolution; negative where they turn against each other.
         rotor_inertia: rotor inertia seen from the joint, kg m^2 (armature).
         torque_constant: motor torque per current, motor side, Nm/A.
         peak_current: the most the amplifier gives, A.
@@ -48,12 +48,16 @@ class DriveParameters:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = np.asarray(getattr(self, field.name))
-            if not np.all(np.isfinite(value)) or np.any(value < 0):
-                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers >= 0")
+            signed = field.name == "gear"
+            if not np.all(np.isfinite(value)) or not (signed or np.all(value >= 0)):
+                kind = "finite numbers other than 0" if signed else "finite numbers >= 0"
+                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: {kind}")
             shape = () if field.name == "velocity_bandwidth" else (6,)
             if value.shape != shape:
                 raise ConfigError(f"{field.name} has shape {value.shape}; accepted: {shape}")
-        for name in ("gear", "torque_constant", "peak_current", "encoder_counts", "velocity_bandwidth"):
+        if np.any(self.gear == 0):
+            raise ConfigError(f"gear is {self.gear}; accepted: numbers other than 0")
+        for name in ("torque_constant", "peak_current", "encoder_counts", "velocity_bandwidth"):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
 
@@ -82,7 +86,7 @@ def load_drives(path: Path) -> DriveParameters:
     blocks = ("transmission", "motor", "encoder", "brake", "spring", "end_stops")
     sections = {name: root.section(name) for name in blocks}
     parameters = DriveParameters(
-        gear=six("transmission", "gear"),
+        gear=_gears(sections["transmission"]),
         rotor_inertia=six("transmission", "rotor_inertia", above=False),
         torque_constant=six("motor", "torque_constant"),
         peak_current=six("motor", "peak_current"),
@@ -98,3 +102,11 @@ def load_drives(path: Path) -> DriveParameters:
     for section in (*sections.values(), root):
         section.finish()
     return parameters
+
+
+def _gears(section: Section) -> Array:
+    gears = section.numbers("gear", 6)
+    for i, gear in enumerate(gears):
+        if gear == 0.0:
+            section.refuse(f"gear[{i}]", gear, "6 numbers, each a finite number other than 0")
+    return np.array(gears)

@@ -31,6 +31,17 @@ def make_figure(rows: int, height: float, *, share_x: bool = True) -> tuple[Figu
         return figure, list(axes[:, 0])
 
 
+def make_grid(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure of the reports' width with `count` panels in columns, row by row, each `height` inches high."""
+    rows = -(-count // columns)
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.2, height * rows + 0.3), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False).ravel()
+        for spare in axes[count:]:
+            spare.remove()
+        return figure, list(axes[:count])
+
+
 def as_svg(figure: Figure) -> str:
     """Return the figure as an <svg> element; equal figures give equal text."""
     buffer = io.StringIO()

@@ -145,9 +145,10 @@ class CS7BParameters:
         """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
         record = np.zeros(1, CONTROLLER_DTYPE)
         law = record[0]
-        gear, gear_squared = drives.gear, drives.gear * drives.gear
+        gear_squared = drives.gear * drives.gear
+        gear = np.abs(drives.gear)  # limits and friction are the same in both directions of a motor
         switch = self.feed_forward
-        law["gear"] = gear
+        law["gear"] = drives.gear
         law["derivative"] = self.inertia * self.kv / gear_squared
         law["proportional"] = self.inertia * self.kv * self.kp / gear_squared
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period

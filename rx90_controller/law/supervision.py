@@ -61,7 +61,7 @@ class DriveFault(NamedTuple):
         worst, found = -1.0, None
         for quantity, unit, motor, motor_limit in candidates:
             value = _joint_side(law["gear"], motor)
-            limit = motor_limit / law["gear"]
+            limit = motor_limit / np.abs(law["gear"])
             share = np.nan_to_num(np.abs(value) / limit, nan=np.inf)
             joint = int(np.argmax(share))
             if share[joint] > worst:

@@ -12,12 +12,13 @@ from pathlib import Path
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
-from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 
 _USAGE = """\
 rx90_identify FOLDER --output FILE [options]
        rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
        rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]
+       rx90_identify --excitation BAG ... [--validation BAG ...] --output FOLDER [--urdf FILE] [options]
        rx90_identify --friction FILE --validation BAG ... [--report FILE] [options]"""
 _EPILOG = """\
 example of another robot, with currents of its motors on /arm/motors:
@@ -41,19 +42,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "presliding",
             "micro-oscillations, 500 samples per second or more; without them c0 and c1 are those of --fallback",
         ),
+        ("excitation", "runs in which all joints move, without plateaus: dynamics and friction of the whole arm"),
         ("validation", "a run to hold the result against, not used before"),
     ):
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
+    bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
+                      "which takes some times as long")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
-    result.add_argument("--output", type=Path, metavar="FILE", help="friction file to write (.yaml)")
+    result.add_argument("--output", type=Path, metavar="FILE", help="friction file to write (.yaml); with --excitation "
+                        "a folder for robot files, report and parameters")  # fmt: skip
     result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html; "
                         "with --friction none)")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
-    limits = ValidationTolerances()
-    result.add_argument("--torque-tolerance", type=POSITIVE, default=limits.torque, metavar="SHARE",
-                        help="RMS difference over RMS torque, of each joint (%(default)s)")  # fmt: skip
+    limits, wider = ValidationTolerances(), ExcitationTolerances()
+    result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
+                        help=f"RMS difference over RMS torque, of each joint ({limits.torque}; with --excitation "
+                        f"{wider.joint})")  # fmt: skip
+    result.add_argument("--total-torque-tolerance", type=POSITIVE, default=wider.total, metavar="SHARE",
+                        help="with --excitation: the same of all joints together (%(default)s)")  # fmt: skip
     result.add_argument("--worst-torque-tolerance", type=POSITIVE, default=limits.worst_torque, metavar="SHARE",
                         help="largest difference over largest torque, of each joint (%(default)s)")  # fmt: skip
     result.add_argument("--tip-tolerance", type=POSITIVE, default=limits.tip, metavar="M",
@@ -67,19 +75,45 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
-    limits = options.torque_tolerance, options.worst_torque_tolerance, options.tip_tolerance
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
-    if options.friction is not None:
-        confirmed, what = _check(options, robot, ValidationTolerances(*limits)), options.friction
+    what = "the result"
+    if options.excitation:
+        confirmed = _excitation(options, robot)
+    elif options.friction is not None:
+        confirmed, what = _check(options, robot), options.friction
     else:
-        confirmed, what = _identify(options, robot, ValidationTolerances(*limits)), "the result"
+        confirmed = _identify(options, robot)
     if confirmed:
         return DONE
     print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
     return VERDICT_NO
 
 
-def _identify(options: argparse.Namespace, robot: RobotOptions, tolerances: ValidationTolerances) -> bool:
+def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
+    torque = options.torque_tolerance or ValidationTolerances.torque
+    return ValidationTolerances(torque, options.worst_torque_tolerance, options.tip_tolerance)
+
+
+def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
+    from rx90_emulator.identification.excitation_job import run_excitation
+
+    others = [options.folder, *options.sliding, *options.presliding, options.friction, options.report]
+    unused = [str(one) for one in others if one is not None]
+    if unused:
+        raise IdentificationError(
+            f"{unused[0]} with --excitation; accepted: --validation BAG ... alone, and --output FOLDER"
+        )
+    if options.output is None:
+        raise IdentificationError("no --output; accepted: --output FOLDER, which the robot's files are written into")
+    joint = options.torque_tolerance or ExcitationTolerances.joint
+    tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
+    return run_excitation(
+        options.excitation, robot, options.validation, tolerances, options.output,
+        bristles=options.bristles, force=options.force,
+    )  # fmt: skip
+
+
+def _identify(options: argparse.Namespace, robot: RobotOptions) -> bool:
     # Here, because --help must not wait for them.
     from rx90_emulator.identification.experiments.folder import IdentificationBags
     from rx90_emulator.identification.job import run_identification
@@ -90,10 +124,10 @@ def _identify(options: argparse.Namespace, robot: RobotOptions, tolerances: Vali
     if options.folder is not None and single:
         raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
     bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
-    return run_identification(bags, robot, tolerances, options.output, options.report, force=options.force)
+    return run_identification(bags, robot, _tolerances(options), options.output, options.report, force=options.force)
 
 
-def _check(options: argparse.Namespace, robot: RobotOptions, tolerances: ValidationTolerances) -> bool:
+def _check(options: argparse.Namespace, robot: RobotOptions) -> bool:
     from rx90_emulator.identification.job import run_check
 
     others = [options.folder, *options.sliding, *options.presliding, options.output]
@@ -102,4 +136,5 @@ def _check(options: argparse.Namespace, robot: RobotOptions, tolerances: Validat
         raise IdentificationError(
             f"{unused[0]} with --friction; accepted: --validation BAG ... alone, for nothing is identified or written"
         )
-    return run_check(options.friction, options.validation, robot, tolerances, options.report, force=options.force)
+    tolerances, report = _tolerances(options), options.report
+    return run_check(options.friction, options.validation, robot, tolerances, report, force=options.force)

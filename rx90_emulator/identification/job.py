@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
@@ -19,9 +14,8 @@ from rx90_emulator.identification.output.files import check_targets, write_all
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, report_page
 from rx90_emulator.identification.output.summary import check_summary, identification_summary
+from rx90_emulator.identification.progress import steps
 from rx90_emulator.identification.result.identification import FrictionIdentification
-
-_BAR = "{desc:<40.40}{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
 
 
 def write_identification(
@@ -77,7 +71,7 @@ def run_identification(
     _targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
-    with _steps(total) as step:
+    with steps(total) as step:
         result = identify_friction(chosen, robot, tolerances, step)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
@@ -108,7 +102,7 @@ def run_check(
     """
     if report is not None:
         check_targets((report,), force=force)
-    with _steps(2 * len(bags)) as step:
+    with steps(2 * len(bags)) as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     if report is not None:
         write_all({report: check_page(checks, friction)})
@@ -116,18 +110,3 @@ def run_check(
     if report is not None:
         print(f"report: {report}")
     return all(check.passed for check in checks)
-
-
-@contextmanager
-def _steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Show a progress bar of `total` steps; call what is yielded with the name of each step before it."""
-    with ExitStack() as shown:
-        bars: list[tqdm[Any]] = []
-
-        def step(text: str) -> None:
-            if not bars:  # only now: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
-            bars[0].set_description_str(text)
-            bars[0].update()
-
-        yield step

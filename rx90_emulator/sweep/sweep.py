@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import platform
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, with_imports
+from rx90_common.base.versions import versions
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import apply
@@ -26,8 +26,6 @@ from rx90_emulator.sweep.runs import RunDescription, RunList
 PLANNED_LINES = 64
 RUN_COLUMNS = ("index", "block", "seed", "error")
 """Columns of the results beside parameters and metrics."""
-
-_PACKAGES = ("rx90_emulator", "numpy", "scipy", "numba", "pin")
 
 
 class RunOutcome(NamedTuple):
@@ -147,15 +145,3 @@ class Sweep:
 def run_hash() -> str:
     """Return a hash of all sources that take part in a run."""
     return sources_hash(with_imports([ROOT / "rx90_emulator/sweep/sweep.py"]))
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of the interpreter and of the libraries that decide the results."""
-    major, minor, _ = platform.python_version_tuple()
-    found = {"python": f"{major}.{minor}"}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed as a package"
-    return found

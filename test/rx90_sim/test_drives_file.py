@@ -61,8 +61,10 @@ def test_a_bad_value_in_a_list_is_refused(
 ) -> None:
     """One bad number of six is refused by file, key, index and value."""
     path = edited_yaml(shipped_files.drives, (*place, 4), value)
-    text = refusal(path)
-    assert f"{'.'.join(place)}[4] is {value!r};" in text
+    if place == ("transmission", "gear") and value == -1.5:  # a motor that turns against its joint
+        assert load_drives(path).gear[4] == -1.5
+    else:
+        assert f"{'.'.join(place)}[4] is {value!r};" in refusal(path)
 
 
 @pytest.mark.parametrize("place", SIX, ids=".".join)

@@ -11,7 +11,6 @@ from processes import Processes
 from ros_client import Client
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
-from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import executable
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
@@ -31,6 +30,8 @@ TOPICS = {
     "/rx90_controller/commanded_current",
     "/rx90_controller/motor_current",
 }
+REACH = {"rx90b": 0.6, "tx40": 0.33}
+"""How far in front of each robot the line is, m."""
 TASK = """
 line:
   provenance: assumed
@@ -54,22 +55,26 @@ def run_both_ways(
     around: Sequence[str] = ("/usr/bin/env",),
     composed: bool = False,
 ) -> BagComparison:
-    """Run the line both ways and compare all that was recorded, bit by bit.
+    """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
     process.
     """
+    files = setup.files
+    assert files is not None
     file = folder / "task.yaml"
-    file.write_text(TASK, encoding="utf-8")
+    file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)
     write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
     of_simulation = {
-        "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.0, "paused": True
+        "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.0, "paused": True,
+        "robot": str(files.urdf.parent),
     }  # fmt: skip
-    sections = {"rx90_sim": of_simulation, "rx90_controller": {"controller": RobotFiles().text("controller")}}
+    of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
+    sections = {"rx90_sim": of_simulation, "rx90_controller": of_controller}
     parameters.write_text(
         yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"
     )
@@ -77,7 +82,7 @@ def run_both_ways(
     simulation, *_ = [
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
-    line = processes.start("rx90_line", "--from-file", file, "--start-time", START)
+    line = processes.start("rx90_line", "--robot", files.urdf.parent.name, "--from-file", file, "--start-time", START)
     assert line.wait() == 0
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")

@@ -27,6 +27,7 @@ _ORDER = 4  # of the Butterworth filter, in each direction
 _STOP = 60.0  # dB, of the parallel filter beyond twice its bandwidth
 _ABOVE_FLOOR = 10.0  # power of a motion over the noise of its positions, up to which the filter lets it pass
 _MOVES = 1e3  # power at its peak over that floor, from which a joint counts as moving
+_SHORTEST = 64  # samples of a stretch whose spectrum is looked at
 _PER_MOTION = 10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
 _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
@@ -87,34 +88,26 @@ class Bandwidths:
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
     """Yield, for each joint that moves, where its spectrum meets the noise, and the band of its velocity, Hz."""
-    pieces = _pieces(record.time)
-    start, stop = max(pieces, key=lambda piece: piece[1] - piece[0])
-    time, position = record.time[start:stop], record.position[start:stop]
-    if stop - start < 64:
+    start, stop = max(_pieces(record.time), key=lambda piece: piece[1] - piece[0])
+    if stop - start < _SHORTEST:
         return
-    rate = _rate(time)
+    time, rate = record.time[start:stop], _rate(record.time[start:stop])
     even = _even(time, rate)
-    length = min(len(even), max(256, round(4.0 * rate)))
-    values = _resampled(time, position, even, 3)
-    frequency, power = welch(values, rate, nperseg=length, axis=0)
+    values = _resampled(time, record.position[start:stop], even, 3)
+    segment = min(len(even), max(256, round(4.0 * rate)))
+    frequency, power = welch(values, rate, nperseg=segment, axis=0)
+    # Bands a fifth of an octave wide at least: the median in a band ignores lines of ripple.
+    band = np.unique(np.round(5.0 * np.log2(np.maximum(np.arange(len(frequency)), 1))), return_inverse=True)[1]
+    edges = np.flatnonzero(np.diff(band, prepend=-1))
     for column in power.T:
-        floor = float(np.median(column[frequency > rate / 4.0]))
-        smooth = _smoothed(column)
-        peak = int(np.argmax(smooth))
-        lost = np.flatnonzero(smooth[peak:] < _ABOVE_FLOOR * max(floor, 1e-30))
-        if smooth[peak] > _MOVES * max(floor, 1e-30):
-            crossing = frequency[peak + lost[0] if len(lost) else -1]
-            velocity = np.cumsum(column * frequency**2)
-            yield float(crossing), float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
-
-
-def _smoothed(power: Array) -> Array:
-    """Return the median over neighbouring frequencies, a tenth of the frequency wide: lines of ripple drop out."""
-    result = power.copy()
-    for k in range(len(power)):
-        width = max(1, k // 10)
-        result[k] = np.median(power[max(0, k - width) : k + width + 1])
-    return result
+        floor = max(float(np.median(column[frequency > 0.25 * rate])), 1e-30)
+        typical = np.array([np.median(part) for part in np.split(column, edges[1:])])
+        peak = int(np.argmax(typical))
+        lost = np.flatnonzero(typical[peak:] < _ABOVE_FLOOR * floor)
+        if typical[peak] > _MOVES * floor:
+            crossing = float(frequency[edges[peak + lost[0]] if len(lost) else -1])
+            velocity = np.cumsum(np.where(frequency < crossing, column, 0.0) * frequency**2)
+            yield crossing, float(frequency[np.searchsorted(velocity, 0.95 * velocity[-1])])
 
 
 @dataclass(frozen=True, eq=False)

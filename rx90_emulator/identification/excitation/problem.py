@@ -92,7 +92,7 @@ class ExcitationProblem:
         empty = np.zeros(len(rows["run"]))
         bare = cls(arm, tuple(runs), columns, base, **rows, torque=empty, payload=empty, regressor=empty)
         recorded = bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
-        regressor, payload = bare._stacked(carried)
+        regressor, payload = _stacked(bare, carried)
         return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
 
     def __len__(self) -> int:
@@ -148,7 +148,7 @@ class ExcitationProblem:
         result = []
         for run in self.runs:
             blocks = (slice(k, k + BLOCK) for k in range(0, len(run.time), BLOCK))
-            parts = [self._columns(run, samples)[:, :, list(self.base.leading)] @ parameters for samples in blocks]
+            parts = [_columns(self, run, samples)[:, :, list(self.base.leading)] @ parameters for samples in blocks]
             result.append(np.concatenate(parts))
         return result
 
@@ -162,33 +162,33 @@ class ExcitationProblem:
             for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
         )
         other = replace(self, runs=runs)
-        return replace(other, regressor=other._stacked([None] * len(runs))[0])
-
-    def _columns(self, run: FilteredRun, samples: slice) -> Array:
-        return self.columns.torque(run.position[samples], run.velocity[samples], run.acceleration[samples])
-
-    def _stacked(self, payloads: Sequence[Payload | None]) -> tuple[Array, Array]:
-        """Return the filtered columns of the base parameters and the torque of payloads, shape (r, b) and (r,)."""
-        leading, n = list(self.base.leading), len(self.arm.names)
-        regressor, payload = np.zeros((len(self.run), len(leading))), np.zeros(len(self.run))
-        for number, (run, body) in enumerate(zip(self.runs, payloads, strict=True)):
-            for samples, rows in run.blocks():
-                values = self._columns(run, samples)
-                here = self._rows_between(number, rows)
-                place = self.place[here] - rows.start
-                regressor[here] = run.parallel(values[:, :, leading])[place, self.joint[here]]
-                if body is not None:
-                    torque = values[:, :, 10 * n - 10 : 10 * n] @ body.parameters()
-                    payload[here] = run.parallel(torque)[place, self.joint[here]]
-        return regressor, payload
-
-    def _rows_between(self, number: int, places: slice) -> Index:
-        inside = (self.run == number) & (self.place >= places.start) & (self.place < places.stop)
-        return np.flatnonzero(inside)
+        return replace(other, regressor=_stacked(other, [None] * len(runs))[0])
 
     def _gathered(self, rows_of: Callable[[int, Index], Array]) -> Array:
         """Return rows that are made run by run."""
         return np.concatenate([rows_of(k, np.flatnonzero(self.run == k)) for k in range(len(self.runs))])
+
+
+def _columns(problem: ExcitationProblem, run: FilteredRun, samples: slice) -> Array:
+    motion = run.position[samples], run.velocity[samples], run.acceleration[samples]
+    return problem.columns.torque(*motion)
+
+
+def _stacked(problem: ExcitationProblem, payloads: Sequence[Payload | None]) -> tuple[Array, Array]:
+    """Return the filtered columns of the base parameters and the torque of payloads, shape (r, b) and (r,)."""
+    leading, n = list(problem.base.leading), len(problem.arm.names)
+    regressor, payload = np.zeros((len(problem.run), len(leading))), np.zeros(len(problem.run))
+    for number, (run, body) in enumerate(zip(problem.runs, payloads, strict=True)):
+        for samples, rows in run.blocks():
+            values = _columns(problem, run, samples)
+            inside = (problem.run == number) & (problem.place >= rows.start) & (problem.place < rows.stop)
+            here = np.flatnonzero(inside)
+            place = problem.place[here] - rows.start
+            regressor[here] = run.parallel(values[:, :, leading])[place, problem.joint[here]]
+            if body is not None:
+                torque = values[:, :, 10 * n - 10 : 10 * n] @ body.parameters()
+                payload[here] = run.parallel(torque)[place, problem.joint[here]]
+    return regressor, payload
 
 
 def _kept_rows(number: int, run: FilteredRun, arm: RigidArm) -> dict[str, Array | Index | Mask]:

@@ -23,6 +23,7 @@ from rx90_emulator.identification.sliding.fit import LEAST_SPEEDS
 _MOST_SPEEDS = 1000  # two hours for each group
 _SHORTEST, _LONGEST = 0.7, 4.0  # s at a speed: the servo loops need 0.25 s to settle
 _VALIDATION_SHARES = (0.3, 0.12, 0.04)  # of the joints' speeds, in turn
+_SLACK = 0.02  # rad, from a sweep to the joints' limits
 _LEAST_TRAVEL = 0.016  # rad at a speed: three times what a bristle needs to settle
 
 
@@ -153,7 +154,7 @@ def make_plan(robot: RobotModel, drives: DriveParameters, options: PlanOptions |
 
 def _sliding(robot: RobotModel, drives: DriveParameters, options: PlanOptions, direction: Direction) -> Experiment:
     motion = Motion(options.poses.home)
-    highest = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
+    highest = _fastest(robot, options, direction)
     speeds = sweep_speeds(direction.vector, options.lowest_speed, highest, 2 * options.speeds, drives)
     # Many speeds, each in one direction at one pose, rather than few everywhere: the error by ripple in step with the
     # sampling differs between speeds, not between poses, and changes its sign with the direction.
@@ -172,14 +173,26 @@ def _held(options: PlanOptions, speed: float) -> float:
     return float(np.clip(options.travel / abs(speed), _SHORTEST, _LONGEST))
 
 
+def _fastest(robot: RobotModel, options: PlanOptions, direction: Direction) -> float:
+    """Return the fastest sweep, rad/s: less than the share of the speed limit where the joints' ranges ask for it."""
+    speed = options.highest_share * float(robot.max_velocity[direction.vector != 0.0].min())
+    while np.any(np.abs(_travel(options, direction, speed)) > robot.upper - robot.lower - 2.0 * _SLACK):
+        speed *= 0.98
+    return speed
+
+
+def _travel(options: PlanOptions, direction: Direction, speed: float) -> Array:
+    """Return how far a sweep at a signed speed moves the joints, its ramps included, rad."""
+    probe = Motion(np.zeros(direction.vector.size))
+    probe.sweep(direction.vector, speed, _held(options, speed), options.acceleration)
+    return probe.pose
+
+
 def _start(robot: RobotModel, options: PlanOptions, direction: Direction, pose: Sequence[float], speed: float) -> Array:
     """Return where a sweep at a signed speed begins, so that its travel is centred on the pose."""
-    probe = Motion(np.zeros(len(pose)))
-    probe.sweep(direction.vector, speed, _held(options, speed), options.acceleration)
-    travel = probe.pose
+    travel = _travel(options, direction, speed)
     # Near a limit the travel moves away from it.
-    slack = 0.02
-    low, high = robot.lower + slack, robot.upper - slack
+    low, high = robot.lower + _SLACK, robot.upper - _SLACK
     begin = np.asarray(pose) - travel / 2.0
     return np.clip(begin, low + np.maximum(0.0, -travel), high - np.maximum(0.0, travel))
 

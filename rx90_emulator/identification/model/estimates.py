@@ -16,6 +16,8 @@ from rx90_emulator.identification.records.record import BagSource
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
 PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, *PRESLIDING)
+WITH_EXPONENT = (*SLIDING, "alpha", *PRESLIDING)
+"""What excitation runs, which pass many speeds, can tell of an element."""
 _MOST_DECIMALS = 7
 
 
@@ -63,7 +65,7 @@ class ElementEstimate:
 
     Attributes:
         element: its name.
-        parameters: estimates by the names in PARAMETERS, or a part of them, in that order; p of them.
+        parameters: estimates by the names in WITH_EXPONENT, or a part of them, in that order; p of them.
         correlation: of the estimates, in the order of `parameters`, shape (p, p); NaN where one is not identifiable.
         sources: the bags they rest on.
 
@@ -77,10 +79,10 @@ class ElementEstimate:
     sources: tuple[BagSource, ...]
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.parameters if name not in PARAMETERS]
+        unknown = [name for name in self.parameters if name not in WITH_EXPONENT]
         if unknown:
             found = f"{plain(self.element)}: parameter {quoted(unknown[0])}"
-            raise IdentificationError(f"{found}; accepted: {', '.join(PARAMETERS)}")
+            raise IdentificationError(f"{found}; accepted: {', '.join(WITH_EXPONENT)}")
         shape = (len(self.parameters), len(self.parameters))
         if self.correlation.shape != shape:
             raise IdentificationError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,6 +70,26 @@ class ValidationTolerances:
     tip: float = 1e-4
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0.0 < value < math.inf:
-                raise ConfigError(f"{name} is {value}; accepted: a positive number")
+        _check_positive(vars(self))
+
+
+@dataclass(frozen=True)
+class ExcitationTolerances:
+    """What counts as agreement of an excitation run that was not used.
+
+    Attributes:
+        total: RMS difference of the torques of all joints over their RMS recorded torque.
+        joint: the same of each joint alone; light joints differ more, for friction is most of their torque.
+    """
+
+    total: float = 0.1
+    joint: float = 0.3
+
+    def __post_init__(self) -> None:
+        _check_positive(vars(self))
+
+
+def _check_positive(values: Mapping[str, float]) -> None:
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise ConfigError(f"{name} is {value}; accepted: a positive number")

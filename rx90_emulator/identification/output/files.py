@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -60,3 +60,38 @@ def write_all(texts: Mapping[Path, str]) -> None:
         for written in beside.values():
             with suppress(OSError):
                 written.unlink(missing_ok=True)
+
+
+def check_folder(folder: Path, names: Iterable[str], *, force: bool) -> None:
+    """Refuse a folder that these files could not be written into in the end, as `check_targets` does for files.
+
+    The folder need not exist, the one above it must. What else is in it stays.
+
+    Raises:
+        IdentificationError: for what is no folder, a file that exists without `force`, or a place that takes none.
+    """
+    if folder.is_dir():
+        check_targets([folder / name for name in names], force=force)
+    elif folder.exists():
+        raise IdentificationError(f"{folder} is no folder; accepted: the name of a folder")
+    else:
+        check_targets([folder], force=force)
+
+
+def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write all files into a folder or none; a folder that is not there is made.
+
+    Raises:
+        Rx90Error: if that fails; every file that existed is as it was.
+    """
+    made = not folder.is_dir()
+    try:
+        folder.mkdir(exist_ok=True)
+        write_all({folder / name: text for name, text in texts.items()})
+    except BaseException as error:
+        if made:
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            raise write_error(folder, error) from error
+        raise

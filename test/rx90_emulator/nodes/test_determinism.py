@@ -21,22 +21,26 @@ from rx90_emulator.loop.setup import Setup
 
 @pytest.mark.ros
 def test_lockstep_gives_the_closed_loops_bits_on_a_loaded_machine(
-    processes: Processes, client: Client, shipped: Setup, tmp_path: Path
+    processes: Processes, client: Client, tx40: Setup, tmp_path: Path
 ) -> None:
     """With both cores busy, every recorded number equals the closed loop without ROS, to the last bit.
 
-    The bag tells which trajectory ran and from when on, although its sender is gone before the recorder begins.
+    The robot is the one that a parameter names, and so is the description that the simulation publishes. The bag tells
+    which trajectory ran and from when on, although its sender is gone before the recorder begins.
     """
     for _ in range(2):
         processes.start(sys.executable, "-c", "while True: pass")
-    comparison = run_both_ways(processes, client, shipped, tmp_path)
+    comparison = run_both_ways(processes, client, tx40, tmp_path)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
-    plan = plan_line(shipped.robot, load_task(tmp_path / "task.yaml"))
+    plan = plan_line(tx40.robot, load_task(tmp_path / "task.yaml"))
     with AnyReader([tmp_path / "recorded"]) as reader:
         sent = {c.topic: list(reader.messages([c])) for c in reader.connections if "/trajectory" in c.topic}
         ((connection, log_ns, data),) = sent["/rx90_controller/trajectory_accepted"]
         taken: Any = reader.deserialize(data, connection.msgtype)
+        (description,) = (c for c in reader.connections if c.topic == "/robot_description")
+        _, _, text = next(reader.messages([description]))
+        assert reader.deserialize(text, description.msgtype).data == tx40.robot.urdf  # type: ignore[attr-defined]
     assert (taken.header.stamp.nanosec, log_ns) == (100_000_000, 100_000_000)
     assert taken.joint_names == list(plan.joint_names)
     assert [point.positions.tolist() for point in taken.points] == plan.position.tolist()

@@ -1,0 +1,146 @@
+"""What the linear parameters of an element multiply along recorded motions: filtered rows, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.friction.law import (
+    ElementShape,
+    Part,
+    steady_columns,
+    stribeck_factor,
+)
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.presliding.bristle_path import deflect_bristle
+
+_SHOWN = 0.05  # share of the way of a period after a reversal that a presliding distance must have, to be seen
+_DIFFERENCE = 1e-4  # of the bristle's parameters, as the fit writes them: their derivatives are differences
+
+
+@dataclass(frozen=True, eq=False)
+class ElementMotion:
+    """Motion of one element in one run, at its full rate.
+
+    Attributes:
+        velocity: at the samples, rad/s, shape (m,).
+        mean: over the step that ends at each sample, rad/s, shape (m,).
+        step: s.
+    """
+
+    velocity: Array
+    mean: Array
+    step: float
+
+    @classmethod
+    def of(cls, position: Array, velocity: Array, step: float) -> ElementMotion:
+        """Return the motion; position in rad and velocity in rad/s, each shape (m,)."""
+        return cls(velocity, np.diff(position, prepend=position[:1]) / step, step)
+
+    def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
+        """Return columns and derivatives by the free parameters, with the bristle in place of steady sliding."""
+        columns, slopes = steady_columns(shape, self.velocity)
+        derivatives = {name: slopes[name] for name in shape.free}
+        if Part.BRISTLE not in shape.parts:
+            return columns, derivatives
+        places = [0, 2]
+        columns[:, places] = self._bristle(shape)
+        for number, name in enumerate(shape.free):
+            if name != "alpha":
+                values = shape.values
+                values[number] += _DIFFERENCE
+                moved = self._bristle(shape.with_values(values))
+                derivatives[name][:, places] = (moved - columns[:, places]) / _DIFFERENCE
+        return columns, derivatives
+
+    def _bristle(self, shape: ElementShape) -> Array:
+        """Return u = c0 z / tau_c, and dz/dt in rad/s where damping is in the model, shape (m, 2).
+
+        The simulation's steps are exact for a velocity that is held; they give means over each step, and the mean of
+        the two steps around a sample belongs to its time.
+        """
+        path = np.stack([self.mean, stribeck_factor(shape, self.mean)[0], np.ones_like(self.mean)])
+        result = np.empty((2, len(self.mean)))
+        deflect_bristle(path, self.step, shape.stiffness, 0.0, result)
+        result[:, :-1] = 0.5 * (result[:, :-1] + result[:, 1:])
+        if Part.DAMPING not in shape.parts:
+            result[1] = 0.0
+        return result.T
+
+
+@dataclass(frozen=True, eq=False)
+class ElementRows:
+    """The rows of a problem that one element acts on.
+
+    Attributes:
+        motions: of the element, run by run.
+        rows: of the problem, shape (s,).
+        place: of each of them among the filtered samples of all runs, shape (s,).
+        factor: joint torque over element torque, shape (s,).
+        speed: velocity of the element at each, rad/s, shape (s,).
+    """
+
+    problem: ExcitationProblem
+    motions: tuple[ElementMotion, ...]
+    rows: NDArray[np.int64]
+    place: NDArray[np.int64]
+    factor: Array
+    speed: Array
+
+    def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
+        """Return the joint torques per unit of the linear parameters, shape (s, 3), and their derivatives."""
+        filtered = []
+        for run, motion in zip(self.problem.runs, self.motions, strict=True):
+            columns, derivatives = motion.columns(shape)
+            filtered.append(run.parallel(np.stack([columns, *derivatives.values()], axis=1)))
+        all_rows = np.concatenate(filtered)[self.place] * self.factor[:, None, None]
+        return all_rows[:, 0], {name: all_rows[:, 1 + k] for k, name in enumerate(shape.free)}
+
+    def speeds(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the least and the greatest speed with data in each direction, rad/s; (0, 0) without data.
+
+        The outermost percent at both ends is no range of data.
+        """
+        ranges = []
+        for sign in (1.0, -1.0):
+            speed = np.abs(self.speed[sign * self.speed > 0.0])
+            low, high = np.percentile(speed, (1.0, 99.0)) if len(speed) else (0.0, 0.0)
+            ranges.append((float(low), float(high)))
+        return ranges[0], ranges[1]
+
+    def speed_range(self) -> tuple[float, float]:
+        """Return the least and the greatest speed with data in any direction, rad/s."""
+        ranges = [pair for pair in self.speeds() if pair[1] > 0.0]
+        return min((low for low, _ in ranges), default=0.0), max((high for _, high in ranges), default=0.0)
+
+    def shortest_presliding(self) -> float:
+        """Return the least presliding distance that the rows can show, rad.
+
+        After a reversal at acceleration a an element passes a t^2 / 2 within the period t of the torque's bandwidth; a
+        bristle that slides after a small share of this is a step to the filtered torque, as Coulomb friction is.
+        """
+        distances = [
+            _SHOWN * 0.5 * float(np.sqrt(np.mean(np.gradient(m.velocity, m.step) ** 2))) / run.bandwidths.torque**2
+            for m, run in zip(self.motions, self.problem.runs, strict=True)
+        ]
+        return max(min(distances), 1e-7)
+
+
+def element_rows(problem: ExcitationProblem) -> tuple[ElementRows, ...]:
+    """Return the rows of each element of a problem, in the arm's order."""
+    matrix = problem.arm.element_matrix
+    starts = np.cumsum([0, *(len(run.rows) for run in problem.runs)])
+    return tuple(_rows_of(problem, row, starts[problem.run] + problem.place) for row in matrix)
+
+
+def _rows_of(problem: ExcitationProblem, share: Array, place: NDArray[np.int64]) -> ElementRows:
+    motions = tuple(
+        ElementMotion.of(run.position @ share, run.velocity @ share, 1.0 / run.rate) for run in problem.runs
+    )
+    velocity = np.concatenate([m.velocity[run.rows] for m, run in zip(motions, problem.runs, strict=True)])
+    factor = share[problem.joint]
+    rows = np.flatnonzero(factor)
+    return ElementRows(problem, motions, rows, place[rows], factor[rows], velocity[place[rows]])

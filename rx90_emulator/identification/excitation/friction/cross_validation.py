@@ -1,0 +1,223 @@
+"""How well a model predicts blocks of time, or whole runs, that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.friction.law import LINEAR
+from rx90_emulator.identification.excitation.friction.models import BlockDivision, CrossValidation
+from rx90_emulator.identification.excitation.friction.separable import SeparableFit
+from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+_CORRELATION_TIMES = 4.0  # in a block
+_LEAST, _MOST = 8, 60  # blocks of all runs
+_LARGEST_LAG = 0.2  # of a run
+_CUTOFF = 1e-10  # relative: directions that the remaining rows do not determine stay where they are
+
+
+Rows = NDArray[np.intp]
+Folds = list[tuple[Rows, Rows]]
+"""Groups of rows to predict, each with the rows that the model does not see then: its own, and their neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A fitted model and its tangent.
+
+    Attributes:
+        residual: weighted, shape (r,).
+        tangent: weighted derivatives of the torques by everything that is fitted and not at a bound, columns of length
+            1: the basis of the regressor, then friction, shape (r, k).
+    """
+
+    residual: Array
+    tangent: Array
+
+    @classmethod
+    def of(cls, weighted: WeightedProblem, fit: SeparableFit) -> Linearised:
+        """Return the model around a fit."""
+        columns = [weighted.column(fit.shapes, fit.linear, e, name) for e, name in fit.inner()]
+        linear = [fit.linear[e, LINEAR.index(name)] if name in LINEAR else 0.0 for e, name in fit.inner()]
+        friction = np.stack(columns, axis=1) if columns else np.empty((len(weighted.rest), 0))
+        without = weighted.problem.torque * weighted.weight - friction @ np.array(linear)
+        residual = without - weighted.basis @ (weighted.basis.T @ without)
+        size = np.linalg.norm(friction, axis=0)
+        return cls(residual, np.hstack([weighted.basis, friction / np.where(size > 0.0, size, 1.0)]))
+
+    def left_out(self, folds: Folds) -> Array:
+        """Return the weighted residuals of each group of rows by the model fitted without it, shape (r,).
+
+        The model without a group is one Gauss-Newton step away from that of all rows; for a model without non-linear
+        parameters that is exact.
+        """
+        whole = self.tangent.T @ self.tangent
+        gradient = self.tangent.T @ self.residual
+        result = np.empty_like(self.residual)
+        for rows, near in folds:
+            own, rest = self.tangent[near], self.residual[near]
+            step = np.linalg.lstsq(whole - own.T @ own, gradient - own.T @ rest, rcond=_CUTOFF)[0]
+            result[rows] = self.residual[rows] - self.tangent[rows] @ step
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A model with its errors on what was left out.
+
+    Attributes:
+        fit: to all rows.
+        residual: of all rows, Nm, shape (r,).
+        error: weighted RMS of the residuals.
+        by_blocks: squared weighted residuals left out by blocks, summed in each block, shape (b,).
+        by_runs: those left out by runs, summed in each block; None where there is one run.
+        relative: RMS of what was left out over the RMS torque, by blocks and by runs.
+        rows: in each block, shape (b,).
+    """
+
+    fit: SeparableFit
+    residual: Array
+    error: float
+    by_blocks: Array
+    by_runs: Array | None
+    relative: tuple[float, float]
+    rows: Array
+
+    @classmethod
+    def of(cls, weighted: WeightedProblem, fit: SeparableFit, time: TimeBlocks) -> Scored:
+        """Score a fit."""
+        around, problem = Linearised.of(weighted, fit), weighted.problem
+        block = time.block
+        rows = np.bincount(block).astype(np.float64)
+        left = around.left_out(time.folds)
+        relative = _relative(problem, left / weighted.weight)
+        by_runs: Array | None = None
+        of_runs = relative
+        if len(problem.runs) > 1:
+            other = around.left_out([(rows, rows) for rows in _members(problem.run)])
+            by_runs, of_runs = (
+                np.bincount(block, other**2).astype(np.float64),
+                _relative(problem, other / weighted.weight),
+            )
+        residual, error = around.residual / weighted.weight, float(np.sqrt(np.mean(around.residual**2)))
+        return cls(
+            fit, residual, error, np.bincount(block, left**2).astype(np.float64), by_runs, (relative, of_runs), rows
+        )
+
+    def validations(self, against: Scored | None = None) -> tuple[CrossValidation, CrossValidation | None]:
+        """Return the figures by blocks and by runs, with the gain over another model."""
+        other = self if against is None else against
+        blocks = _validation(self.by_blocks, other.by_blocks, self.rows, self.relative[0])
+        if self.by_runs is None or other.by_runs is None:
+            return blocks, None
+        return blocks, _validation(self.by_runs, other.by_runs, self.rows, self.relative[1])
+
+    def better_than(self, other: Scored) -> bool:
+        """Return whether this model predicts better: by blocks, and by runs where there are several.
+
+        The gain must exceed the standard error of the paired differences over the blocks. One standard error, not
+        two: a part that is there and left out biases all others, a part too much widens their deviations.
+        """
+        return all(one is None or one.gain > one.gain_deviation for one in self.validations(other))
+
+
+def _validation(squares: Array, other: Array, rows: Array, relative: float) -> CrossValidation:
+    """Return the figures of sums of squares in blocks against those of another model, each shape (b,)."""
+    count = float(rows.sum())
+    error, before = float(np.sqrt(squares.sum() / count)), float(np.sqrt(other.sum() / count))
+    gain = before - error
+    # Sums over blocks that are independent; the error is the root of their mean.
+    own = _sum_deviation(squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
+    difference = other - squares
+    paired = _sum_deviation(difference - rows * difference.sum() / count) / (count * max(before + error, 1e-300))
+    return CrossValidation(error, own, relative, gain, paired)
+
+
+def _sum_deviation(parts: Array) -> float:
+    """Return the standard deviation of a sum of independent parts less their means."""
+    return float(np.sqrt(len(parts) / (len(parts) - 1.0) * np.sum(parts**2)))
+
+
+def _relative(problem: ExcitationProblem, residual: Array) -> float:
+    return float(np.linalg.norm(residual) / np.linalg.norm(problem.torque))
+
+
+@dataclass(frozen=True, eq=False)
+class TimeBlocks:
+    """The rows in blocks of time of about equal length; all joints of a time are in one block.
+
+    Attributes:
+        blocks: what they are.
+        block: number of each row's block, shape (r,).
+        folds: each block's rows, and those with its neighbours within a correlation time on both sides.
+    """
+
+    blocks: BlockDivision
+    block: Rows
+    folds: Folds
+
+    @classmethod
+    def of(cls, problem: ExcitationProblem, residual: Array) -> TimeBlocks:
+        """Choose the blocks from the residuals of a model, shape (r,).
+
+        A block is long against the autocorrelation of the residuals, so that the errors of blocks are independent; and
+        what lies within a correlation time of it is left out with it, so that its neighbours do not tell of it (Burman,
+        Chow and Nolan 1994: h-block cross-validation).
+        """
+        correlation = _correlation_time(problem, residual)
+        durations = np.array([run.time[-1] - run.time[0] for run in problem.runs])
+        wanted = _CORRELATION_TIMES * correlation
+        length = min(max(wanted, durations.sum() / _MOST), durations.sum() / _LEAST)
+        reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
+        if length > wanted:
+            reason = f"a {_MOST}th of the runs, more than {reason}"
+        elif length < wanted:
+            reason = f"an {_LEAST}th of the runs, less than {reason}: the runs are short"
+        counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
+        start = np.array([run.time[0] for run in problem.runs])
+        inside = (problem.time - start[problem.run]) / durations[problem.run]
+        ahead = np.cumsum(counts) - counts
+        place = np.minimum((inside * counts[problem.run]).astype(np.intp), counts[problem.run] - 1)
+        block = np.unique(ahead[problem.run] + place, return_inverse=True)[1].ravel()
+        folds = []
+        for rows in _members(block):
+            run, times = problem.run[rows[0]], problem.time[rows]
+            near = (problem.time > times.min() - correlation) & (problem.time < times.max() + correlation)
+            folds.append((rows, np.flatnonzero(near & (problem.run == run))))
+        return cls(BlockDivision(float(durations.sum() / counts.sum()), len(folds), correlation, reason), block, folds)
+
+
+def _members(number: Rows) -> list[Rows]:
+    """Return the rows of each group, by the numbers of the groups, shape (r,)."""
+    return [np.flatnonzero(number == k) for k in range(int(number.max()) + 1)]
+
+
+def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
+    """Return the integrated autocorrelation time of the residuals, s, of the joint where it is longest.
+
+    It is summed up to the first lag at which the autocorrelation is not positive.
+    """
+    times = [0.0]
+    for joint in range(int(problem.joint.max()) + 1):
+        products: dict[int, tuple[float, int]] = {}
+        period = 0.0
+        for number, run in enumerate(problem.runs):
+            rows = (problem.run == number) & (problem.joint == joint)
+            period = run.down / run.rate
+            series = np.zeros(len(run.rows))
+            series[problem.place[rows]] = residual[rows]
+            size = 2 * len(series)
+            lagged = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: int(_LARGEST_LAG * len(series))]
+            for lag, value in enumerate(lagged.tolist()):
+                old = products.get(lag, (0.0, 0))
+                products[lag] = (old[0] + value, old[1] + 1)
+        values = np.array([value for value, _ in products.values()])
+        if len(values) and values[0] > 0.0:
+            fading = values / values[0]
+            end = int(np.argmax(fading <= 0.0)) if (fading <= 0.0).any() else len(fading)
+            times.append(period * (2.0 * float(fading[:end].sum()) - 1.0))
+    return max(times)

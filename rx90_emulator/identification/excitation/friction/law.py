@@ -1,0 +1,146 @@
+"""The friction law of one element as the fit writes it: what is linear, what is not, and its derivatives.
+
+Equations 17 to 19 and the viscous exponent, with the bristle's torque over the Coulomb torque u = c0 z / tau_c:
+
+    tau_f = tau_c u + c1 dz/dt + c2 |v|^alpha sign(v)
+    du/dt = stiffness (v - |v| u / h(v)),  h(v) = 1 + rise exp(-(|v| / omega_s)^delta)
+
+Linear are tau_c, c2 and c1; not linear are alpha, rise = tau_s / tau_c - 1, omega_s and stiffness = c0 / tau_c, the
+inverse of the presliding distance. Without a bristle u is sign(v) h(v). A difference of tau_c between the directions is
+a constant torque, which no motion tells from a joint's offset; tau_c is the mean of both directions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+
+DELTA = 1.0
+"""Stribeck exponent, as given: excitation runs pass the low speeds in which it shows too fast."""
+COULOMB, VISCOUS, DAMPING = 0, 1, 2
+"""Places of the linear parameters tau_c, c2 and c1."""
+LINEAR = ("tau_c", "c2", "c1")
+FITTED = (*LINEAR, "alpha", "rise", "omega_s", "stiffness")
+"""All parameters of an element as the fit writes them: the last two stand for their logarithms."""
+
+
+class Part(Enum):
+    """What an element's friction may have beside Coulomb and viscous friction."""
+
+    EXPONENT = "viscous exponent"
+    STRIBECK = "Stribeck rise"
+    BRISTLE = "bristle"
+    DAMPING = "bristle damping"
+
+    @property
+    def shape(self) -> tuple[str, ...]:
+        """Return the names of its parameters in ElementShape."""
+        return _SHAPE_OF[self]
+
+
+_SHAPE_OF = {
+    Part.EXPONENT: ("alpha",),
+    Part.STRIBECK: ("rise", "omega_s"),
+    Part.BRISTLE: ("stiffness",),
+    Part.DAMPING: (),
+}
+_LOGARITHMIC = frozenset({"omega_s", "stiffness"})
+
+
+@dataclass(frozen=True)
+class ElementShape:
+    """The parameters of an element that are not linear; the defaults are those of a part that is off.
+
+    Attributes:
+        parts: which parts the element has.
+        alpha: viscous exponent, 1.
+        rise: static over Coulomb torque, less 1.
+        omega_s: Stribeck velocity, rad/s.
+        stiffness: bristle stiffness over Coulomb torque, 1/rad.
+    """
+
+    parts: frozenset[Part] = frozenset()
+    alpha: float = 1.0
+    rise: float = 0.0
+    omega_s: float = math.inf
+    stiffness: float = math.inf
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Return the names of the parameters that its parts leave open, in the order of `values`."""
+        return tuple(name for part in Part if part in self.parts for name in part.shape)
+
+    @property
+    def values(self) -> Array:
+        """Return the free parameters as the fit writes them: logarithms of omega_s and stiffness."""
+        return np.array([_written(name, getattr(self, name)) for name in self.free])
+
+    def with_values(self, values: Array) -> ElementShape:
+        """Return the shape with other free parameters, written as `values`."""
+        changed: dict[str, Any] = {n: _read(n, float(x)) for n, x in zip(self.free, values, strict=True)}
+        return replace(self, **changed)
+
+    def without(self, part: Part) -> ElementShape:
+        """Return the shape without a part; bristle damping goes with the bristle."""
+        gone = {part, Part.DAMPING} if part is Part.BRISTLE else {part}
+        neutral: dict[str, Any] = {name: getattr(_NEUTRAL, name) for name in part.shape}
+        return replace(self, parts=self.parts - gone, **neutral)
+
+
+_NEUTRAL = ElementShape()
+
+
+def _written(name: str, value: float) -> float:
+    return math.log(value) if name in _LOGARITHMIC else value
+
+
+def _read(name: str, value: float) -> float:
+    return math.exp(value) if name in _LOGARITHMIC else value
+
+
+def stribeck_factor(shape: ElementShape, velocity: Array) -> tuple[Array, Array, Array]:
+    """Return h and its derivatives by rise and ln omega_s, each of the shape of `velocity`, rad/s."""
+    if Part.STRIBECK not in shape.parts:
+        nothing = np.zeros_like(velocity)
+        return nothing + 1.0, nothing, nothing
+    ratio = np.minimum((np.abs(velocity) / shape.omega_s) ** DELTA, 700.0)
+    decay = np.exp(-ratio)
+    return 1.0 + shape.rise * decay, decay, shape.rise * decay * ratio * DELTA
+
+
+def viscous(shape: ElementShape, velocity: Array) -> tuple[Array, Array]:
+    """Return |v|^alpha sign(v) and its derivative by alpha, each of the shape of `velocity`, rad/s."""
+    speed = np.abs(velocity)
+    column = np.sign(velocity) * speed**shape.alpha
+    with np.errstate(divide="ignore"):
+        logarithm = np.where(speed > 0.0, np.log(speed), 0.0)
+    return column, column * logarithm
+
+
+def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
+    """Return what the linear parameters multiply in steady sliding, and its derivatives.
+
+    Args:
+        shape: of the element.
+        velocity: rad/s, shape (m,).
+
+    Returns:
+        Columns of LINEAR, shape (m, 3), and their derivatives by each other parameter in FITTED.
+    """
+    sign = np.sign(velocity)
+    factor, by_rise, by_omega = stribeck_factor(shape, velocity)
+    column, by_alpha = viscous(shape, velocity)
+    nothing = np.zeros_like(velocity)
+    derivatives = {
+        "alpha": np.column_stack([nothing, by_alpha, nothing]),
+        "rise": np.column_stack([sign * by_rise, nothing, nothing]),
+        "omega_s": np.column_stack([sign * by_omega, nothing, nothing]),
+        "stiffness": np.zeros((len(velocity), 3)),
+    }
+    return np.column_stack([sign * factor, column, nothing]), derivatives

@@ -1,0 +1,266 @@
+"""Which parts the friction of each element has: those with which the model predicts better what it was not fitted to.
+
+From Coulomb and viscous friction on, parts are tried in the order of their physical plausibility: viscous exponent,
+Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
+disturbs those it is coupled with; then it is taken from one element after the other that predicts as well without it.
+At the end of each step, earlier parts that the later one has replaced are taken away in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rx90_emulator.identification.excitation.friction.columns import element_rows
+from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
+from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
+from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
+from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
+from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+Key = tuple[int, Part]
+
+_TRIAL = 8  # evaluations after a part was taken away: the others hardly change
+_STARTS = 5  # Stribeck velocities, and presliding distances, to start from
+_RISE = 0.3  # to start from
+
+
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The model that was selected.
+
+    Attributes:
+        weighted: the rows with their last weights.
+        fit: of the model.
+        rows: of the table of models.
+        blocks: of the cross-validation.
+        refused: why an element does not have a part that was tried on it.
+    """
+
+    weighted: WeightedProblem
+    fit: SeparableFit
+    rows: tuple[ModelRow, ...]
+    blocks: BlockDivision
+    refused: dict[Key, str]
+
+
+def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
+    """Try parts in the order given and keep those with which the model predicts better."""
+    search = _Selection(problem)
+    for part in parts:
+        search.attempt(part)
+    return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
+
+
+class _Selection:
+    """The model so far, and the table of what was compared."""
+
+    def __init__(self, problem: ExcitationProblem) -> None:
+        self._problem = problem
+        self._elements = element_rows(problem)
+        self._groups = _groups(problem)
+        self.rows: list[ModelRow] = []
+        self.refused: dict[Key, str] = {}
+        shapes = [ElementShape() for _ in self._elements]
+        flat = WeightedProblem.of(problem, self._elements, np.ones(len(problem.torque)))
+        self.weighted = _reweighted(flat, fit_shapes(flat, shapes))
+        fit = fit_shapes(self.weighted, shapes)
+        self.time = TimeBlocks.of(problem, Linearised.of(self.weighted, fit).residual)
+        self.now = self._scored(fit)
+        self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
+
+    def attempt(self, part: Part) -> None:
+        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
+        shapes = self._started(part)
+        keys = [(e, part) for e, shape in enumerate(shapes) if part in shape.parts]
+        if not keys:
+            return
+        # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
+        fit = fit_shapes(self.weighted, shapes)
+        self.weighted = _reweighted(self.weighted, fit)
+        before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
+        everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
+        trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
+        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        kept = bool(left) and trimmed.better_than(before)
+        same = len(left) == len(keys)
+        if not same:
+            gone = "kept on some elements, see below" if kept else "no element predicts better with it"
+            self._add(f"+ {part.value}: all", everywhere, before, False, gone)
+        if left:
+            names = "all" if same else ", ".join(self._problem.arm.element_names[e] for e in left)
+            verdict = _verdict(trimmed, before)
+            self._add(f"+ {part.value}: {names}", trimmed, before, kept, verdict)
+            if not kept:
+                self.refused |= {(e, part): verdict for e in left}
+        if kept:
+            self.now = trimmed
+            self._replace_earlier(part)
+        self._reweight()
+
+    def _replace_earlier(self, part: Part) -> None:
+        """Take away earlier parts of elements that predict as well without them now."""
+        shapes = self.now.fit.shapes
+        keys = [(e, old) for e, shape in enumerate(shapes) if part in shape.parts for old in _before(part, shape)]
+        trimmed = self._trimmed(self.now, keys)
+        gone = [(e, old) for e, old in keys if old not in trimmed.fit.shapes[e].parts]
+        if gone:
+            names = ", ".join(f"{old.value} of {self._problem.arm.element_names[e]}" for e, old in gone)
+            self._add(f"- {names}", trimmed, self.now, True, f"replaced by the {part.value}")
+            self.now = trimmed
+
+    def _reweight(self) -> None:
+        self.weighted = _reweighted(self.weighted, self.now.fit)
+        self.now = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
+
+    def _scored(self, fit: SeparableFit) -> Scored:
+        return Scored.of(self.weighted, fit, self.time)
+
+    def _started(self, part: Part) -> list[ElementShape]:
+        """Return the shapes with a part on every element that moves, from the best of several starts."""
+        shapes = list(self.now.fit.shapes)
+        for e, shape in enumerate(shapes):
+            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+                continue
+            begun = replace(shape, parts=shape.parts | {part})
+            shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
+        return shapes
+
+    def _without_bounds(self, model: Scored, part: Part) -> Scored:
+        """Take a part from elements on which it lies at a bound of its range, and say so."""
+        shapes = list(model.fit.shapes)
+        names = self._problem.arm.element_names
+        for e, bound in enumerate(model.fit.at_bound):
+            at = sorted(bound & set(part.shape))
+            if at and part in shapes[e].parts:
+                value = getattr(shapes[e], at[0])
+                self.refused[e, part] = f"{at[0]} of {names[e]} ends at the bound of its range, {value:.3g}"
+                shapes[e] = shapes[e].without(part)
+        if shapes == list(model.fit.shapes):
+            return model
+        return self._scored(fit_shapes(self.weighted, shapes))
+
+    def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
+        """Take parts away, the most useless first, until each that is left makes the model predict better.
+
+        Elements that act on no joint together are judged side by side.
+        """
+        todo = {group: [key for key in keys if key[0] in group] for group in self._groups}
+        while any(todo.values()):
+            gone = []
+            for group, candidates in todo.items():
+                there = [(e, part) for e, part in candidates if part in model.fit.shapes[e].parts]
+                useless = self._most_useless(model, there)
+                todo[group] = [] if useless is None else [key for key in there if key != useless]
+                gone += [] if useless is None else [useless]
+            if gone:
+                shapes = list(model.fit.shapes)
+                for e, part in gone:
+                    shapes[e] = shapes[e].without(part)
+                model = self._scored(fit_shapes(self.weighted, shapes))
+        return model
+
+    def _most_useless(self, model: Scored, keys: Iterable[Key]) -> Key | None:
+        """Return the part without which the model predicts as well or better, by the most; None if there is none."""
+        worst: tuple[float, Key | None] = (np.inf, None)
+        for e, part in keys:
+            shapes = list(model.fit.shapes)
+            shapes[e] = shapes[e].without(part)
+            trial = self._scored(fit_shapes(self.weighted, shapes, _TRIAL))
+            if model.better_than(trial):
+                continue
+            self.refused[e, part] = _verdict(model, trial)
+            gain = model.validations(trial)[0].gain
+            if gain < worst[0]:
+                worst = (gain, (e, part))
+        return worst[1]
+
+    def _add(self, name: str, model: Scored, against: Scored | None, kept: bool, reason: str) -> None:
+        problem = self._problem
+        power = np.bincount(problem.joint, problem.torque**2, len(problem.arm.names))
+        squares = np.bincount(problem.joint, model.residual**2, len(problem.arm.names))
+        by_blocks, by_runs = model.validations(against)
+        row = ModelRow(
+            name=name,
+            against=self._last_kept() if against is not None else "",
+            parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
+            error=model.error,
+            relative=tuple(np.sqrt(squares / np.maximum(power, 1e-300)).tolist()),
+            relative_all=float(np.sqrt(squares.sum() / power.sum())),
+            by_blocks=by_blocks,
+            by_runs=by_runs,
+            kept=kept,
+            reason=reason,
+        )
+        self.rows.append(row)
+
+    def _last_kept(self) -> str:
+        return next((row.name for row in reversed(self.rows) if row.kept), "")
+
+
+def _candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
+    """Return the shapes to start from with a part that an element is given."""
+    if part in (Part.EXPONENT, Part.DAMPING):
+        return [shape]
+    name = "omega_s" if part is Part.STRIBECK else "stiffness"
+    low, high = weighted.bounds(element, name)
+    points = np.exp(np.linspace(low, high, _STARTS + 2)[1:-1]).tolist()
+    if part is Part.STRIBECK:
+        return [replace(shape, rise=_RISE, omega_s=value) for value in points]
+    return [replace(shape, stiffness=value) for value in points]
+
+
+def _before(part: Part, shape: ElementShape) -> list[Part]:
+    """Return the parts of a shape that were tried before another one; a bristle's damping needs it."""
+    order = list(Part)
+    return [old for old in order[: order.index(part)] if old in shape.parts and old is not Part.BRISTLE]
+
+
+def _verdict(model: Scored, against: Scored) -> str:
+    """Return by how much a model predicts better, in words."""
+    blocks, runs = model.validations(against)
+    texts = []
+    for kind, one in (("blocks", blocks), ("runs", runs)):
+        if one is not None:
+            before = one.error + one.gain
+            share, deviation = 100.0 * one.gain / before, 100.0 * one.gain_deviation / before
+            texts.append(f"by {kind} the error falls by {share:.2f} % with a standard error of {deviation:.2f} %")
+    return "; ".join(texts)
+
+
+def _groups(problem: ExcitationProblem) -> list[tuple[int, ...]]:
+    """Return elements that act on joints together, directly or by way of others."""
+    acts = problem.arm.element_matrix != 0.0
+    together = acts @ acts.T
+    for _ in range(len(together)):
+        together = together @ together
+    return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
+
+
+def tangent_fit(
+    weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]] | None = None
+) -> LinearFit:
+    """Fit the whole model, linear around a fit, with HAC covariance and new weights.
+
+    The values of non-linear parameters are their changes.
+
+    Args:
+        weighted: the rows.
+        fit: around which.
+        inner: elements and names of the friction's parameters, whose columns follow the regressor; by default those
+            that are fitted.
+    """
+    chosen = fit.inner() if inner is None else inner
+    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in chosen]
+    return solve(weighted.problem, np.column_stack([weighted.problem.regressor, *columns]))
+
+
+def _reweighted(weighted: WeightedProblem, fit: SeparableFit) -> WeightedProblem:
+    """Return the rows with the weights of a fit's residuals."""
+    linear = tangent_fit(weighted, fit)
+    weight = np.sqrt(linear.weights) / linear.sigma[weighted.problem.joint]
+    return WeightedProblem.of(weighted.problem, weighted.elements, weight)

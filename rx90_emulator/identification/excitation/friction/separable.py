@@ -1,0 +1,162 @@
+"""Separable non-linear least squares: the linear parameters are eliminated, SciPy optimises the others.
+
+Variable projection (Golub and Pereyra 1973) with Kaufman's derivatives (1975). All joints and elements are fitted
+together, so that a friction parameter answers for the inertias with which it is correlated. The search works on inner
+products of columns: an element has rows on its own joints only, and a change of one element leaves those of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape, Part
+from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+
+_EVALUATIONS = 40
+_TOLERANCE = 1e-8  # of cost and parameters
+_AT_BOUND = 1e-3  # of the width of the range
+_RANK = 1e-10  # relative: what is less of a Gram matrix is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class SeparableFit:
+    """A model fitted to weighted rows.
+
+    Attributes:
+        shapes: of the elements.
+        linear: tau_c, c2 and c1 of each, none negative, shape (n_el, 3).
+        cost: sum of the squared weighted residuals.
+        at_bound: names of the free parameters of each element that lie on a bound.
+    """
+
+    shapes: tuple[ElementShape, ...]
+    linear: Array
+    cost: float
+    at_bound: tuple[frozenset[str], ...]
+
+    def inner(self) -> tuple[tuple[int, str], ...]:
+        """Return element and name of everything in the friction that is fitted and not at a bound."""
+        found = []
+        for e, (shape, values) in enumerate(zip(self.shapes, self.linear, strict=True)):
+            found += [(e, name) for name, value in zip(LINEAR, values, strict=True) if value > 0.0]
+            # Without a torque that they shape, such parameters have no meaning.
+            found += [(e, name) for name in shape.free if name not in self.at_bound[e] and values[_SHAPED[name]] > 0.0]
+        return tuple(found)
+
+
+_SHAPED = {"alpha": 1, "rise": 0, "omega_s": 0, "stiffness": 0}
+
+
+def fit_shapes(
+    weighted: WeightedProblem, shapes: Sequence[ElementShape], evaluations: int = _EVALUATIONS
+) -> SeparableFit:
+    """Fit linear and free non-linear parameters, from the shapes given as start."""
+    search = _Search(weighted, tuple(shapes))
+    start, lower, upper = search.start()
+    names = [(e, name) for e, shape in enumerate(shapes) for name in shape.free]
+    at_bound: list[set[str]] = [set() for _ in shapes]
+    if names:
+        found = least_squares(
+            search.residual, np.clip(start, lower, upper), search.jacobian, (lower, upper),
+            ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=evaluations,
+        )  # fmt: skip
+        search.move(np.asarray(found.x))
+        near = np.minimum(found.x - lower, upper - found.x) < _AT_BOUND * (upper - lower)
+        for (e, name), lies in zip(names, near.tolist(), strict=True):
+            if lies:
+                at_bound[e].add(name)
+    return SeparableFit(search.shapes, search.linear, search.cost, tuple(map(frozenset, at_bound)))
+
+
+def best_start(
+    weighted: WeightedProblem, shapes: Sequence[ElementShape], element: int, candidates: Sequence[ElementShape]
+) -> ElementShape:
+    """Return which of an element's candidate shapes fits best, the other elements as they are."""
+    costs = [_Search(weighted, (*shapes[:element], candidate, *shapes[element + 1 :])).cost for candidate in candidates]
+    return candidates[int(np.argmin(costs))]
+
+
+class _Search:
+    """Residuals and derivatives at free parameters, up to a rotation, which changes no sum of squares."""
+
+    def __init__(self, weighted: WeightedProblem, shapes: tuple[ElementShape, ...]) -> None:
+        self._weighted = weighted
+        self._at: Array | None = None
+        self.shapes = shapes
+        self._solve()
+
+    def start(self) -> tuple[Array, Array, Array]:
+        """Return free parameters of the shapes, and their bounds, each shape (t,)."""
+        values = np.concatenate([shape.values for shape in self.shapes])
+        pairs = [self._weighted.bounds(e, name) for e, shape in enumerate(self.shapes) for name in shape.free]
+        return values, np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
+
+    def move(self, x: Array) -> None:
+        """Solve at other free parameters, unless they are those of the last time."""
+        if self._at is not None and np.array_equal(self._at, x):
+            return
+        pieces = np.split(x, np.cumsum([len(shape.free) for shape in self.shapes])[:-1])
+        self.shapes = tuple(shape.with_values(piece) for shape, piece in zip(self.shapes, pieces, strict=True))
+        self._at = x.copy()
+        self._solve()
+
+    def residual(self, x: Array) -> Array:
+        """Return residuals with the best linear parameters, shape (t + 1,)."""
+        self.move(x)
+        return np.asarray(self._root[:, -1])
+
+    def jacobian(self, x: Array) -> Array:
+        """Return Kaufman's derivatives of the residuals, shape (t + 1, t)."""
+        self.move(x)
+        return np.asarray(self._root[:, :-1])
+
+    def _solve(self) -> None:
+        gram, product = self._weighted.gram(self.shapes)
+        linear = [(e, place) for e, shape in enumerate(self.shapes) for place in _places(shape)]
+        offsets = np.cumsum([0, *(3 * (1 + len(shape.free)) for shape in self.shapes)])
+        columns = np.array([offsets[e] + place for e, place in linear])
+        values = _nonnegative(gram[np.ix_(columns, columns)], product[columns])
+        self.linear = np.zeros((len(self.shapes), len(LINEAR)))
+        for (e, place), value in zip(linear, values, strict=True):
+            self.linear[e, place] = value
+        slopes = []
+        for e, shape in enumerate(self.shapes):
+            for k in range(len(shape.free)):
+                slope = np.zeros(len(gram))
+                slope[offsets[e] + 3 * (1 + k) : offsets[e] + 3 * (2 + k)] = self.linear[e]
+                slopes.append(slope)
+        active = columns[values > 0.0]
+        self._reduce(gram, product, active, values[values > 0.0], np.array(slopes).reshape(-1, len(gram)).T)
+
+    def _reduce(self, gram: Array, product: Array, active: Array, values: Array, slopes: Array) -> None:
+        """Keep a root of the inner products of derivatives and residual, less what the linear columns take."""
+        mixed = gram[active] @ slopes
+        inverse = np.linalg.pinv(gram[np.ix_(active, active)], rcond=_RANK, hermitian=True)
+        inner = slopes.T @ gram @ slopes - mixed.T @ inverse @ mixed
+        # The derivatives of the residual are minus those of the torque; the residual has no part in active columns.
+        with_residual = -(slopes.T @ product - mixed.T @ values)
+        self.cost = max(self._weighted.power - float(product[active] @ values), 0.0)
+        table = np.block([[inner, with_residual[:, None]], [with_residual[None, :], np.array([[self.cost]])]])
+        scale = np.sqrt(np.maximum(np.diag(table), 1e-300))
+        size, vectors = np.linalg.eigh(table / np.outer(scale, scale))
+        self._root = (vectors * np.sqrt(np.maximum(size, 0.0))).T * scale
+
+
+def _places(shape: ElementShape) -> tuple[int, ...]:
+    return (0, 1, 2) if Part.DAMPING in shape.parts else (0, 1)
+
+
+def _nonnegative(gram: Array, product: Array) -> Array:
+    """Return the x >= 0 that minimises x' gram x / 2 - product' x."""
+    scale = np.sqrt(np.diag(gram))
+    scale[scale == 0.0] = 1.0
+    size, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    known = size > _RANK * size[-1]
+    root = (vectors[:, known] * np.sqrt(size[known])).T
+    target = (vectors[:, known] / np.sqrt(size[known])).T @ (product / scale)
+    return np.asarray(nnls(root, target)[0] / scale)

@@ -1,0 +1,165 @@
+"""From bags of excitation runs to an arm's dynamics, for Python users and the command alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.elements import simulated_elements
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.friction.identify import (
+    ALL_PARTS,
+    WITHOUT_BRISTLES,
+    identify_friction_parts,
+    predicted_torque,
+)
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
+from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
+from rx90_emulator.identification.identify import check_range
+from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.records.reading import read_record
+from rx90_emulator.identification.records.record import JointRecord
+
+_RATE = 1000.0  # Hz that records are averaged to at most: far above what an arm's motion holds
+_REFERENCE = "rx90_controller/reference"
+_DEFAULT_ROBOT = RobotOptions()
+_DEFAULT_TOLERANCES = ExcitationTolerances()
+
+
+def identify_excitation(
+    bags: Sequence[Path | str],
+    robot: RobotOptions = _DEFAULT_ROBOT,
+    validation: Sequence[Path | str] = (),
+    tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
+    *,
+    bristles: bool = False,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ExcitationIdentification:
+    """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
+
+    Links, rotors, springs and offsets are unknown; of the robot's description the kinematics are taken.
+
+    Args:
+        bags: one or more excitation runs.
+        robot: that they come from; by default this project's.
+        validation: runs to predict, which are not used.
+        tolerances: what counts as agreement with them.
+        bristles: whether bristles along the motion are tried, too, which takes some times as long.
+        progress: called with the name of each step before it.
+
+    Returns:
+        Base parameters and friction with standard deviations, how well they fit, and a verdict for each validation run.
+
+    Raises:
+        IdentificationError: for bags or options that do not fit each other, and data that do not suffice.
+        BagError: for a bag that cannot be read.
+        ConfigError: for a file of the robot that cannot be used.
+    """
+    used, unused = [Path(bag) for bag in bags], [Path(bag) for bag in validation]
+    _check_bags(used, unused)
+    if robot.torque_delay:
+        raise IdentificationError(
+            f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
+        )
+    source = RecordedRobot.load(robot)
+    records = _read([*used, *unused], source, progress)
+    fitted, unseen = records[: len(used)], records[len(used) :]
+    _check_unused(fitted, unseen)
+    progress("filters and equations")
+    bandwidths = Bandwidths.of(fitted)
+    problem = ExcitationProblem.of(source.arm, _filtered(fitted, source, bandwidths))
+    _check_motion(problem, source)
+    progress("friction")
+    friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    checks = []
+    for record in unseen:
+        progress(record.source.name)
+        other = ExcitationProblem.of(source.arm, _filtered([record], source, bandwidths))
+        (unseen_torques,) = run_torques(other, predicted_torque(friction, other))
+        checks.append(TorqueValidation(unseen_torques, tolerances))
+    torques = run_torques(problem, friction.predicted)
+    return ExcitationIdentification(
+        robot=source,
+        problem=problem,
+        friction=friction,
+        elements=simulated_elements(friction.elements, source.fallback),
+        base=base_parameters(problem, friction),
+        torques=torques,
+        validations=tuple(checks),
+        trends=trends(torques, friction.blocks.length),
+        bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
+    )
+
+
+def _check_bags(used: Sequence[Path], unused: Sequence[Path]) -> None:
+    if not used:
+        raise IdentificationError("no excitation run; accepted: --excitation BAG ...")
+    for option, bags in (("excitation", used), ("validation", unused)):
+        places = [bag.resolve() for bag in bags]
+        for bag, place in zip(bags, places, strict=True):
+            if places.count(place) > 1:
+                raise IdentificationError(f"{bag}: given twice for --{option}; accepted: each bag once")
+
+
+def _read(bags: Sequence[Path], robot: RecordedRobot, progress: Callable[[str], None]) -> list[JointRecord]:
+    """Return the records; all bags are read before anything is fitted, so that a bad one is refused soon."""
+    layouts = [robot.layout(bag, fast=True) for bag in bags]
+    records = []
+    for bag, layout in zip(bags, layouts, strict=True):
+        progress(bag.name)
+        record = read_record(bag, layout, _RATE)
+        check_range(record, robot)
+        records.append(record)
+    return records
+
+
+def _check_unused(fitted: Sequence[JointRecord], unseen: Sequence[JointRecord]) -> None:
+    """Refuse a validation bag whose content, under whatever name, the identification rests on."""
+    used = {record.sha256: record.source for record in fitted}
+    for record in unseen:
+        if record.sha256 in used:
+            raise IdentificationError(
+                f"{record.source}: also used for the identification, as {used[record.sha256]}; accepted: another bag "
+                "for the validation"
+            )
+
+
+def _filtered(records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths) -> list[FilteredRun]:
+    return [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot))]
+
+
+def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:
+    """Return the set-points of this project's controller at the record's times, shape (m, n), if there are any."""
+    if robot.setup is None:
+        return None
+    with BagReader(record.source) as reader:
+        if all(topic.name != absolute(_REFERENCE) for topic in reader.topics):
+            return None
+    series = read_joint_states(record.source, _REFERENCE, record.names)
+    if series.position is None or series.time[0] > record.time[0] or series.time[-1] < record.time[-1]:
+        return None
+    return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
+
+
+def _check_motion(problem: ExcitationProblem, robot: RecordedRobot) -> None:
+    """Refuse runs that leave an element at rest, unless there is other friction for it."""
+    matrix = problem.arm.element_matrix
+    still = [
+        name
+        for name, row in zip(problem.arm.element_names, matrix, strict=True)
+        if not np.isin(problem.joint, np.flatnonzero(row)).any()
+    ]
+    if still and robot.fallback is None:
+        raise IdentificationError(
+            f"{listed(still)} at rest in all runs; accepted: runs in which all joints move, or --fallback with a "
+            "friction file for the others"
+        )

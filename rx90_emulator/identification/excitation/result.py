@@ -1,0 +1,94 @@
+"""What an identification from excitation runs returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
+from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.result.identification import IdentifiedElement
+
+UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
+"""Units of base parameters by the first word of their names; of all others kg m^2."""
+
+
+@dataclass(frozen=True)
+class BaseParameter:
+    """A combination of inertial parameters, or another linear one, that the torque depends on.
+
+    Attributes:
+        name: short, such as mzR_2: the R says that others have joined it.
+        group: in words, such as "mz_2 + 0.45 m_3".
+        unit: SI.
+        estimate: by weighted least squares, together with the friction.
+        instrumental: by instrumental variables; None where there are no instruments.
+        consistent: its value by the physically consistent inertias; None where these were not asked for, and for
+            what is no inertia.
+    """
+
+    name: str
+    group: str
+    unit: str
+    estimate: ParameterEstimate
+    instrumental: ParameterEstimate | None = None
+    consistent: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationIdentification:
+    """An arm's dynamics from excitation runs.
+
+    Attributes:
+        robot: as it was described.
+        problem: the equations of the runs.
+        friction: what was compared, and the friction that was kept.
+        elements: of the friction, to simulate with, and what is known of each parameter.
+        base: linear parameters but friction.
+        torques: recorded against predicted, of each run that was used.
+        validations: the same of runs that were not used, with a verdict.
+        trends: drifts within a run.
+        bags: what was read, by use: excitation, validation.
+    """
+
+    robot: RecordedRobot
+    problem: ExcitationProblem
+    friction: FrictionSelection
+    elements: tuple[IdentifiedElement, ...]
+    base: tuple[BaseParameter, ...]
+    torques: tuple[RunTorques, ...]
+    validations: tuple[TorqueValidation, ...]
+    trends: tuple[Trend, ...]
+    bags: tuple[tuple[str, BagSource], ...]
+
+    @property
+    def confirmed(self) -> bool:
+        """Return whether every validation agrees; True without any."""
+        return all(check.passed for check in self.validations)
+
+    @property
+    def model(self) -> ModelRow:
+        """Return the row of the model that was kept."""
+        return next(row for row in reversed(self.friction.models) if row.kept)
+
+
+def base_parameters(problem: ExcitationProblem, friction: FrictionSelection) -> tuple[BaseParameter, ...]:
+    """Return the linear parameters but friction with their deviations."""
+    count, fit = len(problem.names), friction.fit
+    values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
+    rows = zip(problem.names, problem.base.groups, values, deviations, strict=True)
+    return tuple(
+        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread))
+        for name, group, value, spread in rows
+    )
+
+
+def _estimate(value: float, deviation: float) -> ParameterEstimate:
+    if not np.isfinite(deviation):
+        return ParameterEstimate.unknown("these runs do not determine it")
+    return ParameterEstimate(value, deviation)

@@ -1,0 +1,205 @@
+"""Recorded and predicted torques of a run, how well they agree, and whether their difference drifts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import welch
+from scipy.stats import t as student
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.model.options import ExcitationTolerances
+from rx90_emulator.identification.records.record import BagSource
+
+_FEWEST_BLOCKS = 6  # over which a trend is tested
+_LEVEL = 0.01  # chance of a false trend, over all joints and runs together
+
+
+class JointTorque(NamedTuple):
+    """One joint in one run where it moves; filtered, each of shape (k,).
+
+    Attributes:
+        time: s.
+        velocity: rad/s.
+        recorded: Nm.
+        predicted: Nm.
+    """
+
+    time: Array
+    velocity: Array
+    recorded: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """Return recorded less predicted torque, Nm, shape (k,)."""
+        return self.recorded - self.predicted
+
+
+@dataclass(frozen=True, eq=False)
+class RunTorques:
+    """Recorded against predicted torques of one bag.
+
+    Attributes:
+        names: n joints.
+        source: the bag.
+        joints: one for each joint; empty arrays for one that stands still.
+        noise: of the filtered torque, standard deviation by what is above the filter's band, Nm, shape (n,); 0 where
+            there is none.
+    """
+
+    names: tuple[str, ...]
+    source: BagSource
+    joints: tuple[JointTorque, ...]
+    noise: Array
+
+    def _rms(self, values: Sequence[Array]) -> Array:
+        return np.array([math.sqrt(np.mean(one**2)) if len(one) else math.nan for one in values])
+
+    @property
+    def rms(self) -> Array:
+        """Return the RMS torque difference, Nm, shape (n,); NaN for a joint that stands still."""
+        return self._rms([joint.residual for joint in self.joints])
+
+    @property
+    def share(self) -> Array:
+        """Return the RMS difference over the RMS recorded torque, shape (n,)."""
+        return np.asarray(self.rms / self._rms([joint.recorded for joint in self.joints]))
+
+    @property
+    def total_share(self) -> float:
+        """Return the same over all joints together."""
+        residual = np.concatenate([joint.residual for joint in self.joints])
+        recorded = np.concatenate([joint.recorded for joint in self.joints])
+        return float(np.linalg.norm(residual) / np.linalg.norm(recorded))
+
+    @property
+    def chi_square(self) -> Array:
+        """Return the mean square difference over that of the noise, shape (n,): 1 where the model fits.
+
+        NaN for a joint that stands still or whose torque shows no noise.
+        """
+        return np.asarray((self.rms / np.where(self.noise > 0.0, self.noise, np.nan)) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueValidation:
+    """The verdict of a run that was not used.
+
+    Attributes:
+        torques: of the run.
+        tolerances: what counts as agreement.
+    """
+
+    torques: RunTorques
+    tolerances: ExcitationTolerances
+
+    @property
+    def passed(self) -> bool:
+        """Return whether each joint that moves, and all of them together, agree."""
+        share = self.torques.share
+        within = bool((share[np.isfinite(share)] <= self.tolerances.joint).all())
+        return within and self.torques.total_share <= self.tolerances.total
+
+
+@dataclass(frozen=True)
+class Trend:
+    """A drift of the friction within a run.
+
+    Attributes:
+        bag: name of the run.
+        joint: its name.
+        change: of the friction torque from the first to the last sample, Nm; positive where it grows.
+        deviation: its standard deviation, Nm.
+    """
+
+    bag: str
+    joint: str
+    change: float
+    deviation: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words."""
+        grows = "grows" if self.change > 0.0 else "falls"
+        return (
+            f"in {self.bag} the friction of {self.joint} {grows} by {abs(self.change):.3g} +- {self.deviation:.2g} Nm "
+            "from begin to end"
+        )
+
+
+def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorques, ...]:
+    """Return the torques of each bag of a problem; pieces of a bag with gaps are put together.
+
+    Args:
+        problem: the equations.
+        predicted: torque of each row, known payloads left out, Nm, shape (r,).
+    """
+    velocity = problem.rows_of([run.velocity[:, :, None] for run in problem.runs])[:, 0]
+    recorded, whole = problem.torque + problem.payload, predicted + problem.payload
+    pieces: dict[str, list[int]] = {}
+    for number, run in enumerate(problem.runs):
+        pieces.setdefault(str(run.source.path), []).append(number)
+    found = []
+    for numbers in pieces.values():
+        mine = np.isin(problem.run, numbers)
+        rows = [np.flatnonzero(mine & (problem.joint == joint)) for joint in range(len(problem.arm.names))]
+        joints = tuple(JointTorque(problem.time[k], velocity[k], recorded[k], whole[k]) for k in rows)
+        runs = [problem.runs[number] for number in numbers]
+        noise = np.sqrt(np.mean([torque_noise(run) ** 2 for run in runs], axis=0))
+        found.append(RunTorques(problem.arm.names, runs[0].source, joints, noise))
+    return tuple(found)
+
+
+def torque_noise(run: FilteredRun) -> Array:
+    """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
+
+    The parallel filter passes nothing above twice its bandwidth. The median power of the recorded torque there is
+    taken as that of white noise in the band as well.
+    """
+    length = min(len(run.torque), 1024)
+    frequency, power = welch(run.torque, run.rate, nperseg=length, axis=0, detrend="constant")
+    above = frequency > 2.0 * run.bandwidths.torque
+    if not above.any():
+        return np.zeros(run.torque.shape[1])
+    floor = np.median(power[above], axis=0)
+    return np.asarray(np.sqrt(floor * 0.5 * run.rate * np.sum(run.taps**2)))
+
+
+def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:
+    """Return the drifts of friction that blocks of time show at 1 % over all tests together (Bonferroni).
+
+    A line is fitted to the means of the difference times the sign of the velocity; means over blocks are nearly
+    independent, where neighbouring samples are not.
+
+    Args:
+        runs: to test, joint by joint.
+        block: length of the blocks, s.
+    """
+    tests = [(run, name, joint) for run in runs for name, joint in zip(run.names, run.joints, strict=True)]
+    found = []
+    for run, name, joint in tests:
+        if not len(joint.time):
+            continue
+        number = ((joint.time - joint.time[0]) / block).astype(np.intp)
+        opposing = joint.residual * np.sign(joint.velocity)
+        count = np.bincount(number)
+        filled = np.flatnonzero(count > 0.5 * count.max())
+        if len(filled) < _FEWEST_BLOCKS:
+            continue
+        means = (np.bincount(number, opposing)[filled] / count[filled]) - opposing.mean()
+        times = np.bincount(number, joint.time)[filled] / count[filled]
+        times = times - times.mean()
+        slope = float(times @ means / (times @ times))
+        free = len(filled) - 2
+        deviation = math.sqrt(float(np.sum((means - means.mean() - slope * times) ** 2)) / free / (times @ times))
+        span = float(joint.time[-1] - joint.time[0])
+        if abs(slope) > deviation * student.ppf(1.0 - 0.5 * _LEVEL / len(tests), free):
+            found.append(Trend(run.source.path.name, name, slope * span, deviation * span))
+    return tuple(found)

@@ -1,0 +1,74 @@
+"""What `rx90_identify --excitation` does, apart from its options: imported once these are understood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+from rx90_common.base.versions import versions
+from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
+from rx90_emulator.identification.output.excitation.parameters_file import parameters_text
+from rx90_emulator.identification.output.excitation.report import report_page
+from rx90_emulator.identification.output.excitation.summary import excitation_summary
+from rx90_emulator.identification.output.files import check_folder, write_folder
+from rx90_emulator.identification.progress import steps
+
+REPORT, PARAMETERS = "report.html", "parameters.yaml"
+_FILES = (REPORT, PARAMETERS)
+
+
+def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
+    """Write what was identified into a folder, all files or none, and return it.
+
+    The folder holds `report.html`, `parameters.yaml` and the files that the simulation loads.
+
+    Args:
+        result: what was identified.
+        folder: made if it is not there; other files in it stay.
+        force: whether files that exist are replaced.
+
+    Raises:
+        IdentificationError: for files that exist, or a place that takes no folder.
+        OutputError: for files that cannot be written.
+    """
+    folder = Path(folder)
+    check_folder(folder, _FILES, force=force)
+    date = datetime.now(timezone.utc)
+    texts = {REPORT: report_page(result, date, versions()), PARAMETERS: parameters_text(result, date, versions())}
+    write_folder(folder, texts)
+    return folder
+
+
+def run_excitation(
+    bags: Sequence[Path],
+    robot: RobotOptions,
+    validation: Sequence[Path],
+    tolerances: ExcitationTolerances,
+    output: Path,
+    *,
+    bristles: bool = False,
+    force: bool = False,
+) -> bool:
+    """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
+
+    Args:
+        bags: as in `identify_excitation`, as are robot, validation, tolerances and bristles.
+        robot: that they come from.
+        validation: runs to predict.
+        tolerances: of the validation.
+        output: folder; checked before anything long begins.
+        bristles: whether they are tried.
+        force: whether files that exist are replaced.
+
+    Raises:
+        Rx90Error: for what cannot be done; nothing has been written then.
+    """
+    check_folder(output, _FILES, force=force)
+    with steps(len(bags) + 2 * len(validation) + 2) as step:
+        result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
+    folder = write_excitation(result, output, force=force)
+    print(f"{excitation_summary(result)}\nreport: {folder / REPORT}\nparameters: {folder / PARAMETERS}")
+    return result.confirmed

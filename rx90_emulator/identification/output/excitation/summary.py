@@ -1,0 +1,129 @@
+"""The result of excitation runs as tables for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.excitation.torques import TorqueValidation
+from rx90_emulator.identification.model.estimates import ParameterEstimate
+
+_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "c0", "c1")
+
+
+def excitation_summary(result: ExcitationIdentification) -> str:
+    """Return friction with deviations, goodness of fit, the model that was kept, and what was left out and why."""
+    parts = [
+        _friction(result),
+        *_lacking(result),
+        *_fits(result),
+        f"model: {result.model.name}; {result.model.reason}",
+        *(f"drift: {one.text}" for one in result.trends),
+        *(_verdict(check) for check in result.validations),
+    ]
+    return "\n".join(parts)
+
+
+def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:
+    """Return estimates of an element in the order in which tables show them; both signs as one where they are equal."""
+    found = {}
+    for name in _SHOWN:
+        if name in estimates:
+            found[name] = estimates[name]
+        elif f"{name}_positive" in estimates:
+            positive, negative = (estimates[f"{name}_{sign}"] for sign in ("positive", "negative"))
+            if _same(positive, negative):
+                found[name] = positive
+            else:
+                found |= {f"{name}+": positive, f"{name}-": negative}
+    return found
+
+
+def _same(a: ParameterEstimate, b: ParameterEstimate) -> bool:
+    return (a.identifiable, a.reason) == (b.identifiable, b.reason) and (
+        not a.identifiable or (a.value, a.deviation) == (b.value, b.deviation)
+    )
+
+
+def _friction(result: ExcitationIdentification) -> str:
+    rows = [friction_columns(one.estimates) for one in result.elements]
+    columns = [name for name in dict.fromkeys(name for row in rows for name in row)
+               if any(name in row and row[name].identifiable for row in rows)]  # fmt: skip
+    names = result.problem.arm.element_names
+    width = max(9, *(len(name) + 1 for name in names))
+    lines = [f"{'element':<{width}}" + "".join(f"{name:>20}" for name in columns)]
+    for name, row in zip(names, rows, strict=True):
+        cells = (_cell(row[c]) if c in row and row[c].identifiable else "-" for c in columns)
+        lines.append(f"{name:<{width}}" + "".join(f"{cell:>20}" for cell in cells))
+    return "\n".join(lines)
+
+
+def _cell(estimate: ParameterEstimate) -> str:
+    value, deviation = estimate.texts()
+    return f"{value} +- {deviation}" if estimate.deviation else value
+
+
+def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Return what is not identified: parameters, elements, and the reasons; what the same elements lack together."""
+    names = result.problem.arm.element_names
+    reasons: dict[str, dict[str, str]] = {}
+    for element, one in zip(names, result.elements, strict=True):
+        for name, estimate in friction_columns(one.estimates).items():
+            if not estimate.identifiable:
+                reasons.setdefault(name, {})[element] = estimate.reason
+    together: dict[tuple[tuple[str, str], ...], list[str]] = {}
+    for name, of in reasons.items():
+        together.setdefault(tuple(of.items()), []).append(name)
+    return [
+        (
+            ", ".join(parameters),
+            "all elements" if len(of) == len(names) else ", ".join(element for element, _ in of),
+            tuple(dict.fromkeys(reason for _, reason in of)),
+        )
+        for of, parameters in together.items()
+    ]
+
+
+def _lacking(result: ExcitationIdentification) -> list[str]:
+    """Return a line for each reason; where elements have different ones, the report gives them."""
+    return [
+        f"not identified: {parameters} of {elements}: {reasons[0] if len(reasons) == 1 else 'reasons in the report'}"
+        for parameters, elements, reasons in lacking(result)
+    ]
+
+
+def _fits(result: ExcitationIdentification) -> list[str]:
+    """Return a row for each run: RMS difference over RMS torque of each joint and of all, and chi^2."""
+    names = result.problem.arm.names
+    runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
+    width = max(8, *(len(run.source.path.name) + 9 for _, run in runs))
+    columns = [max(8, len(name) + 2) for name in names]
+    head = (
+        f"{'torque RMS':<{width}}" + "".join(f"{n:>{w}}" for n, w in zip(names, columns, strict=True)) + f"{'all':>8}"
+    )
+    lines = [head]
+    for use, run in runs:
+        cells = "".join(f"{_percent(v):>{w}}" for v, w in zip(run.share, columns, strict=True))
+        lines.append(f"{use + ' ' + run.source.path.name:<{width}}{cells}{_percent(run.total_share):>8}")
+        chi = "".join(f"{_number(v):>{w}}" for v, w in zip(run.chi_square, columns, strict=True))
+        lines.append(f"{'  chi^2 over noise':<{width}}{chi}")
+    return lines
+
+
+def _percent(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.1%}"
+
+
+def _number(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3g}"
+
+
+def _verdict(check: TorqueValidation) -> str:
+    limits, run = check.tolerances, check.torques
+    worst = max(zip(run.share, run.names, strict=True), key=lambda pair: -1.0 if math.isnan(pair[0]) else pair[0])
+    return (
+        f"validation {run.source.path}: {'confirmed' if check.passed else 'NOT CONFIRMED'}: torque RMS of all joints "
+        f"{run.total_share:.1%} (limit {limits.total:.0%}), largest {worst[0]:.1%} ({worst[1]}, "
+        f"limit {limits.joint:.0%})"
+    )
