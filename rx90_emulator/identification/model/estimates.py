@@ -19,6 +19,8 @@ PARAMETERS = (*SLIDING, *PRESLIDING)
 WITH_EXPONENT = (*SLIDING, "alpha", *PRESLIDING)
 """What excitation runs, which pass many speeds, can tell of an element."""
 _MOST_DECIMALS = 7
+LARGEST = 1e12
+"""Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
+from rx90_common.base.config import check_numbers
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
 
@@ -28,6 +28,9 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
     Args:
         result: what was identified.
         now: date of the identification; by default the present.
+
+    Raises:
+        ConfigError: for values or deviations that are not finite, or absurd.
     """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     fallback_name = result.fallback_name
@@ -41,14 +44,17 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
     identification = {
         "date": date,
         "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": _date_of(bag.path)}
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
             for bag, label in sources.items()
         },
+        "sweeps": {sources[use.bag]: use.text(names) for use in result.sliding.usage if use.bag in sources},
+        "fit": {name: one.content for name, one in zip(names, result.sliding.quality, strict=True) if one is not None},
         "parameters": {
             name: _provenance(one, sources, date, fallback_name)
             for name, one in zip(names, result.elements, strict=True)
         },
     }
+    check_numbers(identification, LARGEST, "identification")
     return FrictionFile(
         {name: _rounded_element(one.element) for name, one in zip(names, result.elements, strict=True)},
         "identified",
@@ -90,10 +96,3 @@ def _rounded(value: float) -> float:
 
 def _rounded_element(element: LuGreElement) -> LuGreElement:
     return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
-
-
-def _date_of(path: Path) -> str:
-    """Return when a bag's newest file was written: simulated bags carry no wall time."""
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
-    newest = max((file.stat().st_mtime for file in files), default=0.0)
-    return datetime.fromtimestamp(newest, timezone.utc).isoformat(timespec="seconds")

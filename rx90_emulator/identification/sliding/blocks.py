@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.sliding.plateaus import SCALES, Bins, accelerates, plateau_ranges
+from rx90_emulator.identification.sliding.plateaus import LEAST_BINS, SCALES, Bins, accelerates, plateau_ranges
 from rx90_emulator.identification.sliding.usage import (
     ACCELERATES,
     CHANGES,
@@ -32,6 +32,7 @@ _SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for t
 _LONGEST_BLOCK = 0.25  # s
 _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
 _SHORTEST_BLOCK = 8  # samples
+_LONG_HALF = 1.0  # s
 _OUTLIER = 5.0  # standard deviations from a block's median
 _OWN_VELOCITY = 0.75  # of the plateau's velocity that a block's may be off by
 
@@ -155,7 +156,13 @@ class _Cut:
         self._mark(rows, SETTLES)
         start = self._settled(rows, sliding)
         kept = slice(start, rows.stop)
-        for begin in (start, start + (rows.stop - start) // 2):  # the first half may be a slow start
+        if (rows.stop - start) // size < LEAST_BINS:
+            self._mark(kept, SHORT)
+            return
+        halves = (start + rows.stop) // 2, rows.stop - 1
+        # The first half may be a slow start; of a wave's crest a short half would look straight.
+        long = float(record.time[halves[1]] - record.time[halves[0]]) >= _LONG_HALF
+        for begin in (start, halves[0])[: 1 + long]:
             kept = slice(begin, rows.stop)
             if not accelerates(self._binned(kept, size), self._moving(sliding)):
                 break

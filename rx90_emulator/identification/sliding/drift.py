@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import stdtrit
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.sliding.residuals import Residuals
@@ -13,10 +13,6 @@ from rx90_emulator.identification.sliding.residuals import Residuals
 FALSE_ALARMS = 0.01
 """Probability that drift is claimed in a series without any, of all elements together."""
 _LEAST_PLATEAUS = 12
-_BANDWIDTH = 1.3  # lags over the root of the number of plateaus (Lazarus, Lewis, Stock and Watson 2018)
-_FIXED_B = (1.0, 4.1618 / 2.3263, 0.5368 / 2.3263, -0.9060 / 2.3263)
-"""Critical values for the Bartlett kernel with the share b of lags over those of the normal distribution, as a
-polynomial of b (Kiefer and Vogelsang 2005, table 1, 99 %)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +21,7 @@ class Drift:
 
     Attributes:
         size: Nm, shape (n_el,); NaN where too few plateaus tell.
-        deviation: standard deviation, by a HAC estimate with the Bartlett kernel, Nm, shape (n_el,).
+        deviation: standard deviation, with the first autocorrelation of the plateaus, Nm, shape (n_el,).
         significant: whether it is no accident, shape (n_el,).
         seconds: from the first to the last plateau of the element, s, shape (n_el,).
     """
@@ -48,7 +44,7 @@ class Drift:
         significant = np.zeros(elements, dtype=np.bool_)
         fitted = np.flatnonzero(free.any(axis=1))
         basis = np.linalg.qr(residuals.slope)[0]
-        quantile = float(ndtri(1.0 - 0.5 * FALSE_ALARMS / max(1, len(fitted))))
+        quantile = 1.0 - 0.5 * FALSE_ALARMS / max(1, len(fitted))
         for e in fitted.tolist():
             mine = np.flatnonzero(residuals.velocity[:, e])
             time = residuals.time[mine]
@@ -62,19 +58,23 @@ class Drift:
             if power < 1e-9:
                 continue
             size[e], seconds[e] = trend @ residuals.left / power, span
-            score = np.zeros(len(residuals.time))
-            np.add.at(score, residuals.plateau, trend * (residuals.left - size[e] * trend))
-            lags = min(count - 1, max(1, round(_BANDWIDTH * np.sqrt(count))))
-            variance = _long_run(score[mine[np.argsort(time, kind="stable")]], lags)
-            deviation[e] = np.sqrt(variance * count / (count - 1 - int(free[e].sum()))) / power
-            critical = quantile * np.polynomial.polynomial.polyval(lags / count, _FIXED_B)
+            left = residuals.left - size[e] * trend
+            weight = np.zeros((2, len(residuals.time)))
+            np.add.at(weight[0], residuals.plateau, residuals.gain[:, e] * left)
+            np.add.at(weight[1], residuals.plateau, residuals.gain[:, e] ** 2)
+            order = mine[np.argsort(time, kind="stable")]
+            repeated = _repeated(weight[0, order] / np.sqrt(np.maximum(weight[1, order], 1e-300)))
+            worth = count * (1.0 - repeated) / (1.0 + repeated)
+            freedom = max(1.0, worth - 1.0 - int(free[e].sum()) / 2.0)
+            variance = float(np.sum(weight[0, mine] ** 2 / np.maximum(weight[1, mine], 1e-300))) / count
+            deviation[e] = np.sqrt(max(variance, 1.0) * count / freedom / power)
+            critical = float(stdtrit(freedom, quantile))
             significant[e] = abs(size[e]) > critical * deviation[e]
         return cls(size, deviation, significant, seconds)
 
 
-def _long_run(scores: Array, lags: int) -> float:
-    """Return the variance of the sum of a series of scores (Newey and West 1987)."""
-    total = float(scores @ scores)
-    for lag in range(1, lags):
-        total += 2.0 * (1.0 - lag / lags) * float(scores[lag:] @ scores[:-lag])
-    return total
+def _repeated(residual: Array) -> float:
+    """Return the first autocorrelation; what a fitted level and trend take from it is given back (Kendall 1954)."""
+    count = len(residual)
+    found = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+    return min(max((count * found + 2.0) / (count - 4), 0.0), 0.95)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -101,6 +102,25 @@ class FitQuality:
         return [text, *([f"drift of {name}: {self.drift_text}"] if self.drifts else [])]
 
     @property
+    def content(self) -> dict[str, Any]:
+        """Return the figures as plain data."""
+        found: dict[str, Any] = {
+            "rms": _digits(self.rms),
+            "share": _digits(self.share),
+            "chi2_per_degree_of_freedom": _digits(self.chi2),
+            "misfit": self.misfit,
+            "residual_by_speed": [[_digits(value) for value in band[:3]] for band in self.bands.tolist()],
+        }
+        if not math.isnan(self.drift):
+            found["drift"] = {
+                "size": _digits(self.drift),
+                "deviation": _digits(self.drift_deviation),
+                "seconds": _digits(self.seconds),
+                "significant": self.drifts,
+            }
+        return found
+
+    @property
     def drift_text(self) -> str:
         """Return how large the drift is."""
         if math.isnan(self.drift):
@@ -110,6 +130,10 @@ class FitQuality:
             f"{self.drift:+.3g} +- {self.drift_deviation:.2g} Nm ({self.drift_share:+.1%} of its friction) in "
             f"{self.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series)"
         )
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.4g}")
 
 
 def _bands(speed: Array, along: Array) -> Array:
