@@ -1,4 +1,4 @@
-"""The emulated Stäubli RX90B, its CS7B controller and its friction, from Python; no ROS needed.
+"""The emulated Stäubli RX90B or another robot, its controller and its friction, from Python; no ROS needed.
 
     import rx90_emulator as rx
 

@@ -6,6 +6,7 @@ __all__ = [
     "joint_series",
     "ordering",
     "reading",
+    "robot_name",
     "summary",
     "tables",
     "tolerance",

@@ -26,7 +26,7 @@ _LONGEST_REASON = 400
 class Section:
     """A mapping of a YAML file, with its place in the file for messages.
 
-    A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE).
+    A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE), or a mapping from keys to these.
     `finish()` refuses keys that were not read: a misspelt key must not fall back to a default.
     """
 
@@ -36,8 +36,9 @@ class Section:
         self.path = path
         self._used = {"source", "provenance", "note"}
         provenance = data.get("provenance")
-        if provenance is not None and provenance not in PROVENANCE:
-            self.refuse("provenance", provenance, f"one of {', '.join(PROVENANCE)}")
+        for value in provenance.values() if isinstance(provenance, dict) else [provenance]:
+            if value is not None and value not in PROVENANCE:
+                self.refuse("provenance", value, f"one of {', '.join(PROVENANCE)}")
 
     @property
     def provenance(self) -> str | None:

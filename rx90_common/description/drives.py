@@ -48,15 +48,12 @@ class DriveParameters:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = np.asarray(getattr(self, field.name))
-            signed = field.name == "gear"
-            if not np.all(np.isfinite(value)) or not (signed or np.all(value >= 0)):
-                kind = "finite numbers other than 0" if signed else "finite numbers >= 0"
-                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: {kind}")
+            accepted, wrong = ("other than 0", value == 0) if field.name == "gear" else (">= 0", value < 0)
+            if not np.all(np.isfinite(value)) or np.any(wrong):
+                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers {accepted}")
             shape = () if field.name == "velocity_bandwidth" else (6,)
             if value.shape != shape:
                 raise ConfigError(f"{field.name} has shape {value.shape}; accepted: {shape}")
-        if np.any(self.gear == 0):
-            raise ConfigError(f"gear is {self.gear}; accepted: numbers other than 0")
         for name in ("torque_constant", "peak_current", "encoder_counts", "velocity_bandwidth"):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")

@@ -1,4 +1,4 @@
-"""What the simulation latches on `time_mode`: how time is kept, and the rates that both nodes must share."""
+"""What the simulation latches on `time_mode`: how time is kept, and the rates and the robot that both nodes share."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ class TimeMode:
     Attributes:
         mode: one of TIME_MODES.
         rates: of the simulation.
+        robot: name of its robot; None where the text says none.
     """
 
     mode: str
     rates: Rates
+    robot: str | None = None
 
     @property
     def text(self) -> str:
         """Return the text of the message."""
-        return f"{self.mode} base_rate={self.rates.base_hz} position_rate={self.rates.position_hz}"
+        text = f"{self.mode} base_rate={self.rates.base_hz} position_rate={self.rates.position_hz}"
+        return text if self.robot is None else f"{text} robot={self.robot}"
 
     @classmethod
     def parse(cls, text: str) -> TimeMode:
@@ -37,19 +40,21 @@ class TimeMode:
             MessageError: if it is none.
         """
         try:
-            mode, base, position = text.split()
+            about, named, robot = text.partition(" robot=")
+            mode, base, position = about.split()
             if mode in TIME_MODES and base.startswith("base_rate=") and position.startswith("position_rate="):
-                return cls(mode, Rates(int(base.partition("=")[2]), int(position.partition("=")[2])))
+                rates = Rates(int(base.partition("=")[2]), int(position.partition("=")[2]))
+                return cls(mode, rates, robot if named else None)
         except (ValueError, ConfigError):
             pass
         accepted = f"{', '.join(TIME_MODES)} with rates, as in {_EXAMPLE}"
         raise MessageError(f"{TIME_MODE} says {quoted(text)}; accepted: {accepted}")
 
-    def check(self, rates: Rates) -> None:
-        """Compare the simulation's rates with the controller's.
+    def check(self, rates: Rates, robot: str) -> None:
+        """Compare the simulation's rates and robot with the controller's.
 
         Raises:
-            ExchangeError: naming the first rate that differs, with both values.
+            ExchangeError: naming what differs first, with both values.
         """
         for name, theirs, ours in (
             ("base_rate", self.rates.base_hz, rates.base_hz),
@@ -59,3 +64,8 @@ class TimeMode:
                 raise ExchangeError(
                     f"{name} is {ours} Hz here and {theirs} Hz in the simulation; accepted: the same in both nodes"
                 )
+        if self.robot not in (None, robot):
+            raise ExchangeError(
+                f"the robot is {quoted(robot)} here and {quoted(self.robot)} in the simulation; accepted: the same in "
+                "both nodes, by their parameters robot or urdf"
+            )

@@ -169,7 +169,7 @@ class Control:
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
-        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info)
+        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info, plain(robot.model.name))
         self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         if time_mode is None:

@@ -41,8 +41,9 @@ class Serving:
         loops: ServoLoops,
         pacer: Pacer,
         announce: Callable[[str], None],
+        robot: str,
     ) -> None:
-        self._channel, self._messages = channel, messages
+        self._channel, self._messages, self._robot = channel, messages, robot
         self._lockstep = LockstepController(channel, messages, loops, announce)
         self._free = FreeRunningController(channel, messages, loops, pacer, announce)
         self.mode: str | None = None
@@ -98,10 +99,10 @@ class Serving:
         """Answer in this mode.
 
         Raises:
-            ExchangeError: if the simulation's rates are not this one's; then `run` ends with the same error.
+            ExchangeError: if the simulation's rates or robot are not this one's; then `run` ends with the same error.
         """
         try:
-            time_mode.check(self._messages.rates)
+            time_mode.check(self._messages.rates, self._robot)
         except ExchangeError as error:
             self._refused = error
             self.stop()

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import write_text
+from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
@@ -51,6 +53,8 @@ def write_report(
     page = render_page(
         "rx90_emulator.demo",
         "report.html.j2",
+        robot=setup.robot.model.name,
+        provenance={} if setup.files is None else _provenance(setup.files),
         task=task,
         run=run,
         facts=facts,
@@ -68,6 +72,20 @@ def write_report(
         },
     )
     write_text(path, page)
+
+
+def _provenance(files: RobotFiles) -> dict[str, list[str]]:
+    """Return for each file what its blocks say of where they come from; a URDF says it in a comment."""
+    found: dict[str, list[str]] = {}
+    for role in MODEL_FILES:
+        path: Path | None = getattr(files, role)
+        if path is None or role == "urdf":
+            continue
+        root = load_yaml(path)
+        blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
+        said = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
+        found[path.name] = said or [root.provenance or "not said"]
+    return found
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:

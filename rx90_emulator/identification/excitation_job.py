@@ -7,17 +7,19 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from rx90_common.base.versions import versions
+from rx90_common.description.robot_files import FILES
 from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.output.excitation.parameters_file import parameters_text
 from rx90_emulator.identification.output.excitation.report import report_page
+from rx90_emulator.identification.output.excitation.robot import robot_files
 from rx90_emulator.identification.output.excitation.summary import excitation_summary
 from rx90_emulator.identification.output.files import check_folder, write_folder
 from rx90_emulator.identification.progress import steps
 
 REPORT, PARAMETERS = "report.html", "parameters.yaml"
-_FILES = (REPORT, PARAMETERS)
+_FILES = (REPORT, PARAMETERS, *FILES.values())
 
 
 def write_excitation(result: ExcitationIdentification, folder: Path | str, *, force: bool = False) -> Path:
@@ -37,8 +39,9 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
     folder = Path(folder)
     check_folder(folder, _FILES, force=force)
     date = datetime.now(timezone.utc)
-    texts = {REPORT: report_page(result, date, versions()), PARAMETERS: parameters_text(result, date, versions())}
-    write_folder(folder, texts)
+    robot, note = robot_files(result, date)
+    page = report_page(result, date, versions(), (*robot, note))
+    write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
     return folder
 
 
@@ -67,8 +70,8 @@ def run_excitation(
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     check_folder(output, _FILES, force=force)
-    with steps(len(bags) + 2 * len(validation) + 2) as step:
+    with steps(len(bags) + 2 * len(validation) + 3) as step:
         result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
     folder = write_excitation(result, output, force=force)
-    print(f"{excitation_summary(result)}\nreport: {folder / REPORT}\nparameters: {folder / PARAMETERS}")
+    print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.trajectories import read_trajectories
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, TrajectoryError, check_type
@@ -45,14 +46,15 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
 
     Args:
         bag: recorded by `rx90_bag record`, or written by `write_bag`.
-        setup: the robot, for the names of its joints and its rates.
+        setup: the robot, for its name, the names of its joints and its rates.
         initial_position: rad, shape (6,), instead of the first one of `joint_states`.
 
     Raises:
-        BagError: if the bag cannot be read, lacks what is needed, or begins with a moving arm or too late.
+        BagError: if the bag cannot be read, is another robot's, lacks what is needed, or begins too late or moving.
         TrajectoryError: if a trajectory is none for this robot.
     """
     check_type(setup=(setup, Setup))
+    check_robot(bag, setup.robot.model.name)
     states = read_joint_states(bag, "joint_states", setup.robot.joint_names)
     first, last = (int(stamp) for stamp in (states.stamp_ns.min(), states.stamp_ns.max()))
     if first > _LATEST * NANOSECONDS:

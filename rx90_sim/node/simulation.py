@@ -45,7 +45,7 @@ class Simulation:
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
         self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
-        self.time_mode = TimeMode(self._parameters.time_mode, self._parameters.rates)
+        self.time_mode = TimeMode(self._parameters.time_mode, self._parameters.rates, self._robot_name)
         self._mode.publish(String(data=self.time_mode.text))
         declare(node, "step_ticks", 1, "ticks of one call of ~/step", low=1, high=100_000_000, read_only=False)
         node.create_service(SetBool, "~/pause", self._on_pause)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -154,8 +155,12 @@ def test_presliding_hysteresis_is_closed_and_independent_of_rate(
 def test_a_mass_under_constant_load_does_not_creep_in_an_hour(
     masses: Masses, shipped: Setup, paper_element: LuGreElement
 ) -> None:
-    """Below break-away a mass moves by its bristle, then keeps every bit of its position for an hour."""
-    elements = [*shipped.friction.elements[:3], paper_element]
+    """Below break-away a mass moves by its bristle, then keeps every bit of its position for an hour.
+
+    So it does where the viscous part grows less than linearly, with a slope at rest that is far beyond c2.
+    """
+    first, second, third = shipped.friction.elements[:3]
+    elements = [first, replace(second, alpha=0.6), replace(third, alpha=0.4), paper_element]
     load = np.array([0.8 * e.tau_c_positive for e in elements])
     load[1] *= -1
     force = np.append(load, [0.0, 0.0])
@@ -170,6 +175,24 @@ def test_a_mass_under_constant_load_does_not_creep_in_an_hour(
     assert hold(plant.constants, plant.state, force, 59 * 60 * hertz) == -1
     assert np.array_equal(plant.joint_states()[0][:4], after_a_minute)
     assert plant.friction_states()[0][:4] == pytest.approx(deflection, rel=1e-9)
+
+
+def test_a_free_mass_slows_down_as_its_viscous_exponent_says(masses: Masses) -> None:
+    """With dv/dt = -c v^a a mass has v^(1 - a) = v_0^(1 - a) - (1 - a) c t; for a < 1 it stops after a finite way."""
+    exponents, c, start = np.array([0.4, 0.6, 0.8, 1.5]), 0.5, 2.0
+    tiny = 1e-9
+    elements = [LuGreElement(tiny, tiny, tiny, tiny, 1.0, 1.0, tiny, 0.0, c, alpha=a) for a in exponents]
+    plant = masses(elements)
+    plant.state["v"][0, :4] = start
+    force = np.zeros(6)
+    for seconds in (1, 2):
+        assert hold(plant.constants, plant.state, force, 4000) == -1
+        want = (start ** (1 - exponents) - (1 - exponents) * c * seconds) ** (1 / (1 - exponents))
+        assert plant.joint_states()[1][:4] == pytest.approx(want, rel=1e-6)
+    assert hold(plant.constants, plant.state, force, 10 * 4000) == -1
+    position, velocity, _ = plant.joint_states()
+    assert np.abs(velocity[:2]).max() < 1e-6
+    assert position[:2] == pytest.approx(start ** (2 - exponents[:2]) / ((2 - exponents[:2]) * c), rel=1e-4)
 
 
 def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm_oracle: Any) -> None:

@@ -21,7 +21,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
 
-_STEP = 1e-3  # s, at most
+_STEP = 2e-3  # s, at most
 _AT_REST = 1e-3  # rad/s: below, friction is taken as proportional to the velocity
 _LOOPS = (3.0, 5.0, 8.0, 12.0, 20.0, 30.0, 50.0)  # Hz, of the controllers that are tried
 _SMOOTH = 0.25  # bandwidth of a path that stands in for set-points, over that of the torque

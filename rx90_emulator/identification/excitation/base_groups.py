@@ -16,8 +16,9 @@ from rx90_emulator.identification.excitation.columns import StandardColumns
 
 _SAMPLES = 60  # random motions; each gives as many equations as there are joints
 _SEED = 20100
-_DEPENDENT = 1e-7  # share of a column outside the space of others, below which it is dependent
-_ZERO = 1e-9  # coefficient in a group
+_DEPENDENT = 1e-5  # share of a column outside the space of others, below which it is dependent: more than what a
+# description leaves that has 1.5708 for a right angle
+_ZERO = 1e-5  # coefficient in a group, for the same reason
 _LATE = ("m_", "mz_", "Iyy_")  # kinds that join other groups by Khalil's convention: they come last
 
 
@@ -51,7 +52,7 @@ class BaseGroups:
         leading = sorted(_independent(matrix, order))
         kept = matrix[:, leading]
         combination = np.asarray(np.linalg.lstsq(kept, matrix, rcond=None)[0], dtype=np.float64)
-        combination[np.abs(combination) < _ZERO * max(1.0, float(np.abs(combination).max()))] = 0.0
+        combination[np.abs(combination) < _ZERO] = 0.0
         combination[:, leading] = np.eye(len(leading))
         return cls(standard, tuple(leading), combination)
 
@@ -81,6 +82,7 @@ class BaseGroups:
 def _independent(matrix: Array, order: list[int]) -> list[int]:
     """Return the columns that are independent of those before them in the given order."""
     basis = np.zeros((len(matrix), 0))
+    largest = float(np.linalg.norm(matrix, axis=0).max())
     chosen = []
     for k in order:
         column = matrix[:, k]
@@ -88,7 +90,7 @@ def _independent(matrix: Array, order: list[int]) -> list[int]:
         rest = column - basis @ (basis.T @ column)
         rest = rest - basis @ (basis.T @ rest)  # once more: rounding of the first pass
         left = float(np.linalg.norm(rest))
-        if size > 0.0 and left > _DEPENDENT * size:
+        if size > _DEPENDENT * largest and left > _DEPENDENT * size:
             basis = np.column_stack([basis, rest / left])
             chosen.append(k)
     return chosen

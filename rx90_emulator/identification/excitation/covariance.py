@@ -3,7 +3,8 @@
 Residuals of an excitation run are no white noise: what the model leaves out (ripple, load, temperature) returns with
 the motion. A fit is seen here as the sum of what every instant contributes to it, its influence: inverse curvature
 times score, all joints of an instant together. Its variance follows from these contributions and their correlation in
-time alone, whatever the residuals are.
+time alone, whatever the residuals are. Repetitions of a motion count as one (`repetition`): their contributions are
+added before they are squared.
 
 The residuals of a fit are smaller than the errors that they stand for, and most of all at the low frequencies that its
 columns consist of. Each block of time is therefore judged by the fit to all other blocks (as in the jackknife of Bell
@@ -30,17 +31,23 @@ _STEEPEST = 0.97  # first-order autocorrelation: above, a series has no finite b
 
 
 def time_blocks(problem: ExcitationProblem) -> Index:
-    """Return the number of each row's block of time, shape (r,): some twenty, of equal length within a run."""
-    lengths = [float(run.time[-1] - run.time[0]) for run in problem.runs]
+    """Return the number of each row's block of time, shape (r,): some twenty; repetitions of a motion share theirs."""
+    lengths = _lengths(problem)
+    counts = [max(_FEWEST, round(_BLOCKS * length / sum(lengths))) for length in lengths]
+    first = np.cumsum([0, *counts])
     block = np.zeros(len(problem), dtype=np.intp)
-    first = 0
-    for number, (run, length) in enumerate(zip(problem.runs, lengths, strict=True)):
-        count = max(_FEWEST, round(_BLOCKS * length / sum(lengths)))
-        rows = problem.run == number
-        place = np.minimum((problem.time[rows] - run.time[0]) / length * count, count - 1)
-        block[rows] = first + place.astype(np.intp)
-        first += count
+    for run, (motion, phase) in enumerate(problem.phases):
+        rows = problem.run == run
+        block[rows] = first[motion] + phase[problem.place[rows]] * counts[motion] // lengths[motion]
     return block
+
+
+def _lengths(problem: ExcitationProblem) -> list[int]:
+    """Return how many phases each motion has."""
+    lengths = [1] * (1 + max(motion for motion, _ in problem.phases))
+    for motion, phase in problem.phases:
+        lengths[motion] = max(lengths[motion], int(phase.max(initial=0)) + 1)
+    return lengths
 
 
 def outside_residuals(columns: Array, instruments: Array, residual: Array, block: Index) -> Array:
@@ -65,7 +72,7 @@ def outside_residuals(columns: Array, instruments: Array, residual: Array, block
 
 
 def influence_by_time(problem: ExcitationProblem, scores: Array, inverse: Array) -> list[Array]:
-    """Return each run's influences on the parameters, instant by instant.
+    """Return each motion's influences on the parameters, instant by instant, repetitions added.
 
     Args:
         problem: r rows.
@@ -73,15 +80,13 @@ def influence_by_time(problem: ExcitationProblem, scores: Array, inverse: Array)
         inverse: of the derivative of these equations by the parameters, shape (q, q).
 
     Returns:
-        For each run an array of shape (k, q), 0 where all rows of an instant are left out.
+        For each motion an array of shape (k, q), 0 where all rows of an instant are left out.
     """
     influence = scores @ inverse.T
-    result = []
-    for number, run in enumerate(problem.runs):
-        rows = problem.run == number
-        series = np.zeros((len(run.rows), influence.shape[1]))
-        np.add.at(series, problem.place[rows], influence[rows])
-        result.append(series)
+    result = [np.zeros((length, influence.shape[1])) for length in _lengths(problem)]
+    for run, (motion, phase) in enumerate(problem.phases):
+        rows = problem.run == run
+        np.add.at(result[motion], phase[problem.place[rows]], influence[rows])
     return result
 
 
@@ -89,7 +94,7 @@ def hac(series: Sequence[Array]) -> Array:
     """Return the heteroscedasticity- and autocorrelation-consistent covariance of sums of influences, shape (q, q).
 
     Quadratic spectral kernel (Andrews 1991, equation 2.7) with the bandwidth that `bandwidth` chooses; instants of
-    different runs are independent.
+    different motions are independent.
     """
     width = bandwidth(series)
     total = np.zeros((series[0].shape[1],) * 2)

@@ -10,6 +10,8 @@ from rx90_emulator.identification.model.estimates import ElementEstimate, Parame
 from rx90_emulator.identification.result.identification import IdentifiedElement
 
 _PRESLIDING = 2.5e-4  # rad, deflection at break-away where no c0 is known: that of the shipped RX90B's large joints
+ASSUMED_BRISTLES = "no file: bristles that break away after 0.25 mrad are assumed"
+"""Where c0, c1 and omega_d come from without a fallback, in words."""
 _RELAXATION = 1e-3  # s, c1 over c0 where no c1 is known, as there
 _FADES = 1.0  # rad/s, omega_d beside such a c1: the element is passive then at every speed
 _STRIBECK = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c

@@ -12,6 +12,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.consistency import make_consistent
 from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
@@ -80,19 +81,25 @@ def identify_excitation(
     _check_motion(problem, source)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    progress("consistent inertias")
+    consistency = make_consistent(problem, friction, source, robot)
     checks = []
     for record in unseen:
         progress(record.source.name)
         other = ExcitationProblem.of(source.arm, _filtered([record], source, bandwidths))
-        (unseen_torques,) = run_torques(other, predicted_torque(friction, other))
-        checks.append(TorqueValidation(unseen_torques, tolerances))
+        predicted = predicted_torque(friction, other)
+        (identified,) = run_torques(other, predicted)
+        (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
+        checks.append(TorqueValidation(identified, consistent, tolerances))
     torques = run_torques(problem, friction.predicted)
     return ExcitationIdentification(
         robot=source,
+        options=robot,
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback),
-        base=base_parameters(problem, friction),
+        base=base_parameters(problem, friction, consistency),
+        consistency=consistency,
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),

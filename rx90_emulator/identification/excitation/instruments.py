@@ -27,10 +27,11 @@ from rx90_emulator.identification.excitation.least_squares import LinearFit, sol
 from rx90_emulator.identification.excitation.prior import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
-_ROUNDS = 10
-_CONVERGED = 0.05  # change of a value in its deviations
+_ROUNDS = 6
+_CONVERGED = 0.2  # change of a value in its deviations
 _LEVEL = 0.05  # of the test, over all parameters together
-_WEAK = 0.1  # smallest canonical correlation of instruments and columns that still determines values
+_MATTERS = 0.25  # deviations of the value itself: smaller differences are significant in long runs, and of no use
+_WEAK = 10.0  # F statistic of the weakest direction, below which instruments are weak (Staiger and Stock 1997)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +43,9 @@ class InstrumentalComparison:
         instrumental: the other.
         differences: of the values, instrumental less least squares, in deviations of the difference, shape (q,).
         p_value: chance of the largest of them if least squares have no bias (Bonferroni's bound over q parameters).
-        strength: smallest canonical correlation of instruments and columns.
-        rounds: simulations until the values settled.
+        strength: F statistic of the weakest direction of the instruments: r c^2 / (1 - c^2) with their smallest
+            canonical correlation c with the columns, for r rows.
+        rounds: simulations until the values settled; each round's values are valid estimates.
         settled: whether they did.
         controller: of the simulation.
         biased: whether least squares differ by more than chance, and the instruments carry an answer.
@@ -104,23 +106,25 @@ def with_instruments(
     settled = rounds > 0 and change < _CONVERGED
     strength = _strength(problem, columns, instruments, fit)
     differences = _differences(plain, fit)
-    worst = int(np.argmax(np.abs(differences)))
-    p_value = min(1.0, 2.0 * len(differences) * float(norm.sf(abs(differences[worst]))))
-    biased, reason = _verdict(names[worst], float(differences[worst]), p_value, strength, settled=settled)
+    p_value = min(1.0, 2.0 * len(differences) * float(norm.sf(np.abs(differences).max())))
+    matters = np.abs(fit.value - plain.value) > _MATTERS * plain.deviation
+    biased = strength >= _WEAK and p_value < _LEVEL and bool(matters[np.abs(differences).argmax()])
+    reason = _reason(names, differences, p_value, strength, biased=biased)
     return InstrumentalComparison(
         plain, fit, differences, p_value, strength, rounds, settled, controller, biased, reason
     )
 
 
-def _verdict(name: str, difference: float, p_value: float, strength: float, *, settled: bool) -> tuple[bool, str]:
+def _reason(names: tuple[str, ...], differences: Array, p_value: float, strength: float, *, biased: bool) -> str:
     if strength < _WEAK:
-        return False, f"least squares are taken: the instruments tell too little (correlation {strength:.2g})"
-    if not settled:
-        return False, f"least squares are taken: instrumental variables did not settle in {_ROUNDS} rounds"
-    found = f"{name} differs most, by {abs(difference):.1f} deviations of the difference (p = {p_value:.2g})"
+        return f"least squares are taken: the instruments are weak (F = {strength:.2g}; from {_WEAK:g} on they count)"
+    worst = int(np.argmax(np.abs(differences)))
+    size = f"{abs(differences[worst]):.1f} deviations of the difference (p = {p_value:.2g})"
+    if biased:
+        return f"instrumental variables are taken, for least squares are biased: {names[worst]} differs by {size}"
     if p_value < _LEVEL:
-        return True, f"instrumental variables are taken, for least squares are biased: {found}"
-    return False, f"least squares are taken, for instrumental variables agree with them: {found}"
+        return f"least squares are taken: {names[worst]} differs by {size}, less than a quarter of its own deviation"
+    return f"least squares are taken, for instrumental variables agree: {names[worst]} differs most, by {size}"
 
 
 def _change(before: LinearFit, fit: LinearFit) -> float:
@@ -139,7 +143,8 @@ def _differences(plain: LinearFit, fit: LinearFit) -> Array:
 
 
 def _strength(problem: ExcitationProblem, columns: Array, instruments: Array, fit: LinearFit) -> float:
-    """Return the smallest canonical correlation of both sets of columns, over what the rows determine."""
+    """Return the F statistic of the smallest canonical correlation of both sets of columns."""
     weight = np.sqrt(fit.weights)[:, None] / fit.sigma[problem.joint][:, None]
     bases = [np.linalg.qr(weight * values[:, fit.determined])[0] for values in (columns, instruments)]
-    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[-1])
+    smallest = min(float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[-1]), 1.0 - 1e-12)
+    return len(columns) * smallest**2 / (1.0 - smallest**2)

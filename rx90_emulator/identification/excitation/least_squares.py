@@ -37,7 +37,7 @@ class LinearFit:
         weights: robust weights between 0 and 1, shape (r,).
         determined: whether the rows determine each parameter, shape (q,).
         condition: ratio of the largest and smallest singular values of the weighted columns, each of length 1.
-        influence: each run's influences on the values, shape (k, q): see `covariance`.
+        influence: each motion's influences on the values, shape (k, q): see `covariance`.
     """
 
     value: Array

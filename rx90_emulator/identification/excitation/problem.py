@@ -20,6 +20,7 @@ from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import BLOCK, FilteredRun
 from rx90_emulator.identification.excitation.payload import Payload
+from rx90_emulator.identification.excitation.repetition import phases
 from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
@@ -42,7 +43,8 @@ class ExcitationProblem:
         place: its place among the run's filtered samples, shape (r,).
         time: s, shape (r,).
         torque: as recorded, less that of known payloads, filtered, Nm, shape (r,).
-        payload: torque of known payloads, filtered, Nm, shape (r,).
+        payloads: of each run.
+        payload: their torque, filtered, Nm, shape (r,).
         regressor: filtered columns of the b base parameters, shape (r, b).
         reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
     """
@@ -57,6 +59,7 @@ class ExcitationProblem:
     place: Index
     time: Array
     torque: Array
+    payloads: tuple[Payload | None, ...]
     payload: Array
     regressor: Array
     reversal: Mask
@@ -80,7 +83,7 @@ class ExcitationProblem:
         Raises:
             IdentificationError: for runs of other joints, payloads of another number, and if no joint moves.
         """
-        carried = [None] * len(runs) if payloads is None else list(payloads)
+        carried = (None,) * len(runs) if payloads is None else tuple(payloads)
         _check_runs(arm, runs, carried)
         there = [name for name, k in zip(arm.names, arm.spring.tolist(), strict=True) if k]
         columns = StandardColumns.with_springs_on(arm, there if springs is None else springs)
@@ -90,9 +93,11 @@ class ExcitationProblem:
         if not len(rows["run"]):
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.zeros(len(rows["run"]))
-        bare = cls(arm, tuple(runs), columns, base, **rows, torque=empty, payload=empty, regressor=empty)
+        bare = cls(
+            arm, tuple(runs), columns, base, **rows, torque=empty, payloads=carried, payload=empty, regressor=empty
+        )
         recorded = bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
-        regressor, payload = _stacked(bare, carried)
+        regressor, payload = bare.through(np.eye(len(arm.names)))
         return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)
 
     def __len__(self) -> int:
@@ -102,6 +107,11 @@ class ExcitationProblem:
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns, shape (b,)."""
         return self.base.names
+
+    @cached_property
+    def phases(self) -> list[tuple[int, Index]]:
+        """Return for each run the number of its motion and the phase of its filtered samples: see `repetition`."""
+        return phases(self.runs)
 
     @cached_property
     def velocity(self) -> Array:
@@ -161,8 +171,17 @@ class ExcitationProblem:
             replace(run, position=position, velocity=velocity, acceleration=acceleration)
             for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
         )
-        other = replace(self, runs=runs)
-        return replace(other, regressor=_stacked(other, [None] * len(runs))[0])
+        other = replace(self, runs=runs, payloads=(None,) * len(runs))
+        return replace(other, regressor=other.through(np.eye(len(self.arm.names)))[0])
+
+    def through(self, share: Array) -> tuple[Array, Array]:
+        """Return what reaches the rows of the base's columns and of the payloads, shape (r, b) and (r,).
+
+        Args:
+            share: of each joint's torque (row) in that of each joint (column), shape (n, n): the identity for all of
+                it, other matrices for the part of one motor.
+        """
+        return _stacked(self, share)
 
     def _gathered(self, rows_of: Callable[[int, Index], Array]) -> Array:
         """Return rows that are made run by run."""
@@ -174,20 +193,20 @@ def _columns(problem: ExcitationProblem, run: FilteredRun, samples: slice) -> Ar
     return problem.columns.torque(*motion)
 
 
-def _stacked(problem: ExcitationProblem, payloads: Sequence[Payload | None]) -> tuple[Array, Array]:
-    """Return the filtered columns of the base parameters and the torque of payloads, shape (r, b) and (r,)."""
+def _stacked(problem: ExcitationProblem, share: Array) -> tuple[Array, Array]:
     leading, n = list(problem.base.leading), len(problem.arm.names)
     regressor, payload = np.zeros((len(problem.run), len(leading))), np.zeros(len(problem.run))
-    for number, (run, body) in enumerate(zip(problem.runs, payloads, strict=True)):
+    for number, (run, body) in enumerate(zip(problem.runs, problem.payloads, strict=True)):
         for samples, rows in run.blocks():
             values = _columns(problem, run, samples)
             inside = (problem.run == number) & (problem.place >= rows.start) & (problem.place < rows.stop)
             here = np.flatnonzero(inside)
-            place = problem.place[here] - rows.start
-            regressor[here] = run.parallel(values[:, :, leading])[place, problem.joint[here]]
+            place, to = problem.place[here] - rows.start, share[:, problem.joint[here]].T
+            filtered = run.parallel(values[:, :, leading])[place]
+            regressor[here] = np.einsum("rj,rjb->rb", to, filtered)
             if body is not None:
-                torque = values[:, :, 10 * n - 10 : 10 * n] @ body.parameters()
-                payload[here] = run.parallel(torque)[place, problem.joint[here]]
+                torque = run.parallel(values[:, :, 10 * n - 10 : 10 * n] @ body.parameters())
+                payload[here] = np.sum(to * torque[place], axis=1)
     return regressor, payload
 
 

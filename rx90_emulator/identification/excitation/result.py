@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rx90_emulator.identification.excitation.consistency import Consistency
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import IdentifiedElement
@@ -27,17 +29,16 @@ class BaseParameter:
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
         estimate: by weighted least squares, together with the friction.
+        consistent: its value by the physically consistent inertias.
         instrumental: by instrumental variables; None where there are no instruments.
-        consistent: its value by the physically consistent inertias; None where these were not asked for, and for
-            what is no inertia.
     """
 
     name: str
     group: str
     unit: str
     estimate: ParameterEstimate
+    consistent: float
     instrumental: ParameterEstimate | None = None
-    consistent: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +46,13 @@ class ExcitationIdentification:
     """An arm's dynamics from excitation runs.
 
     Attributes:
-        robot: as it was described.
+        robot: that the runs come from.
+        options: that describe it.
         problem: the equations of the runs.
         friction: what was compared, and the friction that was kept.
         elements: of the friction, to simulate with, and what is known of each parameter.
         base: linear parameters but friction.
+        consistency: inertias that bodies can have, near to these.
         torques: recorded against predicted, of each run that was used.
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
@@ -57,10 +60,12 @@ class ExcitationIdentification:
     """
 
     robot: RecordedRobot
+    options: RobotOptions
     problem: ExcitationProblem
     friction: FrictionSelection
     elements: tuple[IdentifiedElement, ...]
     base: tuple[BaseParameter, ...]
+    consistency: Consistency
     torques: tuple[RunTorques, ...]
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
@@ -77,14 +82,17 @@ class ExcitationIdentification:
         return next(row for row in reversed(self.friction.models) if row.kept)
 
 
-def base_parameters(problem: ExcitationProblem, friction: FrictionSelection) -> tuple[BaseParameter, ...]:
+def base_parameters(
+    problem: ExcitationProblem, friction: FrictionSelection, consistency: Consistency
+) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
     values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
-    rows = zip(problem.names, problem.base.groups, values, deviations, strict=True)
+    consistent = consistency.inertias.base.tolist()
+    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
     return tuple(
-        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread))
-        for name, group, value, spread in rows
+        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near)
+        for name, group, value, spread, near in rows
     )
 
 

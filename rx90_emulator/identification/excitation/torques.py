@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import welch
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array
@@ -17,6 +16,8 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.options import ExcitationTolerances
 from rx90_emulator.identification.records.record import BagSource
 
+_DIFFERENCES, _GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
+_NORMAL = 0.6745  # median of a standard normal's size
 _FEWEST_BLOCKS = 6  # over which a trend is tested
 _LEVEL = 0.01  # chance of a false trend, over all joints and runs together
 
@@ -50,8 +51,7 @@ class RunTorques:
         names: n joints.
         source: the bag.
         joints: one for each joint; empty arrays for one that stands still.
-        noise: of the filtered torque, standard deviation by what is above the filter's band, Nm, shape (n,); 0 where
-            there is none.
+        noise: of the filtered torque, standard deviation if the noise is white, Nm, shape (n,).
     """
 
     names: tuple[str, ...]
@@ -93,19 +93,24 @@ class TorqueValidation:
     """The verdict of a run that was not used.
 
     Attributes:
-        torques: of the run.
+        torques: of the run, predicted by the identified parameters.
+        consistent: the same, predicted by the inertias that bodies can have, which the robot's files hold.
         tolerances: what counts as agreement.
     """
 
     torques: RunTorques
+    consistent: RunTorques
     tolerances: ExcitationTolerances
 
     @property
     def passed(self) -> bool:
-        """Return whether each joint that moves, and all of them together, agree."""
-        share = self.torques.share
+        """Return whether each joint that moves, and all of them together, agree with both predictions."""
+        return all(self._agrees(torques) for torques in (self.torques, self.consistent))
+
+    def _agrees(self, torques: RunTorques) -> bool:
+        share = torques.share
         within = bool((share[np.isfinite(share)] <= self.tolerances.joint).all())
-        return within and self.torques.total_share <= self.tolerances.total
+        return within and torques.total_share <= self.tolerances.total
 
 
 @dataclass(frozen=True)
@@ -160,16 +165,13 @@ def run_torques(problem: ExcitationProblem, predicted: Array) -> tuple[RunTorque
 def torque_noise(run: FilteredRun) -> Array:
     """Return the standard deviation of the noise of the filtered torque, Nm, shape (n,).
 
-    The parallel filter passes nothing above twice its bandwidth. The median power of the recorded torque there is
-    taken as that of white noise in the band as well.
+    The median third difference of the recorded torque tells the noise of a sample: motion is smooth between samples,
+    and the steps of friction are rare. Of white noise the filter passes the sum of its squared taps.
     """
-    length = min(len(run.torque), 1024)
-    frequency, power = welch(run.torque, run.rate, nperseg=length, axis=0, detrend="constant")
-    above = frequency > 2.0 * run.bandwidths.torque
-    if not above.any():
+    if len(run.torque) <= _DIFFERENCES:
         return np.zeros(run.torque.shape[1])
-    floor = np.median(power[above], axis=0)
-    return np.asarray(np.sqrt(floor * 0.5 * run.rate * np.sum(run.taps**2)))
+    size = np.median(np.abs(np.diff(run.torque, _DIFFERENCES, axis=0)), axis=0) / (_NORMAL * math.sqrt(_GAIN))
+    return np.asarray(size * math.sqrt(np.sum(run.taps**2)))
 
 
 def trends(runs: Sequence[RunTorques], block: float) -> tuple[Trend, ...]:

@@ -14,10 +14,10 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_emulator.identification.records.record import BagSource
 
 SLIDING = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "omega_s", "delta", "c2")
+VISCOUS_EXPONENT = "alpha"
+"""Of the sliding regime too, and estimated where the data prefer another value than 1."""
 PRESLIDING = ("c0", "c1")
-PARAMETERS = (*SLIDING, *PRESLIDING)
-WITH_EXPONENT = (*SLIDING, "alpha", *PRESLIDING)
-"""What excitation runs, which pass many speeds, can tell of an element."""
+PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 _MOST_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
@@ -67,7 +67,7 @@ class ElementEstimate:
 
     Attributes:
         element: its name.
-        parameters: estimates by the names in WITH_EXPONENT, or a part of them, in that order; p of them.
+        parameters: estimates by the names in PARAMETERS, or a part of them, in that order; p of them.
         correlation: of the estimates, in the order of `parameters`, shape (p, p); NaN where one is not identifiable.
         sources: the bags they rest on.
 
@@ -81,10 +81,10 @@ class ElementEstimate:
     sources: tuple[BagSource, ...]
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.parameters if name not in WITH_EXPONENT]
+        unknown = [name for name in self.parameters if name not in PARAMETERS]
         if unknown:
             found = f"{plain(self.element)}: parameter {quoted(unknown[0])}"
-            raise IdentificationError(f"{found}; accepted: {', '.join(WITH_EXPONENT)}")
+            raise IdentificationError(f"{found}; accepted: {', '.join(PARAMETERS)}")
         shape = (len(self.parameters), len(self.parameters))
         if self.correlation.shape != shape:
             raise IdentificationError(

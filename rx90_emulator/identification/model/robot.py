@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.reading import BagReader
+from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -72,7 +73,7 @@ class RecordedRobot:
         """Return what to read of a bag: the motors' states where the rate matters and they are there.
 
         Raises:
-            BagError: if the bag cannot be read.
+            BagError: if the bag cannot be read, or is another robot's.
             IdentificationError: if it holds neither motor nor joint states.
         """
         return replace(self._layout(bag, fast=fast), record_time=self.record_time, zero=self.zero)
@@ -81,6 +82,7 @@ class RecordedRobot:
         if self.own_layout is not None:
             return self.own_layout
         assert self.setup is not None
+        check_robot(bag, self.setup.robot.model.name)
         motors, joints = BagLayout.rx90_motors(self.setup), BagLayout.rx90_joints(self.setup)
         with BagReader(bag) as reader:
             there = {topic.name for topic in reader.topics}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from typing import Any
@@ -13,6 +13,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\
 #
@@ -32,14 +33,34 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
     Raises:
         ConfigError: for values or deviations that are not finite, or absurd.
     """
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now, result.sliding)
+
+
+def elements_text(
+    names: Sequence[str],
+    elements: Sequence[IdentifiedElement],
+    fallback_name: str | None,
+    now: datetime | None = None,
+    sliding: SlidingFit | None = None,
+) -> str:
+    """Return the text of a file with these elements.
+
+    Args:
+        names: of the elements.
+        elements: what was identified of each.
+        fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
+        now: date of the identification; by default the present.
+        sliding: fit of sweeps, whose use of the bags and goodness go into the file; None without sweeps.
+
+    Raises:
+        ConfigError: for values or deviations that are not finite, or absurd.
+    """
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
-    fallback_name = result.fallback_name
     sources: dict[BagSource, str] = {}
-    for one in result.elements:
+    for one in elements:
         for bags in one.sources.values():
             for bag in bags:
                 sources.setdefault(bag, f"bag_{len(sources) + 1}")
-    names = result.arm.element_names
     source = f"{len(sources)} bags, {date}; omega_d is not identified"
     identification = {
         "date": date,
@@ -47,28 +68,36 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
             label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
             for bag, label in sources.items()
         },
-        "sweeps": {sources[use.bag]: use.text(names) for use in result.sliding.usage if use.bag in sources},
-        "fit": {name: one.content for name, one in zip(names, result.sliding.quality, strict=True) if one is not None},
+        **({} if sliding is None else _sweeps(sliding, names, sources)),
         "parameters": {
-            name: _provenance(one, sources, date, fallback_name)
-            for name, one in zip(names, result.elements, strict=True)
+            name: _provenance(one, sources, date, fallback_name) for name, one in zip(names, elements, strict=True)
         },
     }
     check_numbers(identification, LARGEST, "identification")
     return FrictionFile(
-        {name: _rounded_element(one.element) for name, one in zip(names, result.elements, strict=True)},
+        {name: _rounded_element(one.element) for name, one in zip(names, elements, strict=True)},
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
     ).text(_REMARKS)
 
 
+def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource, str]) -> dict[str, Any]:
+    """Return what was used of each bag of sweeps, and how well the curves fit."""
+    named = zip(names, sliding.quality, strict=True)
+    return {
+        "sweeps": {labels[use.bag]: use.text(names) for use in sliding.usage if use.bag in labels},
+        "fit": {name: one.content for name, one in named if one is not None},
+    }
+
+
 def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in PARAMETERS}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in PARAMETERS}
+    names = [name for name in PARAMETERS if name in one.estimates]
+    bags = {name: [labels[bag] for bag in one.sources[name]] for name in names}
+    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in names}
 
 
 def _parameter(
@@ -79,6 +108,8 @@ def _parameter(
             "provenance": "assumed", "value": value, "identifiable": False, "reason": estimate.reason,
             "taken_from": fallback_name, "bags": list(bags), "date": date,
         }  # fmt: skip
+    if not estimate.deviation:  # given, not estimated
+        return {"provenance": "assumed", "value": value, "bags": list(bags), "date": date}
     return {
         "provenance": "identified",
         "value": value,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -9,7 +11,6 @@ from matplotlib.ticker import NullLocator
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.drawing import COLOURS, as_svg, make_figure
-from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
 from rx90_emulator.identification.result.identification import FrictionIdentification
 from rx90_emulator.identification.result.validation import Validation
@@ -126,23 +127,24 @@ def correlation_plots(result: FrictionIdentification) -> list[str]:
     pages = []
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
-        size, first = len(PARAMETERS), len(sliding.parameters)
+        names = (*sliding.parameters, *presliding.parameters)
+        size, first = len(names), len(sliding.parameters)
         matrix = np.full((size, size), np.nan)
         matrix[:first, :first] = sliding.correlation
         matrix[first:, first:] = presliding.correlation
         if np.isfinite(matrix).any():
-            pages.append(_matrix(name, matrix))
+            pages.append(_matrix(name, names, matrix))
     return pages
 
 
-def _matrix(name: str, matrix: Array) -> str:
+def _matrix(name: str, parameters: Sequence[str], matrix: Array) -> str:
     figure, (axes,) = make_figure(1, 3.6)
     figure.set_size_inches(4.4, 3.8)
     axes.grid(visible=False)
     axes.imshow(matrix, vmin=-1.0, vmax=1.0, cmap="RdBu_r")
-    ticks = range(len(PARAMETERS))
-    axes.set_xticks(ticks, PARAMETERS, rotation=45, ha="right")
-    axes.set_yticks(ticks, PARAMETERS)
+    ticks = range(len(parameters))
+    axes.set_xticks(ticks, parameters, rotation=45, ha="right")
+    axes.set_yticks(ticks, parameters)
     axes.set_title(name, loc="left")
     for (i, j), value in np.ndenumerate(matrix):
         if np.isfinite(value):

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.model.estimates import PARAMETERS
 from rx90_emulator.identification.output.plots import (
     correlation_plots,
     curve_plots,
@@ -17,7 +16,7 @@ from rx90_emulator.identification.output.plots import (
     hysteresis_plot,
     validation_plot,
 )
-from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.result.validation import Validation
 
 
@@ -65,7 +64,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         "rx90_emulator.identification.output",
         "identification.html.j2",
         elements=named,
-        parameters=PARAMETERS,
+        parameters=shown_parameters(result),
         units=FRICTION_UNITS,
         unidentifiable=unidentifiable,
         fallback=result.fallback_name,

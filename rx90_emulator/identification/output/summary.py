@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rx90_emulator.identification.model.estimates import PARAMETERS
-from rx90_emulator.identification.result.identification import FrictionIdentification
+from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.result.validation import Validation
 
 
 def identification_summary(result: FrictionIdentification) -> str:
     """Return values with standard deviations, parameters that are not identifiable and why, and the verdicts."""
     width = max(10, *(len(name) + 1 for name in result.arm.element_names))
-    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in PARAMETERS)]
+    parameters = shown_parameters(result)
+    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in parameters)]
     lacking: dict[str, dict[str, list[str]]] = {}
     for name, one in zip(result.arm.element_names, result.elements, strict=True):
         cells = []
-        for parameter in PARAMETERS:
-            estimate = one.estimates[parameter]
+        for parameter in parameters:
+            estimate = one.estimates.get(parameter)
+            if estimate is None:
+                cells.append(f"{'1':>22}")
+                continue
             text = " +- ".join(estimate.texts()) if estimate.identifiable else "not identifiable"
             cells.append(f"{text:>22}")
             if not estimate.identifiable:

@@ -22,7 +22,7 @@ class BristlePath:
 
     Attributes:
         motion: input velocity, held over each step, rad/s; c0 g(v), equation 19, Nm; c1(v) / c1; shape (3, m).
-        viscous: c2 v, Nm, block means, shape (m // BLOCK,).
+        viscous: viscous torque, Nm, block means, shape (m // BLOCK,).
         coulomb: Coulomb torque, Nm.
         step: s.
     """
@@ -44,7 +44,7 @@ class BristlePath:
         motion = np.empty((3, len(speed)))
         motion[0] = speed
         _sliding_regime(element_arrays((replace(element, c1=1.0),)), motion)
-        return cls(motion, block_means(element.c2 * speed), element.tau_c_positive, step)
+        return cls(motion, block_means(element.viscous_torque(speed)), element.tau_c_positive, step)
 
     @property
     def speed(self) -> Array:

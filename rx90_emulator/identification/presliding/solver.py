@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
+from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_emulator.identification.presliding.band import band_spectrum, block_means
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.presliding.residual import GroupResidual
@@ -115,7 +116,7 @@ def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence
             matrix.append(columns * np.tile(inputs[:, i], 2))
             torque.append(rest[:, i])
     solution = np.linalg.lstsq(np.vstack(matrix), np.concatenate(torque), rcond=1e-6)[0]
-    viscous = np.array([e.c2 for e in sliding])
+    viscous = np.array([e.c2 * LINEAR_SPEED ** (e.alpha - 1.0) for e in sliding])
     weakest = np.array([e.tau_c_positive for e in sliding]) / 2e-3
     c0 = np.maximum(1.2 * solution[:elements], weakest)
     return np.column_stack([c0, np.maximum(solution[elements:] - viscous, 2e-4 * c0)])

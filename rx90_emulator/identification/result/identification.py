@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_emulator.identification.model.estimates import PARAMETERS, PRESLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.estimates import (
+    PARAMETERS,
+    PRESLIDING,
+    SLIDING,
+    VISCOUS_EXPONENT,
+    ElementEstimate,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
@@ -24,7 +31,7 @@ class IdentifiedElement:
 
     Attributes:
         element: values to simulate with.
-        estimates: by the names in PARAMETERS.
+        estimates: by the names in PARAMETERS; without the viscous exponent where it is 1.
         sources: the bags each parameter rests on.
     """
 
@@ -75,6 +82,11 @@ class FrictionIdentification:
         return all(check.passed for check in self.validations)
 
 
+def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:
+    """Return the parameters that tables show: the viscous exponent only where an element has one."""
+    return tuple(name for name in PARAMETERS if any(name in one.estimates for one in result.elements))
+
+
 def identify_records(
     sliding: Sequence[JointRecord],
     presliding: Sequence[JointRecord],
@@ -103,7 +115,8 @@ def identify_records(
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.
         known = [_merged(one, {}, other, _ANY_BRISTLE) for one, other in zip(slides.estimates, fallback, strict=True)]
-        covariances = [estimate.covariance() for estimate in slides.estimates]
+        seven = len(SLIDING)  # a viscous exponent does not show in presliding
+        covariances = [estimate.covariance()[:seven, :seven] for estimate in slides.estimates]
         cycles = identify_presliding(presliding, arm, known, robot.torque_delay, covariances, robot.plant_period)
     else:
         reason = "no bag with micro-oscillations was given"
@@ -129,6 +142,8 @@ def _merged(
         estimate = estimates.get(name)
         if estimate is not None and estimate.identifiable:
             values[name] = estimate.value
+        elif name == VISCOUS_EXPONENT and estimate is None:
+            values[name] = 1.0
         elif name not in values:
             if fallback is None:
                 reason = "" if estimate is None else f" ({estimate.reason})"

@@ -16,15 +16,24 @@ from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.blocks import Blocks, find_blocks
-from rx90_emulator.identification.sliding.identifiability import element_estimate, natural_covariance, without_stribeck
+from rx90_emulator.identification.sliding.identifiability import (
+    element_estimate,
+    natural_covariance,
+    with_viscous_exponent,
+    without_stribeck,
+)
 from rx90_emulator.identification.sliding.quality import FitQuality
-from rx90_emulator.identification.sliding.rows import sliding_rows
+from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 from rx90_emulator.identification.sliding.usage import BagUse
 
 LEAST_SPEEDS = 5
-"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom."""
+"""Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
+
+A viscous exponent takes another speed.
+"""
 _SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
+_WORTH_A_FIT = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _LINE_POINTS = 100
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
@@ -58,7 +67,8 @@ class SlidingFit:
     """The sliding regime of all elements.
 
     Attributes:
-        estimates: for each element of the arm, in its order; the parameters are those in SLIDING.
+        estimates: for each element of the arm, in its order; the parameters are those in SLIDING, and the viscous
+            exponent where it is not 1.
         curves: for each element; empty where the element could not be identified.
         inertial: estimated error of the arm's inertial parameters, to be added to them, shape (10 n,):
             rigid torque = arm.torque(...) + arm.regressor(...) @ inertial.
@@ -78,7 +88,7 @@ class SlidingFit:
 
 
 def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
-    """Fit tau_c+-, tau_s+-, omega_s, delta and c2 of every element that the records let slide.
+    """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
     that they do not bias the friction. Parameters that are not identifiable are marked as such in the estimates.
@@ -107,14 +117,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
             where = ", ".join(str(record.source) for record in records)
             raise IdentificationError(f"{where}: {name} {lacking[name]}")
     rows = sliding_rows(blocks, arm)
-    free = np.tile([name not in lacking for name in arm.element_names], (stribeck.SIZE, 1)).T
-    solution = fit_curves(rows, free)
-    _check_signs(records, arm, solution)
-    flat = without_stribeck(solution)
-    if flat.any():
-        free = free.copy()
-        free[np.ix_(flat, _SHAPED)] = False
-        solution = fit_curves(rows, free)
+    solution = _solution(records, arm, rows, np.array([name not in lacking for name in arm.element_names]))
     sources = tuple(record.bag for record in records)
     estimates = tuple(
         ElementEstimate.unknown(name, SLIDING, lacking[name], sources)
@@ -138,6 +141,46 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
     )
     inertial = rows.directions @ solution.nuisance, _inertial_covariance(solution, arm)
     return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage, quality)
+
+
+def _solution(
+    records: Sequence[JointRecord], arm: RigidArm, rows: SlidingRows, slides: NDArray[np.bool_]
+) -> SlidingSolution:
+    """Return the fit with the parameters that the data show: Stribeck effects, and exponents that differ from 1."""
+    free = np.tile(slides, (stribeck.SIZE, 1)).T
+    free[:, stribeck.EXPONENT] = False
+    linear = fit_curves(rows, free)
+    _check_signs(records, arm, linear)
+    linear = _without_flat(rows, linear)
+    # Most data are linear, and a step from their solution says so for a fraction of a fit.
+    free[:, stribeck.EXPONENT] = slides & _bendable(rows) & (linear.bend > _WORTH_A_FIT)
+    solution = linear
+    while free[:, stribeck.EXPONENT].any():
+        solution = _without_flat(rows, fit_curves(rows, free))
+        bent = with_viscous_exponent(solution)
+        if (bent == free[:, stribeck.EXPONENT]).all():
+            return solution
+        free[:, stribeck.EXPONENT] = bent
+    return linear
+
+
+def _without_flat(rows: SlidingRows, solution: SlidingSolution) -> SlidingSolution:
+    """Return the solution, fitted again without the Stribeck effects that do not show."""
+    flat = without_stribeck(solution)
+    if not flat.any():
+        return solution
+    free = solution.free.copy()
+    free[np.ix_(flat, _SHAPED)] = False
+    return fit_curves(rows, free)
+
+
+def _bendable(rows: SlidingRows) -> NDArray[np.bool_]:
+    """Return which elements have a speed more than without a viscous exponent, in each direction, shape (n_el,)."""
+    counts = []
+    for velocity, gain in zip(rows.velocity.T, rows.gain.T, strict=True):
+        signed = velocity[gain != 0.0]
+        counts.append(min(_speeds(np.unique(np.abs(signed[sign * signed > 0.0]))) for sign in (1, -1)))
+    return np.array(counts) > LEAST_SPEEDS
 
 
 def _inertial_covariance(solution: SlidingSolution, arm: RigidArm) -> Array:
@@ -228,6 +271,6 @@ def _line(solution: SlidingSolution, element: int, measured: Array) -> Array:
     covariance = natural_covariance(solution, element)
     slope = np.linalg.solve(
         stribeck.natural_jacobian(parameters).T, stribeck.torque_jacobian(velocity, parameters).T
-    ).T  # by the parameters in SLIDING
+    ).T  # by the parameters of `stribeck.natural`
     deviation = np.sqrt(np.einsum("ki,ij,kj->k", slope, covariance, slope))
     return np.stack([velocity, stribeck.torque(velocity, parameters), deviation])

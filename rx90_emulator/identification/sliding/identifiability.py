@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from rx90_common.base.arrays import Array, Mask
-from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.solver import SlidingSolution
@@ -20,21 +20,36 @@ _SAME = 0.98  # correlation from which two parameters cannot be separated
 _SYSTEMATIC = 1e-3
 """Relative standard deviation that repetition does not show: the mean of a sampled torque, rippling in step with the
 sampling, is off by so much even far from a beat (measured on the engine, whose parameters are known)."""
-_FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta")
+_FITTED = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c2", "omega_s", "delta", "alpha")
 """The parameters of the fit by the names that they determine."""
 _STRIBECK = ("tau_s_positive", "tau_s_negative", "omega_s", "delta")
 _OMEGA_S = 5  # place in the fit
+_LEAST_BEND = 0.02  # distance of a viscous exponent from 1 that counts
 
 
 def without_stribeck(solution: SlidingSolution) -> Mask:
     """Return which elements show no Stribeck effect, shape (n_el,): no significant rise, or omega_s at its bound."""
     flat = np.zeros(len(solution.free), dtype=np.bool_)
-    for e in np.flatnonzero(solution.free.all(axis=1)).tolist():
+    for e in np.flatnonzero(solution.free[:, stribeck.SHAPE].all(axis=1)).tolist():
         rise = solution.parameters[e, stribeck.RISE]
         deviation = np.sqrt(np.diag(_block(solution, e)))[stribeck.RISE]
         # At a bound the deviation means nothing; a rise of 0 is on it.
         flat[e] = bool((rise < _SIGNIFICANT * deviation).all()) or bool(solution.at_bound[e, _OMEGA_S])
     return flat
+
+
+def with_viscous_exponent(solution: SlidingSolution) -> Mask:
+    """Return which elements show a viscous exponent other than 1, shape (n_el,): significantly so, and not at a bound.
+
+    The deviations are those of the result: a misfit that plateaus or speeds share does not count as evidence.
+    """
+    bent = np.zeros(len(solution.free), dtype=np.bool_)
+    for e in np.flatnonzero(solution.free[:, stribeck.EXPONENT]).tolist():
+        away = abs(float(np.exp(solution.parameters[e, stribeck.EXPONENT])) - 1.0)
+        deviation = float(np.sqrt(natural_covariance(solution, e)[-1, -1]))
+        at_bound = bool(solution.at_bound[e, stribeck.EXPONENT])
+        bent[e] = away > max(_LEAST_BEND, _SIGNIFICANT * deviation) and not at_bound
+    return bent
 
 
 def element_estimate(
@@ -56,7 +71,9 @@ def element_estimate(
     values = stribeck.natural(solution.parameters[element])
     covariance = natural_covariance(solution, element)
     estimates = {}
-    for name, deviation in zip(SLIDING, np.sqrt(np.diag(covariance)).tolist(), strict=True):
+    names_here = (*SLIDING, VISCOUS_EXPONENT) if solution.free[element, stribeck.EXPONENT] else SLIDING
+    covariance = covariance[: len(names_here), : len(names_here)]
+    for name, deviation in zip(names_here, np.sqrt(np.diag(covariance)).tolist(), strict=True):
         estimate = ParameterEstimate(values[name], deviation)
         reason = _reason(solution, names, element, name, estimate, usage)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
@@ -64,7 +81,7 @@ def element_estimate(
 
 
 def natural_covariance(solution: SlidingSolution, element: int) -> Array:
-    """Return the covariance of an element's parameters in the order of SLIDING, shape (7, 7).
+    """Return the covariance of an element's parameters as `stribeck.natural` has them, shape (8, 8).
 
     It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
     larger, the factor of a misfit, plus what repetition does not show.
@@ -76,7 +93,10 @@ def natural_covariance(solution: SlidingSolution, element: int) -> Array:
     covariance = transform @ block @ transform.T * _t_factor(solution, element) ** 2
     values = stribeck.natural(solution.parameters[element])
     # Independent for each parameter, so that no correlation changes its sign.
-    return np.asarray(covariance + np.diag((_SYSTEMATIC * np.array([values[name] for name in SLIDING])) ** 2))
+    unseen = _SYSTEMATIC * np.array(list(values.values()))
+    if not solution.free[element, stribeck.EXPONENT]:
+        unseen[-1] = 0.0
+    return np.asarray(covariance + np.diag(unseen**2))
 
 
 def _block(solution: SlidingSolution, element: int) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear
 
 from rx90_common.base.arrays import Array, Mask
+from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.drift import Drift
 from rx90_emulator.identification.sliding.misfit import Misfit
@@ -20,6 +21,7 @@ _ROUNDS = 4  # of iteratively reweighted least squares
 _DELTA_RANGE = (0.2, 5.0)
 _STARTS = ((0.3, 1.0), (0.1, 1.0), (0.03, 1.0), (0.1, 2.0), (0.3, 2.0))
 """Starts: omega_s as the squared share of the range of ln omega_s from its lower bound, and delta."""
+_ALPHA_START = 0.8
 _AT_BOUND = 1e-3  # Nm, or of a logarithm
 _TIE = 10.0  # weight of an exact equation over that of the data
 
@@ -30,14 +32,16 @@ class SlidingSolution:
 
     Attributes:
         rows: the equations.
-        free: parameters that were fitted, shape (n_el, 7).
-        parameters: of the elements, shape (n_el, 7), in the order of `stribeck`.
+        free: parameters that were fitted, shape (n_el, 8).
+        parameters: of the elements, shape (n_el, 8), in the order of `stribeck`.
         nuisance: errors of the arm's weights along the directions of `rows`, shape (k,).
         nuisance_covariance: shape (k, k).
-        covariance: of the elements' parameters, shape (7 n_el, 7 n_el); 0 where fixed.
-        at_bound: free parameters that lie on a bound, shape (n_el, 7).
+        covariance: of the elements' parameters, shape (8 n_el, 8 n_el); 0 where fixed.
+        at_bound: free parameters that lie on a bound, shape (n_el, 8).
         noise: standard deviation of each row over the one that it was scaled by, shape (r,).
         common: intraclass correlation: share of the variance of a plateau's mean that its blocks share, shape (r,).
+        bend: by how many standard deviations a Gauss-Newton step moves each element's exponent from 1, shape (n_el,);
+            0 where it is free already.
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
         misfit: whether the curves fit, and how much wider that makes the variances.
         drift: of the elements' friction over the series.
@@ -52,6 +56,7 @@ class SlidingSolution:
     at_bound: Mask
     noise: Array
     common: Array
+    bend: Array
     design_effect: Array
     misfit: Misfit
     drift: Drift
@@ -62,7 +67,8 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
 
     Args:
         rows: the equations.
-        free: parameters of the elements to fit, shape (n_el, 7); the Stribeck rise is 0 where it is not free.
+        free: parameters of the elements to fit, shape (n_el, 8); where they are not free, the Stribeck rise is 0 and
+            the viscous exponent 1.
     """
     torques = PlateauTorques.of(rows)
     design = torques.design(rows)
@@ -97,6 +103,7 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
         at_bound=at_bound,
         noise=1.0 / weights.factor,
         common=common,
+        bend=fit.bend(form, parameters),
         design_effect=speed_design_effect(rows, weights, residual),
         misfit=Misfit.of(residuals, free, covariance[np.ix_(chosen, chosen)]),
         drift=Drift.of(residuals, free),
@@ -139,10 +146,28 @@ class _CurveFit:
             result[columns] = stribeck.torque(self._velocity[columns], values)
         return result
 
-    def slope(self, parameters: Array) -> Array:
-        """Return the derivatives of the friction torques by the free parameters, shape (c, p)."""
+    def bend(self, form: NormalForm, parameters: Array) -> Array:
+        """Return how far, in standard deviations, a Gauss-Newton step moves each exponent from 1, shape (n_el,)."""
+        exponent = np.zeros_like(self._free)
+        exponent[:, stribeck.EXPONENT] = self._free[:, stribeck.VISCOUS] & ~self._free[:, stribeck.EXPONENT]
+        added = form.root @ self.slope(parameters, exponent)
+        basis = np.linalg.qr(self._jacobian(form, parameters))[0]
+        # What the other parameters do not explain (Frisch, Waugh and Lovell).
+        added -= basis @ (basis.T @ added)
+        residual = form.target - form.root @ self.torques(parameters)
+        normal = np.linalg.pinv(added.T @ added, hermitian=True)
+        step, deviation = normal @ (added.T @ residual), np.sqrt(np.maximum(np.diag(normal), 0.0))
+        result = np.zeros(len(self._free))
+        inside = exponent[:, stribeck.EXPONENT]
+        result[inside] = np.abs(step) / np.where(deviation > 0.0, deviation, np.inf)
+        return result
+
+    def slope(self, parameters: Array, chosen: Mask | None = None) -> Array:
+        """Return the derivatives of the friction torques by the free, or the chosen, parameters, shape (c, p)."""
         parts = []
-        for columns, values, free in zip(self._columns, parameters, self._free, strict=True):
+        for columns, values, free in zip(
+            self._columns, parameters, self._free if chosen is None else chosen, strict=True
+        ):
             part = np.zeros((len(self._velocity), int(free.sum())))
             part[columns] = stribeck.torque_jacobian(self._velocity[columns], values)[:, free]
             parts.append(part)
@@ -158,7 +183,7 @@ class _CurveFit:
         return self._run(form, parameters)[0]
 
     def covariance(self, form: NormalForm, parameters: Array) -> Array:
-        """Return the covariance, shape (7 n_el, 7 n_el); huge for what is not identifiable, 0 for what is fixed."""
+        """Return the covariance, shape (8 n_el, 8 n_el); huge for what is not identifiable, 0 for what is fixed."""
         jacobian = np.vstack([self._jacobian(form, parameters), self._ties(form)])
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0.0] = 1.0
@@ -195,8 +220,9 @@ class _CurveFit:
         start = np.zeros(self._free.shape)
         start[:, 5] = self.lower[:, 5] + place**0.5 * (self.upper[:, 5] - self.lower[:, 5])
         start[:, 6] = np.log(delta)
+        start[self._free[:, stribeck.EXPONENT], stribeck.EXPONENT] = np.log(_ALPHA_START)
         linear = self._free[:, stribeck.LINEAR]
-        mask = self._free & (np.arange(stribeck.SIZE) < stribeck.SHAPE.start)
+        mask = self._free & (np.arange(stribeck.SIZE) < stribeck.LINEAR.stop)
         matrix = self._jacobian(form, start)[:, mask[self._free]]
         values = np.zeros(linear.shape)
         values[linear] = lsq_linear(matrix, form.target, (0.0, np.inf)).x
@@ -215,6 +241,7 @@ class _CurveFit:
             speed = np.abs(self._velocity[columns]) if len(columns) else np.array([0.01, 1.0])
             lower[e, stribeck.SHAPE] = np.log(speed.min() / 3.0), np.log(_DELTA_RANGE[0])
             upper[e, stribeck.SHAPE] = np.log(2.0 * speed.max()), np.log(_DELTA_RANGE[1])
+        lower[:, stribeck.EXPONENT], upper[:, stribeck.EXPONENT] = np.log(ALPHA_BOUNDS)
         return lower, upper
 
     def _ties(self, form: NormalForm) -> Array:

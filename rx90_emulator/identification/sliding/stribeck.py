@@ -1,8 +1,8 @@
 """The torque of an element that slides steadily, as the fit writes it, with its derivatives.
 
-With dz/dt = 0, equations 17 to 19 leave sign(v) [tau_c + d exp(-(|v| / omega_s)^delta)] + c2 v with the Stribeck
-rise d = tau_s - tau_c. Written in d and in the logarithms of omega_s and delta, the bounds tau_s >= tau_c > 0 and
-omega_s, delta > 0 are plain, and five of the seven parameters are linear.
+With dz/dt = 0, equations 17 to 19 leave sign(v) [tau_c + d exp(-(|v| / omega_s)^delta) + c2 |v|^alpha] with the
+Stribeck rise d = tau_s - tau_c. Written in d and in the logarithms of omega_s, delta and alpha, the bounds
+tau_s >= tau_c > 0 and omega_s, delta > 0 are plain, and five of the eight parameters are linear.
 """
 
 from __future__ import annotations
@@ -10,30 +10,34 @@ from __future__ import annotations
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.model.estimates import SLIDING
+from rx90_common.friction.parameters import LINEAR_SPEED
+from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONENT
 
-SIZE = 7
-"""Parameters of an element in the fit: tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta."""
+SIZE = 8
+"""Parameters of an element in the fit: tau_c+, tau_c-, d+, d-, c2, ln omega_s, ln delta, ln alpha."""
 LINEAR = slice(0, 5)
 RISE = slice(2, 4)
 VISCOUS = 4
 SHAPE = slice(5, 7)
+EXPONENT = 7
 
 
-def basis(velocity: Array, shape: Array) -> Array:
-    """Return the derivatives by the five linear parameters, shape (m, 5), for `shape` = (ln omega_s, ln delta)."""
+def basis(velocity: Array, parameters: Array) -> Array:
+    """Return the derivatives by the five linear parameters, shape (m, 5); those of `parameters` do not count."""
     forward, backward = velocity > 0.0, velocity < 0.0
-    decay = _decay(velocity, shape)[0]
-    return np.column_stack([1.0 * forward, -1.0 * backward, decay * forward, -decay * backward, velocity])
+    decay = _decay(velocity, parameters[SHAPE])[0]
+    alpha = np.exp(parameters[EXPONENT])
+    viscous = velocity * np.maximum(np.abs(velocity), LINEAR_SPEED) ** (alpha - 1.0)
+    return np.column_stack([1.0 * forward, -1.0 * backward, decay * forward, -decay * backward, viscous])
 
 
 def torque(velocity: Array, parameters: Array) -> Array:
     """Return the friction torque, Nm, shape (m,)."""
-    return np.asarray(basis(velocity, parameters[SHAPE]) @ parameters[LINEAR])
+    return np.asarray(basis(velocity, parameters) @ parameters[LINEAR])
 
 
 def torque_jacobian(velocity: Array, parameters: Array) -> Array:
-    """Return the derivatives of the torque by all parameters, shape (m, 7)."""
+    """Return the derivatives of the torque by all parameters, shape (m, 8)."""
     decay, ratio = _decay(velocity, parameters[SHAPE])
     rise = np.where(velocity > 0.0, parameters[2], np.where(velocity < 0.0, -parameters[3], 0.0))
     delta = np.exp(parameters[6])
@@ -41,7 +45,10 @@ def torque_jacobian(velocity: Array, parameters: Array) -> Array:
     with np.errstate(divide="ignore"):
         logarithm = np.log(np.abs(velocity)) - parameters[5]
     by_delta = -slope * np.where(velocity == 0.0, 0.0, logarithm)
-    return np.column_stack([basis(velocity, parameters[SHAPE]), slope, by_delta])
+    linear = basis(velocity, parameters)
+    logarithm = np.log(np.maximum(np.abs(velocity), LINEAR_SPEED))
+    by_alpha = np.exp(parameters[EXPONENT]) * parameters[VISCOUS] * linear[:, VISCOUS] * logarithm
+    return np.column_stack([linear, slope, by_delta, by_alpha])
 
 
 def _decay(velocity: Array, shape: Array) -> tuple[Array, Array]:
@@ -51,17 +58,18 @@ def _decay(velocity: Array, shape: Array) -> tuple[Array, Array]:
 
 
 def natural(parameters: Array) -> dict[str, float]:
-    """Return the parameters by the names in SLIDING."""
+    """Return the parameters by the names in SLIDING, and the viscous exponent by its own."""
     coulomb_up, coulomb_down, rise_up, rise_down, viscous = (float(value) for value in parameters[LINEAR])
     omega_s, delta = (float(value) for value in np.exp(parameters[SHAPE]))
     values = (coulomb_up, coulomb_down, coulomb_up + rise_up, coulomb_down + rise_down, omega_s, delta, viscous)
-    return dict(zip(SLIDING, values, strict=True))
+    return dict(zip(SLIDING, values, strict=True)) | {VISCOUS_EXPONENT: float(np.exp(parameters[EXPONENT]))}
 
 
 def natural_jacobian(parameters: Array) -> Array:
-    """Return the derivatives of the parameters in SLIDING by those of the fit, shape (7, 7)."""
+    """Return the derivatives of what `natural` returns by the parameters of the fit, shape (8, 8)."""
     matrix = np.zeros((SIZE, SIZE))
     matrix[0, 0] = matrix[1, 1] = matrix[2, 0] = matrix[2, 2] = matrix[3, 1] = matrix[3, 3] = 1.0
     matrix[4, 5], matrix[5, 6] = np.exp(parameters[SHAPE])
     matrix[6, VISCOUS] = 1.0
+    matrix[7, EXPONENT] = np.exp(parameters[EXPONENT])
     return matrix

@@ -217,5 +217,7 @@ def test_provenance_has_four_words(tmp_path: Path) -> None:
     """Only published, derived, assumed and identified say where a value comes from."""
     for word in PROVENANCE:
         assert Section({"provenance": word}, tmp_path).provenance == word
-    with pytest.raises(ConfigError, match="provenance is 3; accepted: one of"):
-        Section({"provenance": 3}, tmp_path)
+        assert Section({"provenance": {"x": word}}, tmp_path)
+    for wrong in (3, {"x": 3}):
+        with pytest.raises(ConfigError, match="provenance is 3; accepted: one of"):
+            Section({"provenance": wrong}, tmp_path)

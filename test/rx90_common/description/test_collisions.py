@@ -22,6 +22,12 @@ POSES = {
     "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.0943, 0.0],
     "wrist bent the other way": [0.0, 0.3, 0.9, 0.0, -1.8325, 0.0],
 }
+TX40_POSES = {
+    "straight up": [0.0] * 6,
+    "start of the reference task": [-0.493, 0.87, 1.157, 0.0, 1.114, -0.493],
+    "wrist bent as far as it goes": [0.0, 0.3, 0.9, 0.0, 2.33, 0.0],
+    "wrist bent the other way": [0.5, 1.2, 1.2, 0.7, -2.094, 1.0],
+}
 
 
 def link_of(model: Any, geometry: Any) -> int:
@@ -55,6 +61,13 @@ def test_links_that_are_no_neighbours_do_not_overlap(shipped: Setup, pose: str) 
     """Neither shapes nor collision geometry of two links that no joint connects touch, the tool's included."""
     assert overlaps(shipped, pin.COLLISION, POSES[pose]) == set()
     assert overlaps(shipped, pin.VISUAL, POSES[pose]) == set()
+
+
+@pytest.mark.parametrize("pose", TX40_POSES)
+def test_neither_do_those_of_the_tx40(tx40: Setup, pose: str) -> None:
+    """The same holds for the TX40, whose wrist bends further."""
+    assert overlaps(tx40, pin.COLLISION, TX40_POSES[pose]) == set()
+    assert overlaps(tx40, pin.VISUAL, TX40_POSES[pose]) == set()
 
 
 def test_the_tool_can_be_hit(shipped: Setup) -> None:

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.base.errors import REFUSED, IdentificationError, Rx90Error
+from rx90_common.base.errors import REFUSED, ConfigError, IdentificationError, Rx90Error
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.folder import read_index, write_index
+from rx90_emulator.identification.experiments.job import plan_experiments
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan
@@ -28,6 +30,15 @@ def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
         load = check_load(experiment, shipped.robot, shipped.drives, shipped.controller)
         assert load.speed.max() <= 1.0
         assert load.torque.max() <= 1.0
+
+
+def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setup) -> None:
+    """The TX40's joint 6, whose fastest sweep would take more room than it has, is swept more slowly and within it."""
+    sweep = plan_experiments(tx40, ["joint_6"], quick=True)[0]
+    load = check_load(sweep, tx40.robot, tx40.drives, tx40.controller)
+    assert 0.3 < load.speed.max() < 0.4
+    with pytest.raises(ConfigError, match=r"no poses.yaml; accepted: a poses file"):
+        plan_experiments(replace(tx40, files=replace(tx40.files or RobotFiles(), poses=None)))
 
 
 def test_every_experiment_begins_and_ends_at_home(shipped: Setup) -> None:

@@ -43,7 +43,7 @@ def test_the_drawn_curve_is_the_identified_one(sweeps: object, arm: RigidArm) ->
     deviations = np.array([found.parameters[name].deviation for name in SLIDING])
 
     def curve_of(p: np.ndarray[tuple[int], np.dtype[np.float64]]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        internal = np.array([p[0], p[1], p[2] - p[0], p[3] - p[1], p[6], np.log(p[4]), np.log(p[5])])
+        internal = np.array([p[0], p[1], p[2] - p[0], p[3] - p[1], p[6], np.log(p[4]), np.log(p[5]), 0.0])
         return stribeck.torque(velocity, internal)
 
     assert np.allclose(torque, curve_of(values))

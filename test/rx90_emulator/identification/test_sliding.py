@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,13 @@ import pytest
 from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.output.summary import identification_summary
+from rx90_emulator.identification.result.identification import identify_records
 from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
@@ -149,6 +155,35 @@ def test_no_stribeck_effect_is_reported_as_such(sweeps: Any, arm: RigidArm, ship
         assert "no Stribeck effect" in found[name].reason
     assert found["tau_c_positive"].value == pytest.approx(18.0, rel=0.02)
     assert found["c2"].value == pytest.approx(7.0, rel=0.02)
+
+
+@pytest.mark.parametrize(("joint", "alpha", "rises", "longest"), [(0, 0.7, True, 4.0), (3, 0.6, False, 0.7)])
+def test_a_viscous_exponent_is_found_where_there_is_one(
+    sweeps: Any, arm: RigidArm, shipped: Setup, tmp_path: Path, joint: int, alpha: float, rises: bool, longest: float
+) -> None:
+    """The exponent is within 0.05 and three deviations of the truth, is no Stribeck effect, and stands in the file."""
+    base = shipped.friction.elements[joint]
+    static = base.tau_s_positive if rises else base.tau_c_positive
+    bent = dataclasses.replace(base, alpha=alpha, tau_s_positive=static, tau_s_negative=static)
+    elements = [bent if e == joint else one for e, one in enumerate(shipped.friction.elements)]
+    friction = FrictionSet(shipped.friction.names, tuple(elements))
+    record, _ = sweeps([joint], 32, friction=friction, count=16, longest=longest)
+    record = dataclasses.replace(record, source=tmp_path)
+    result = identify_records([record], [], RecordedRobot(arm, shipped, None, shipped.friction.elements, "shipped"))
+    found = result.elements[joint].estimates
+    assert abs(found["alpha"].value - alpha) < min(0.05, 3.0 * found["alpha"].deviation)
+    assert abs(found["c2"].value / base.c2 - 1.0) < 0.05
+    assert found["omega_s"].identifiable == rises
+    file = tmp_path / "friction.yaml"
+    file.write_text(friction_text(result), encoding="utf-8")
+    read = FrictionFile.read(file)
+    assert [element.alpha != 1.0 for element in read.elements.values()] == [e == joint for e in range(7)]
+    assert read.elements[f"joint_{joint + 1}"].alpha == pytest.approx(found["alpha"].value, rel=1e-5)
+    assert read.identification is not None
+    assert read.identification["parameters"][f"joint_{joint + 1}"]["alpha"]["provenance"] == "identified"
+    head, *lines = identification_summary(result).splitlines()
+    assert head.split()[8] == "alpha"
+    assert f"{' +- '.join(found['alpha'].texts()):>22}" in lines[joint]
 
 
 def test_correlations_are_correlations(sweeps: Any, arm: RigidArm) -> None:

@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import read_bag
+from rx90_common.base.errors import BagError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.model.options import RobotOptions
+from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand
 from rx90_emulator.loop.setup import Setup
@@ -114,20 +117,33 @@ points:
 
 
 def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """From a bag alone come trajectory, start and initial position; the new bag has the same bits."""
+    """From a bag alone come trajectory, start and initial position; the new bag has the same bits.
+
+    The robot is named again, and both this command and the identification refuse the bag of another one.
+    """
+    robot = ["--robot", "tx40"]
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
     file.write_text(LATER)
     zero = ["--initial-position", *["0.0"] * 6]
-    assert run("rx90_run", ["--trajectory", str(file), *zero, "--start-time", "0.2", "--output", str(first)]) == 0
-    assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 0
+    assert (
+        run("rx90_run", ["--trajectory", str(file), *zero, *robot, "--start-time", "0.2", "--output", str(first)]) == 0
+    )
+    said = "recorded of the robot 'tx40', not of 'rx90b'; accepted: a bag of that robot, or --robot with the bag's"
+    assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 2
+    assert said in capsys.readouterr().err
+    with pytest.raises(BagError, match=said):
+        RecordedRobot.load(RobotOptions()).layout(first, fast=True)
+    assert RecordedRobot.load(RobotOptions(robot="tx40")).layout(first, fast=True).topic == "motor_states"
+    assert run("rx90_run", ["--from-bag", str(first), *robot, "--output", str(second)]) == 0
     out = capsys.readouterr().out
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s" in out
-    assert f"bag: {tmp_path}/fir\\nst" in out.splitlines()
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
     position = read_bag(first)["joint_states"].position
     assert position is not None
     assert position[0].tolist() == [0.0] * 6
     assert position[-1] == pytest.approx([0.05, 0.05, 0.1, 0.0, 0.05, 0.1], abs=1e-3)
+    assert run("rx90_run", ["--robot", "tx50"]) == 2
+    assert "rx90_run: robot 'tx50': no such folder; accepted: rx90b, tx40, or a robot" in capsys.readouterr().err
 
 
 def test_trajectories_follow_each_other_and_an_empty_one_stops(shipped: Setup) -> None:

@@ -66,11 +66,11 @@ def test_services_deaths_and_the_end_are_those_of_two_processes(processes: Proce
 
 
 @pytest.mark.ros
-def test_other_rates_in_the_other_section_end_it(processes: Processes) -> None:
-    """Rates that differ between the two nodes are one line with both values."""
-    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:position_rate:=500")
+def test_another_robot_in_the_other_section_ends_it(processes: Processes) -> None:
+    """A robot, as a rate, that differs between the two nodes is one line with both values."""
+    done = processes.run("rx90_cell", "--ros-args", "-p", "rx90_controller:robot:=tx40")
     assert done.returncode == 3
-    assert "rx90_cell: position_rate is 500 Hz here and 1000 Hz in the simulation" in done.stderr
+    assert "rx90_cell: the robot is 'tx40' here and 'rx90b' in the simulation" in done.stderr
 
 
 def test_a_parameter_of_another_node_is_refused() -> None:

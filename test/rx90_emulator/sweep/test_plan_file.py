@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -164,3 +166,20 @@ def test_a_plan_may_leave_the_tool_off(tmp_path: Path) -> None:
     text = "base: {tool: none}\nblocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
     files = load_sweep_plan(written(tmp_path, text)).base.files
     assert files == RobotFiles(tool=None)
+
+
+def test_a_plan_names_a_robot_and_an_option_another(tmp_path: Path) -> None:
+    """`robot` sets all files and the task, single files win over it, and who runs the plan may take another robot."""
+    blocks = "blocks: {one: {grid: {task.speed: {value: [0.1]}}}}\n"
+    plan = written(tmp_path, f"base: {{robot: tx40, friction: robots/rx90b/friction.yaml}}\n{blocks}")
+    rough = RobotFiles().friction
+    assert load_sweep_plan(plan).base.files == replace(RobotFiles.named("tx40"), friction=rough)
+    assert load_sweep_plan(plan, robot="rx90b").base.files == RobotFiles()
+    assert load_sweep_plan(written(tmp_path, blocks), robot="tx40").base.files == RobotFiles.named("tx40")
+    outcome = Sweep(load_sweep_plan(plan)).run(0)
+    assert (outcome.error, outcome.metrics is not None) == (None, True)
+    shutil.copytree(RobotFiles.named("tx40").urdf.parent, tmp_path / "my_arm")
+    own = load_sweep_plan(written(tmp_path, f"base: {{robot: my_arm}}\n{blocks}")).base.files
+    assert own.urdf == tmp_path / "my_arm" / "robot.urdf"
+    with pytest.raises(ConfigError, match=r"base.robot: robot 'tx50': no such folder; accepted: rx90b, tx40"):
+        load_sweep_plan(written(tmp_path, f"base: {{robot: tx50}}\n{blocks}"))

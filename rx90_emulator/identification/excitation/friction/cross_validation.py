@@ -119,10 +119,12 @@ class Scored:
     def better_than(self, other: Scored) -> bool:
         """Return whether this model predicts better: by blocks, and by runs where there are several.
 
-        The gain must exceed the standard error of the paired differences over the blocks. One standard error, not
-        two: a part that is there and left out biases all others, a part too much widens their deviations.
+        By blocks the gain must exceed the standard error of the paired differences. One standard error, not two: a part
+        that is there and left out biases all others, a part too much widens their deviations. By runs there must be a
+        gain; of two or three runs a standard error says little.
         """
-        return all(one is None or one.gain > one.gain_deviation for one in self.validations(other))
+        blocks, runs = self.validations(other)
+        return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > 0.0)
 
 
 def _validation(squares: Array, other: Array, rows: Array, relative: float) -> CrossValidation:

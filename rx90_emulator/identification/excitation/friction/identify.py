@@ -12,9 +12,10 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.estimates import element_estimate
 from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
+from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent_fit
-from rx90_emulator.identification.excitation.least_squares import LinearFit
+from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent
+from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
@@ -33,7 +34,7 @@ def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = 
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
     selected = select_parts(problem, parts)
-    inner, final = _final(selected, parts)
+    inner, final, load = _final(selected, parts)
     size = problem.regressor.shape[1]
     shapes, linear = list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
@@ -57,7 +58,7 @@ def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = 
         fit=final,
         names=(*problem.names, *friction),
         predicted=problem.torque - final.residual,
-        remarks=_remarks(problem, selected, final),
+        remarks=(*_constant_remarks(problem, selected, final), *_load_remarks(load)),
     )
 
 
@@ -76,26 +77,29 @@ def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -
     return np.asarray(torque)
 
 
-def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, str], ...], LinearFit]:
+def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, str], ...], LinearFit, LoadDependence]:
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
-    tau_c and c2 because an exponent was left out.
+    tau_c and c2 because an exponent was left out. A growth of friction with the load widens it by what it shifts.
     """
-    fit = selected.fit
-    inner = fit.inner()
-    final = tangent_fit(selected.weighted, fit)
-    open_ones = [
+    weighted, fit = selected.weighted, selected.fit
+    problem, inner = weighted.problem, fit.inner()
+    open_ones = tuple(
         (e, "alpha")
         for e, shape in enumerate(fit.shapes)
         if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
-    ]
-    if not open_ones:
-        return inner, final
-    wide = tangent_fit(selected.weighted, fit, [*inner, *open_ones])
-    value = np.concatenate([final.value, np.zeros(len(open_ones))])
-    same = replace(wide, value=value, residual=final.residual, sigma=final.sigma, weights=final.weights)
-    return (*inner, *open_ones), same
+    )
+    columns = tangent(weighted, fit, (*inner, *open_ones))
+    wide = solve(problem, columns)
+    load = load_dependence(weighted, fit, columns, wide)
+    final = wide
+    if open_ones:
+        narrow = solve(problem, columns[:, : -len(open_ones)])
+        value = np.concatenate([narrow.value, np.zeros(len(open_ones))])
+        final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
+    widened = replace(final, covariance=final.covariance + np.outer(load.shift, load.shift))
+    return (*inner, *open_ones), widened, load
 
 
 def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
@@ -123,7 +127,7 @@ def _refusals(selected: Selected, element: int, parts: Sequence[Part]) -> Callab
     return reason
 
 
-def _remarks(problem: ExcitationProblem, selected: Selected, fit: LinearFit) -> tuple[str, ...]:
+def _constant_remarks(problem: ExcitationProblem, selected: Selected, fit: LinearFit) -> tuple[str, ...]:
     """Say for which joints tau_c is the mean of both directions: no motion tells their difference from an offset."""
     weighted, remarks = selected.weighted, []
     for joint, name in enumerate(problem.arm.names):
@@ -140,3 +144,13 @@ def _remarks(problem: ExcitationProblem, selected: Selected, fit: LinearFit) -> 
             f"tells from the offset of the joint{value}"
         )
     return tuple(remarks)
+
+
+def _load_remarks(load: LoadDependence) -> tuple[str, ...]:
+    if not load.significant:
+        return ()
+    size = f"{100.0 * load.value:.2g} % with a standard deviation of {100.0 * load.deviation:.2g} %"
+    return (
+        f"Coulomb friction changes with the load, at a joint's RMS torque by {size}: tau_c holds at the usual load of "
+        "the runs, and its deviation contains the difference to no load",
+    )

@@ -13,13 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
-from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
@@ -49,10 +50,16 @@ class Selected:
 
 
 def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
-    """Try parts in the order given and keep those with which the model predicts better."""
+    """Try parts in the order given and keep those with which the model predicts better.
+
+    A part that is kept gives the earlier ones another chance: an exponent below 1 and a Stribeck rise bend the curve in
+    opposite directions, and where both are missing neither may show.
+    """
     search = _Selection(problem)
-    for part in parts:
-        search.attempt(part)
+    for number, part in enumerate(parts):
+        if search.attempt(part):
+            for earlier in parts[:number]:
+                search.attempt(earlier)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
 
 
@@ -73,26 +80,33 @@ class _Selection:
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
 
-    def attempt(self, part: Part) -> None:
-        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
+    def attempt(self, part: Part) -> bool:
+        """Give a part to all elements without it, take it from those that do not need it, and keep it where it helps.
+
+        Returns:
+            Whether the model predicts better with it.
+        """
         shapes = self._started(part)
-        keys = [(e, part) for e, shape in enumerate(shapes) if part in shape.parts]
+        pairs = zip(shapes, self.now.fit.shapes, strict=True)
+        keys = [(e, part) for e, (shape, now) in enumerate(pairs) if part in shape.parts - now.parts]
         if not keys:
-            return
+            return False
         # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
         trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
-        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
+        left = [e for e, _ in keys if part in trimmed.fit.shapes[e].parts]
         kept = bool(left) and trimmed.better_than(before)
         same = len(left) == len(keys)
         if not same:
             gone = "kept on some elements, see below" if kept else "no element predicts better with it"
-            self._add(f"+ {part.value}: all", everywhere, before, False, gone)
+            tried = "all" if len(keys) == len(shapes) else "the others"
+            self._add(f"+ {part.value}: {tried}", everywhere, before, False, gone)
         if left:
-            names = "all" if same else ", ".join(self._problem.arm.element_names[e] for e in left)
+            every = len(left) == len(shapes)
+            names = "all" if every else ", ".join(self._problem.arm.element_names[e] for e in left)
             verdict = _verdict(trimmed, before)
             self._add(f"+ {part.value}: {names}", trimmed, before, kept, verdict)
             if not kept:
@@ -101,6 +115,7 @@ class _Selection:
             self.now = trimmed
             self._replace_earlier(part)
         self._reweight()
+        return kept
 
     def _replace_earlier(self, part: Part) -> None:
         """Take away earlier parts of elements that predict as well without them now."""
@@ -124,7 +139,11 @@ class _Selection:
         """Return the shapes with a part on every element that moves, from the best of several starts."""
         shapes = list(self.now.fit.shapes)
         for e, shape in enumerate(shapes):
-            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+            if (
+                part in shape.parts
+                or not len(self._elements[e].rows)
+                or (part is Part.DAMPING and Part.BRISTLE not in shape.parts)
+            ):
                 continue
             begun = replace(shape, parts=shape.parts | {part})
             shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
@@ -241,26 +260,21 @@ def _groups(problem: ExcitationProblem) -> list[tuple[int, ...]]:
     return sorted({tuple(np.flatnonzero(row).tolist()) for row in together})
 
 
-def tangent_fit(
-    weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]] | None = None
-) -> LinearFit:
-    """Fit the whole model, linear around a fit, with HAC covariance and new weights.
-
-    The values of non-linear parameters are their changes.
+def tangent(weighted: WeightedProblem, fit: SeparableFit, inner: Sequence[tuple[int, str]]) -> Array:
+    """Return the columns of the whole model, linear around a fit, shape (r, q).
 
     Args:
         weighted: the rows.
         fit: around which.
-        inner: elements and names of the friction's parameters, whose columns follow the regressor; by default those
-            that are fitted.
+        inner: elements and names of the friction's parameters, whose columns follow the regressor. Those of non-linear
+            parameters belong to their changes.
     """
-    chosen = fit.inner() if inner is None else inner
-    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in chosen]
-    return solve(weighted.problem, np.column_stack([weighted.problem.regressor, *columns]))
+    columns = [weighted.column(fit.shapes, fit.linear, e, name) / weighted.weight for e, name in inner]
+    return np.column_stack([weighted.problem.regressor, *columns])
 
 
 def _reweighted(weighted: WeightedProblem, fit: SeparableFit) -> WeightedProblem:
     """Return the rows with the weights of a fit's residuals."""
-    linear = tangent_fit(weighted, fit)
+    linear = solve(weighted.problem, tangent(weighted, fit, fit.inner()))
     weight = np.sqrt(linear.weights) / linear.sigma[weighted.problem.joint]
     return WeightedProblem.of(weighted.problem, weighted.elements, weight)

@@ -15,7 +15,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _ALPHA = (0.2, 2.0)
 _RISE = (0.0, 3.0)
-_STRIBECK = (1.0, 0.25)  # Stribeck velocity: over the least and over the greatest speed with data
+_STRIBECK = (1.0, 0.1)  # Stribeck velocity: over the least and over the greatest speed with data
 _LONGEST_PRESLIDING = 0.3  # rad, 1 / stiffness
 _KEPT = 3  # shapes of an element whose inner products are kept
 

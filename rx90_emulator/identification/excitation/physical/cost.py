@@ -1,43 +1,42 @@
-"""What consistency costs: how the other parameters follow the base parameters, and the torque that it adds."""
+"""What consistency costs in torque."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 
 
-def whole_shift(covariance: Array, base: Array, shift: Array) -> Array:
-    """Return how all q parameters of a fit change if its base parameters are moved.
+@dataclass(frozen=True, eq=False)
+class TorqueCost:
+    """RMS along the runs at each of n joints, Nm, shape (n,); 0 for a joint without rows.
 
-    Friction was estimated together with the base parameters. Where these move, the others take the values that fit best
-    then: their conditional mean.
-
-    Args:
-        covariance: of all parameters, shape (q, q).
-        base: which of them are the base parameters, shape (p,).
-        shift: of the base parameters, shape (p,).
-
-    Returns:
-        Shape (q,); the base parameters have their `shift`.
+    Attributes:
+        added: torque that the shift of the base parameters adds.
+        before: residuals with the base parameters as identified.
+        after: residuals with the shifted ones.
     """
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviation, deviation)
-    gain = np.linalg.lstsq(correlation[np.ix_(base, base)], shift / deviation[base], rcond=None)[0]
-    moved = deviation * (correlation[:, base] @ gain)
-    moved[base] = shift
-    return np.asarray(moved)
+
+    added: Array
+    before: Array
+    after: Array
 
 
-def torque_cost(rows: Array, joint: Array, shift: Array, count: int) -> Array:
-    """Return the RMS of the torque that a shift of the parameters adds at each joint, Nm, shape (count,).
+def torque_cost(regressor: Array, joint: NDArray[np.intp], residual: Array, shift: Array, count: int) -> TorqueCost:
+    """Return what a shift of the base parameters costs.
 
     Args:
-        rows: derivative of the torque by the parameters, along the runs, shape (r, q).
+        regressor: derivative of the torque by the base parameters, shape (r, p).
         joint: of each row, shape (r,).
-        shift: of the parameters, shape (q,).
-        count: number of joints; those without a row get 0.
+        residual: recorded torque less that of the fit, Nm, shape (r,).
+        shift: of the base parameters, shape (p,).
+        count: number of joints.
     """
-    square = np.square(rows @ shift)
-    rows_of = np.bincount(joint, minlength=count)
-    return np.asarray(np.sqrt(np.bincount(joint, square, count) / np.maximum(rows_of, 1)))
+    rows = np.maximum(np.bincount(joint, minlength=count), 1)
+    added = regressor @ shift
+    return TorqueCost(
+        *(np.sqrt(np.bincount(joint, values**2, count) / rows) for values in (added, residual, residual - added))
+    )

@@ -1,7 +1,7 @@
 """The consistent inertias nearest to identified base parameters: a convex problem, solved by Newton's method.
 
 With y the base parameters, C their covariance, K the mapping from all parameters theta to base parameters, P_b the
-pseudo-inertia of body b, r_k the rotors, and P0_b, r0_k their priors, the sum
+pseudo-inertia of body b, r_k the rotors and the springs, and P0_b, r0_k their priors, the sum
 
     1/2 (K theta - y)^T C^-1 (K theta - y) + w (sum_b D(P_b, P0_b) + sum_k D(r_k, r0_k))
 
@@ -35,6 +35,7 @@ _LEAST_WEIGHT = 1e-3  # far below, the prior would be a barrier alone, and the s
 _TOLERANCE = 0.3  # standard deviations, RMS over the base parameters
 _SHARPEST = 1e-9  # of a base parameter's deviation, as a share of its size in the prior: beyond are rounding errors
 _LEAST_VARIANCE = 1e-9  # of the correlation matrix's eigenvalues: less is rounding
+_APART = 1e-6
 _MOST_STEPS = 1000
 _DONE = 1e-7
 _NEAR = 0.1  # Newton decrement from which full steps converge quadratically
@@ -47,7 +48,8 @@ class BaseEstimate:
     Attributes:
         names: of the p parameters, for messages.
         mapping: K, shape (p, P), from P standard parameters to the base parameters: ten of each joint's body in
-            Pinocchio's order, the inertias of k rotors, and others, such as springs and offsets, which may be anything.
+            Pinocchio's order, the inertias of k rotors, the amplitudes of s springs, and others, such as offsets. Those
+            others, and springs without a prior, may be anything.
         value: SI units, shape (p,).
         covariance: shape (p, p); infinite on the diagonal where the data do not determine a parameter: its value then
             counts for nothing.
@@ -107,6 +109,7 @@ class ConsistentInertias:
         deviations: the shift in standard deviations of each parameter, shape (p,).
         distance: Mahalanobis distance of the shift over the root of their number: at most about 1 within the noise.
         prior_weight: w.
+        alone: which standard parameters the data determine by themselves, not only as part of a sum, shape (P,).
     """
 
     prior: InertialPrior
@@ -118,6 +121,7 @@ class ConsistentInertias:
     deviations: Array
     distance: float
     prior_weight: float
+    alone: Mask
 
 
 def consistent_inertias(
@@ -134,11 +138,11 @@ def consistent_inertias(
     Raises:
         IdentificationError: for an estimate and a prior of different arms.
     """
-    n, k = len(prior.joints), len(prior.rotors)
-    if estimate.mapping.shape[1] < 10 * n + k:
+    n, k, s = len(prior.joints), len(prior.rotors), len(prior.springs)
+    if estimate.mapping.shape[1] < 10 * n + k + s:
         raise IdentificationError(
-            f"a mapping of {estimate.mapping.shape[1]} parameters; accepted: of {n} bodies and {k} rotors, at least "
-            f"{10 * n + k}"
+            f"a mapping of {estimate.mapping.shape[1]} parameters; accepted: at least {10 * n + k + s}, of {n} bodies, "
+            f"{k} rotors and {s} springs"
         )
     problem = _Problem(estimate, prior)
     found = problem.path()
@@ -161,22 +165,26 @@ class _Minimum(NamedTuple):
 class _Problem:
     """The problem in units of the prior: blocks Q with P = L0 Q L0^T, L0 L0^T = P0, all 1 at the beginning.
 
-    The unknowns x are the entries of these blocks, orthonormal: ten for each body, one for each rotor, then the others.
+    The unknowns x are the entries of these blocks, orthonormal: ten for each body, one for each rotor and each spring
+    with a prior, then the others.
     """
 
     def __init__(self, estimate: BaseEstimate, prior: InertialPrior) -> None:
         self.estimate, self.prior = estimate, prior
         self.scale = np.linalg.cholesky(np.array([body.pseudo for body in prior.bodies]))
-        n, k = len(prior.joints), len(prior.rotors)
-        self.others = estimate.mapping.shape[1] - 10 * n - k
-        parts = np.zeros((estimate.mapping.shape[1], 10 * len(prior.bodies) + k + self.others))
+        n, count, bodies = len(prior.joints), estimate.mapping.shape[1], len(prior.bodies)
+        begun = np.concatenate([prior.rotors, prior.springs, np.zeros(count)])[: count - 10 * n]
+        positive = np.flatnonzero(begun)
+        other = np.flatnonzero(begun == 0.0)
+        self.positive, self.others = len(positive), len(other)
+        parts = np.zeros((count, 10 * bodies + len(begun)))
         for b, body in enumerate(prior.bodies):
             rows = slice(10 * body.joint, 10 * body.joint + 10)
             parts[rows, 10 * b : 10 * b + 10] = inertial_parameters(self.scale[b] @ _BASIS @ self.scale[b].T).T
-        first = 10 * len(prior.bodies)
-        parts[10 * n :, first:] = np.diag(np.append(prior.rotors, np.ones(self.others)))
+        order = np.concatenate([positive, other])
+        parts[10 * n + order, 10 * bodies + np.arange(len(order))] = np.where(begun == 0.0, 1.0, begun)[order]
         self.parts = parts
-        self.offset = np.append(prior.known.ravel(), np.zeros(k + self.others))
+        self.offset = np.append(prior.known.ravel(), np.zeros(len(begun)))
         self.whitening = _whitening(estimate, np.abs(estimate.mapping @ parts).sum(axis=1))
         self.jacobian = self.whitening @ estimate.mapping @ parts
         known = np.where(estimate.determined, estimate.value, 0.0)
@@ -189,7 +197,7 @@ class _Problem:
     def path(self) -> list[_Minimum]:
         """Return the minima for falling weights, roughly, each from that of the weight before it, from the prior on."""
         bodies = np.tile(_entries(np.eye(4)), len(self.scale))
-        x = np.concatenate([bodies, np.ones(len(self.prior.rotors)), np.zeros(self.others)])
+        x = np.concatenate([bodies, np.ones(self.positive), np.zeros(self.others)])
         exponent = int(np.ceil(np.log(max(1.0, float(np.square(self.misfit(x)).sum()))) / np.log(_RATIO)))
         found: list[_Minimum] = []
         while not found or found[-1].weight > 1.001 * _LEAST_WEIGHT * max(1.0, found[-1].distance ** 2):
@@ -203,10 +211,10 @@ class _Problem:
         """Return the minimum, as near as a Newton decrement below `enough` says, from an x that is near."""
         last = np.inf
         for _ in range(_MOST_STEPS):
-            factor, rotors = np.linalg.cholesky(self._blocks(x)), self._rotors(x)
+            factor, scalars = np.linalg.cholesky(self._blocks(x)), self._scalars(x)
             free = np.zeros((0, self.others))
-            barrier = block_diag(*(_whitened_entries(one) for one in factor), np.diag(1.0 / rotors), free)
-            ahead = np.concatenate([*(_entries(one.T @ one - np.eye(4)) for one in factor), rotors - 1.0])
+            barrier = block_diag(*(_whitened_entries(one) for one in factor), np.diag(1.0 / scalars), free)
+            ahead = np.concatenate([*(_entries(one.T @ one - np.eye(4)) for one in factor), scalars - 1.0])
             rows = np.vstack([self.jacobian, np.sqrt(weight) * barrier])
             residual = np.concatenate([self.misfit(x), np.sqrt(weight) * ahead])
             step = lstsq(rows, -residual, lapack_driver="gelsy", check_finite=False)[0]
@@ -224,9 +232,10 @@ class _Problem:
     def _blocks(self, x: Array) -> Array:
         return np.array([_matrix(x[10 * b : 10 * b + 10]) for b in range(len(self.scale))])
 
-    def _rotors(self, x: Array) -> Array:
+    def _scalars(self, x: Array) -> Array:
+        """Return rotors and springs in units of their prior."""
         first = 10 * len(self.scale)
-        return x[first : first + len(self.prior.rotors)]
+        return x[first : first + self.positive]
 
     def _distance(self, x: Array) -> float:
         return float(np.sqrt(np.square(self.misfit(x)).mean()))
@@ -237,11 +246,13 @@ class _Problem:
         parameters = self.offset + self.parts @ x
         base = self.estimate.mapping @ parameters
         shift = np.where(self.estimate.determined, base - self.estimate.value, 0.0)
-        rotors = self.prior.rotors * self._rotors(x)
+        first = 10 * len(self.prior.joints)
+        rotors = parameters[first : first + len(self.prior.rotors)]
         deviations = shift / self.estimate.deviation
         return ConsistentInertias(
-            self.prior, pseudo, rotors, parameters, base, shift, deviations, self._distance(x), weight
-        )
+            self.prior, pseudo, rotors, parameters, base, shift, deviations, self._distance(x), weight,
+            _alone(self.estimate.mapping[self.estimate.determined]),
+        )  # fmt: skip
 
 
 def _whitening(estimate: BaseEstimate, size: Array) -> Array:
@@ -254,6 +265,14 @@ def _whitening(estimate: BaseEstimate, size: Array) -> Array:
     whitening = np.zeros((len(known), len(size)))
     whitening[:, known] = (vectors / np.sqrt(values)).T / np.maximum(deviation, _SHARPEST * size[known])
     return whitening
+
+
+def _alone(mapping: Array) -> Mask:
+    """Return which parameters a mapping tells apart from all others, shape (P,): those that its null space has not."""
+    scale = np.maximum(np.linalg.norm(mapping, axis=0), 1e-300)
+    _, values, rows = np.linalg.svd(mapping / scale)
+    rank = int((values > 1e-9 * values[0]).sum())
+    return np.asarray(np.linalg.norm(rows[rank:], axis=0) < _APART)
 
 
 def _orthonormal() -> Array:

@@ -36,6 +36,7 @@ class InertialPrior:
             definite.
         known: parameters of the bodies that stay, summed for each joint, shape (n, 10).
         rotors: inertia of each rotor that has a column, seen at its joint, kg m^2, > 0, shape (k,).
+        springs: amplitude of each spring that has a column, Nm, shape (s,); 0 for one of which nothing is known.
         replaced: in words, what is not taken from the URDF, and what stands in its place.
         dropped: links whose <inertial> no body can have; the other links of their joint take their share.
     """
@@ -44,12 +45,18 @@ class InertialPrior:
     bodies: tuple[MovingBody, ...]
     known: Array
     rotors: Array
+    springs: Array
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
 
     @classmethod
     def of_urdf(
-        cls, urdf: Path | str, joints: Sequence[str], rotors: ArrayLike = (), known: Collection[str] = ()
+        cls,
+        urdf: Path | str,
+        joints: Sequence[str],
+        rotors: ArrayLike = (),
+        springs: ArrayLike = (),
+        known: Collection[str] = (),
     ) -> InertialPrior:
         """Return the prior of an arm.
 
@@ -58,10 +65,11 @@ class InertialPrior:
             joints: n names from base to tip.
             rotors: inertia of the rotors of the first k joints, seen at these, kg m^2, shape (k,); 0 for one of which
                 nothing is known: it begins at the mean moment of inertia of its joint's body.
+            springs: as the attribute.
             known: links whose <inertial> is known and stays, such as a tool that was weighed.
 
         Raises:
-            IdentificationError: for a joint that is not there, or rotors that are negative or more than joints.
+            IdentificationError: for a joint that is not there, and rotors or springs that are negative or too many.
         """
         links = MovingLinks(urdf.read_text(encoding="utf-8") if isinstance(urdf, Path) else urdf, joints)
         stay = np.zeros((len(joints), 10))
@@ -69,17 +77,20 @@ class InertialPrior:
         for body in links.bodies(without={body.link for body in free}):
             stay[body.joint] += inertial_parameters(body.pseudo)
         bodies, words, dropped = _usable(free, links)
-        given = np.array(rotors, dtype=np.float64).reshape(-1)
-        if len(given) > len(joints) or not np.isfinite(given).all() or (given < 0.0).any():
-            accepted = f"finite numbers >= 0, at most {len(joints)}"
-            raise IdentificationError(f"rotor inertias {given.tolist()}; accepted: {accepted}")
-        for i in np.flatnonzero(given == 0.0).tolist():
+        begun = _amounts("rotor inertias", rotors, len(joints))
+        for i in np.flatnonzero(begun == 0.0).tolist():
             total = np.sum([inertial_parameters(body.pseudo) for body in bodies if body.joint == i], axis=0)
-            given[i] = total[[4, 6, 9]].mean()
-            words.append(
-                f"rotor of {joints[i]}: begins at {given[i]:.3g} kg m^2, the mean moment of what {joints[i]} moves"
-            )
-        return cls(tuple(joints), tuple(bodies), stay, given, tuple(words), tuple(dropped))
+            begun[i] = total[[4, 6, 9]].mean()
+            words.append(f"rotor of {joints[i]}: begins at {begun[i]:.3g} kg m^2, the mean moment of its link")
+        amplitudes = _amounts("springs", springs, len(joints))
+        return cls(tuple(joints), tuple(bodies), stay, begun, amplitudes, tuple(words), tuple(dropped))
+
+
+def _amounts(what: str, values: ArrayLike, most: int) -> Array:
+    given = np.array(values, dtype=np.float64).reshape(-1)
+    if len(given) > most or not np.isfinite(given).all() or (given < 0.0).any():
+        raise IdentificationError(f"{what} {given.tolist()}; accepted: finite numbers >= 0, at most {most}")
+    return given
 
 
 def _usable(bodies: Sequence[MovingBody], links: MovingLinks) -> tuple[list[MovingBody], list[str], list[str]]:

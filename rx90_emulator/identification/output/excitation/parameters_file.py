@@ -52,7 +52,11 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "models": [_model(row) for row in friction.models],
         "fit": {run.source.path.name: _torques(run) for run in result.torques},
         "validation": {
-            one.torques.source.path.name: {"confirmed": one.passed, **_torques(one.torques)}
+            one.torques.source.path.name: {
+                "confirmed": one.passed,
+                **_torques(one.torques),
+                "relative_with_consistent_inertias": _rounded(one.consistent.total_share),
+            }
             for one in result.validations
         },
         "drifts": [one.text for one in result.trends],
@@ -75,11 +79,9 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
 
 
 def _base(one: BaseParameter) -> dict[str, Any]:
-    content = {"unit": one.unit, "group": one.group, **_estimate(one.estimate)}
+    content = {"unit": one.unit, "group": one.group, **_estimate(one.estimate), "consistent": _rounded(one.consistent)}
     if one.instrumental is not None:
         content["instrumental_variables"] = _estimate(one.instrumental)
-    if one.consistent is not None:
-        content["consistent"] = _rounded(one.consistent)
     return content
 
 

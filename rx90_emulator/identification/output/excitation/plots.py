@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
@@ -25,8 +25,10 @@ _BAND = "#888888"
 
 def torque_plot(run: RunTorques) -> str:
     """Return recorded and predicted torque and their difference, a panel for each joint, as SVG."""
-    figure, axes = make_figure(len(run.names), 1.6 * len(run.names) + 0.6)
-    start = min(float(joint.time[0]) for joint in run.joints if len(joint.time))
+    figure, axes = make_grid(len(run.names), 1, 1.7)
+    moving = [joint.time for joint in run.joints if len(joint.time)]
+    start = min(float(time[0]) for time in moving)
+    span = min(_WINDOW, max(float(time[-1]) for time in moving) - start)
     for panel, name, joint in zip(axes, run.names, run.joints, strict=True):
         shown = _window(joint, start)
         time = shown.time - start
@@ -35,8 +37,8 @@ def torque_plot(run: RunTorques) -> str:
         panel.plot(time, shown.residual, color=_RESIDUAL, linewidth=0.6, label="difference")
         _label(panel, name)
         panel.yaxis.set_major_locator(MaxNLocator(4))
-        panel.margins(x=0.01)
-    _legend(axes, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3)
+        panel.set_xlim(-0.01 * span, 1.01 * span)
+    _legend(axes, loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3)
     axes[-1].set_xlabel("time since the run began, s")
     return as_svg(figure)
 
@@ -62,6 +64,8 @@ def spectra_plot(runs: Sequence[RunTorques]) -> str:
             continue
         panel.loglog(*recorded, color=_RECORDED, linewidth=1.3, label="measured")
         panel.loglog(*residual, color=_PREDICTED, linewidth=0.9, label="difference")
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_minor_locator(NullLocator())
         _label(panel, name, "Nm/√Hz")
     _legend(axes, loc="lower left")
     for panel in axes[-2:]:
@@ -202,6 +206,8 @@ def correlation_plot(names: Sequence[str], covariance: Array) -> str:
     axes.set_xticks(range(len(labels)), labels, rotation=90, fontsize=size)
     axes.set_yticks(range(len(labels)), labels, fontsize=size)
     axes.tick_params(length=0)
+    figure.set_layout_engine(None)
+    figure.subplots_adjust(left=0.16, right=0.99, bottom=0.19, top=0.99)
     figure.colorbar(image, ax=axes, shrink=0.5, label="correlation")
     return as_svg(figure)
 

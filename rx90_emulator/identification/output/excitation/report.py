@@ -26,13 +26,16 @@ from rx90_emulator.identification.output.excitation.summary import friction_colu
 _CLOSE = 0.95  # correlation from which two parameters are named
 
 
-def report_page(result: ExcitationIdentification, date: datetime, versions: Mapping[str, str]) -> str:
+def report_page(
+    result: ExcitationIdentification, date: datetime, versions: Mapping[str, str], files: Sequence[str]
+) -> str:
     """Return the page's text.
 
     Args:
         result: what was identified.
         date: of the identification.
         versions: of interpreter and libraries.
+        files: names of the robot's files, and last what is to be said about them.
     """
     names = result.problem.arm.element_names
     rows = [friction_columns(one.estimates) for one in result.elements]
@@ -45,6 +48,7 @@ def report_page(result: ExcitationIdentification, date: datetime, versions: Mapp
         "excitation.html.j2",
         result=result,
         date=date.strftime("%Y-%m-%d %H:%M UTC"),
+        files=files,
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
         friction=list(zip(names, rows, strict=True)),
         shown=[(name, _unit(name)) for name in shown],

@@ -12,7 +12,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.physical.cost import torque_cost, whole_shift
+from rx90_emulator.identification.excitation.physical.cost import torque_cost
 from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.excitation.physical.pseudo_inertia import (
@@ -248,17 +248,17 @@ def test_nonsense_is_refused(arm: Arm, wrong: str) -> None:
     assert "\n" not in str(refusal.value)
 
 
-def test_others_follow_as_a_constrained_fit_says() -> None:
-    """Where base parameters are held elsewhere, the others move as in a least-squares fit with these fixed."""
-    rows, torque = RNG.standard_normal((50, 5)), RNG.standard_normal(50)
-    free = np.linalg.lstsq(rows, torque, rcond=None)[0]
-    base = np.array([1, 3])
-    held = free[base] + [0.4, -0.7]
-    rest = np.linalg.lstsq(rows[:, [0, 2, 4]], torque - rows[:, base] @ held, rcond=None)[0]
-    moved = whole_shift(np.linalg.inv(rows.T @ rows), base, np.array([0.4, -0.7]))
-    np.testing.assert_allclose(free[[0, 2, 4]] + moved[[0, 2, 4]], rest)
-    np.testing.assert_array_equal(moved[base], [0.4, -0.7])
-    joint = np.arange(50) % 2
-    cost = torque_cost(rows, joint, moved, 3)
-    np.testing.assert_allclose(cost[:2], [np.sqrt(np.mean((rows[joint == j] @ moved) ** 2)) for j in (0, 1)])
-    assert cost[2] == 0.0
+def test_cost_is_what_the_shift_adds(arm: Arm) -> None:
+    """Torque and residuals of a shift are those of torques computed with and without it, joint by joint."""
+    joint, theta = np.arange(120) % 3 * (np.arange(120) % 3 != 1), arm.truth
+    moved = theta * RNG.uniform(0.9, 1.1, 33)
+    noise = RNG.standard_normal(120)
+    rows = arm.matrix @ np.linalg.pinv(arm.mapping)
+    cost = torque_cost(rows, joint, noise, arm.mapping @ (moved - theta), 3)
+    difference = arm.matrix @ (moved - theta)
+    for k in (0, 2):
+        mine = joint == k
+        assert cost.added[k] == pytest.approx(np.sqrt(np.mean(difference[mine] ** 2)))
+        assert cost.before[k] == pytest.approx(np.sqrt(np.mean(noise[mine] ** 2)))
+        assert cost.after[k] == pytest.approx(np.sqrt(np.mean((noise - difference)[mine] ** 2)))
+    assert cost.added[1] == cost.before[1] == cost.after[1] == 0.0

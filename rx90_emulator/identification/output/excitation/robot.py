@@ -1,0 +1,52 @@
+"""The robot that excitation runs identified, as files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.excitation.elements import ASSUMED_BRISTLES
+from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
+from rx90_emulator.identification.output.robot.marking import Identified
+
+
+def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[str, str], str]:
+    """Return the text of each file by its name, and in one line what they are.
+
+    Args:
+        result: what was identified.
+        date: of the identification.
+
+    Raises:
+        Rx90Error: for a value that no file may hold.
+    """
+    problem, options, setup = result.problem, result.options, result.robot.setup
+    drives = {}
+    base: RobotFiles | None
+    if setup is not None:
+        files = setup.files or RobotFiles()
+        urdf, base, note = files.urdf, files, "a robot folder; what the runs do not tell is as it was"
+    else:
+        urdf = Path(str(options.urdf))
+        base, note = folder_base(problem.arm, urdf)
+        if options.gear is not None:
+            drives["transmission", "gear"] = _given(options.gear, "gear")
+            if options.torque_constant is not None:
+                drives["motor", "torque_constant"] = _given(options.torque_constant, "torque-constant")
+    robot = IdentifiedRobot(
+        problem.arm,
+        result.consistency.inertias,
+        problem.columns.names,
+        result.elements,
+        result.robot.fallback_name or ASSUMED_BRISTLES,
+        tuple(bag for use, bag in result.bags if use == "excitation"),
+        drives,
+    )
+    return robot_texts(robot, urdf, base, date), note
+
+
+def _given(values: Sequence[float], option: str) -> Identified:
+    return Identified([float(value) for value in values], "assumed", f"as given with --{option}")

@@ -1,0 +1,62 @@
+"""Repetitions of a motion in excitation runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured
+from benchmarks.random_arms import random_arm
+from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.repetition import phases
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+
+
+def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None:
+    """Periods of a run, and a run that is played again, share their phases; other motions have their own."""
+    arm = random_arm(3, 2)
+    twice = FourierMotion.random(arm, 1, period=6.0, periods=2, harmonics=3)
+    once = replace(twice, periods=1, rest=1.2)
+    motions = [FourierMotion.random(arm, 2, period=10.0, periods=1), twice, once]
+    runs, exact = [], []
+    for number, motion in enumerate(motions):
+        run = measured(arm, motion, 100.0, number, NOISE)
+        (filtered,) = filter_record(run.record(arm), Bandwidths(25.0, 10.0))
+        runs.append(filtered)
+        exact.append(motion.at(filtered.time[filtered.rows])[0])
+    (first, alone), (second, folded), (third, again) = phases(runs)
+    assert (first, second, third) == (0, 1, 1)
+    assert np.array_equal(alone, np.arange(len(alone)))
+    period = round(6.0 * runs[1].rate / runs[1].down)
+    assert set(folded.tolist()) == set(range(period))
+    both = np.concatenate([folded, again])
+    positions = np.concatenate(exact[1:])
+    moving = np.concatenate([np.abs(run.velocity[run.rows]).max(axis=1) > 0.3 for run in runs[1:]])
+    widths = [np.ptp(positions[(both == phase) & moving], axis=0).max() for phase in set(both[moving].tolist())]
+    assert len(widths) > 0.8 * period
+    assert max(widths) < 0.15  # a row's time at some 3 rad/s
+
+
+def test_a_motion_that_is_repeated_says_no_more_of_what_the_model_leaves_out(tmp_path: Path) -> None:
+    """Deviations from a misfit alone are those of one recording however often it is repeated; noise averages out."""
+    arm = random_arm(3, 2, stribeck=False)
+    (tmp_path / "arm.urdf").write_text(arm.urdf(), encoding="utf-8")
+    rigid = RigidArm.from_urdf(tmp_path / "arm.urdf", coupling=arm.coupling, spring=arm.spring)
+
+    def deviation(disturbances: Disturbances, seeds: list[int]) -> np.ndarray:
+        motion = FourierMotion.random(arm, 1, period=12.0, periods=1)
+        records = [measured(arm, motion, 100.0, seed, disturbances).record(arm) for seed in seeds]
+        runs = [run for record in records for run in filter_record(record, Bandwidths(25.0, 10.0))]
+        problem = ExcitationProblem.of(rigid, runs)
+        return solve(problem, np.hstack([problem.regressor, coulomb_viscous(problem)[1]])).deviation
+
+    misfit, noise = replace(NOTHING, ripple=0.02, load=0.05), replace(NOTHING, white=0.3)
+    assert deviation(misfit, [1, 1, 1, 1]) == pytest.approx(deviation(misfit, [1]), rel=0.05)
+    averaged = deviation(noise, [1, 2, 3, 4]) / deviation(noise, [1])
+    assert np.median(averaged) == pytest.approx(0.5, abs=0.15)

@@ -1,0 +1,239 @@
+"""Identified robots as files: Pinocchio and the robot that the numbers came from are the oracles."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from foreign_arms import urdf_text
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import IdentificationError
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.friction import LuGreElement
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.identification.excitation.base_groups import BaseGroups
+from rx90_emulator.identification.excitation.columns import StandardColumns
+from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, consistent_inertias
+from rx90_emulator.identification.excitation.physical.prior import InertialPrior
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts
+from rx90_emulator.identification.output.robot.inertials import with_inertials
+from rx90_emulator.identification.output.robot.marking import Identified, marked
+from rx90_emulator.identification.records.record import BagSource
+from rx90_emulator.identification.result.identification import IdentifiedElement
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+RNG = np.random.default_rng(5)
+FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="package://arm/meshes/a>b.stl"/></geometry></visual>
+</link><!-- kept --><link name="bare"/><link name="dust"><inertial><mass value="0.1"/><inertia ixx="0" iyy="0" izz="0"
+ ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="t" type="fixed"><origin xyz="0.1 0 0.3" rpy="0.2 0 1"/><parent link="c_link"/><child link="tool"/></joint>
+<joint name="d" type="fixed"><origin xyz="0.1 0 0"/><parent link="a_link"/><child link="dust"/></joint>
+<joint name="u" type="fixed"><origin xyz="0 0.2 0.3"/><parent link="tool"/><child link="bare"/></joint></robot>"""
+
+
+def element_of(element: LuGreElement, source: BagSource) -> IdentifiedElement:
+    """Return an element of which omega_s and the bristle are not identified."""
+    estimates = {
+        name: ParameterEstimate.unknown("too short")
+        if name in ("omega_s", "c0", "c1")
+        else ParameterEstimate(float(getattr(element, name)), 0.01)
+        for name in PARAMETERS
+    }
+    return IdentifiedElement(element, estimates, dict.fromkeys(PARAMETERS, (source,)))
+
+
+def estimate_of(columns: StandardColumns, theta: Array) -> BaseEstimate:
+    """Return the base parameters of standard ones, known to 1e-7 of the torque."""
+    groups = BaseGroups.of(columns)
+    return BaseEstimate(groups.names, groups.combination, groups.combination @ theta, 1e-14 * np.eye(len(groups.names)))
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
+    """Return a bag."""
+    bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
+    bag.write_bytes(b"")
+    return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """The shipped robot, identified from exact base parameters and a description that is wrong.
+
+    Attributes:
+        true: the shipped robot.
+        before: the wrong one.
+        columns: of its arm, with a spring on joint 2.
+        parameters: standard parameters as identified.
+        files: of the folder that was written.
+    """
+
+    true: Setup
+    before: Setup
+    columns: StandardColumns
+    parameters: Array
+    files: RobotFiles
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
+    """Return the robot with its folder."""
+    place, shipped = tmp_path_factory.mktemp("robot"), RobotFiles()
+    text = shipped.urdf.read_text()
+    wrong = re.sub(r'(mass value|ixx|iyy|izz)="([\d.]+)"', lambda m: f'{m[1]}="{float(m[2]) * 1.3:g}"', text)
+    (place / "wrong.urdf").write_text(wrong)
+    drives = yaml.safe_load(shipped.drives.read_text())
+    drives["transmission"]["rotor_inertia"] = [2.0, 4.0, 0.8, 0.3, 0.1, 0.0]
+    drives["spring"]["torque"] = [0.0, 90.0, 0.0, 0.0, 0.0, 0.0]
+    (place / "drives.yaml").write_text(yaml.dump(drives))
+    base = replace(shipped, urdf=place / "wrong.urdf", drives=place / "drives.yaml")
+    true, before = Setup.load(), Setup.load(base)
+    arm = RigidArm.from_setup(before)
+    columns = StandardColumns(arm, (1,))
+    rotors = before.drives.rotor_inertia
+    prior = InertialPrior.of_urdf(before.robot.urdf, arm.names, rotors, [90.0], known=["tool"])
+    values = StandardColumns(RigidArm.from_setup(true), (1,)).values()
+    inertias = consistent_inertias(estimate_of(columns, values), prior)
+    elements = tuple(element_of(one, source) for one in true.friction.elements)
+    robot = IdentifiedRobot(arm, inertias, columns.names, elements, "other.yaml", (source,))
+    for name, text in robot_texts(robot, base.urdf, base).items():
+        (place / name).write_text(text)
+    return Case(true, before, columns, inertias.parameters, RobotFiles.named(str(place)))
+
+
+def test_folder_of_an_identified_robot_is_the_robot(case: Case) -> None:
+    """The folder's torques by Pinocchio are the regressor's and the true robot's, and so is its closed loop."""
+    found = Setup.load(case.files)
+    motion = RNG.uniform(-2.0, 2.0, (3, 20, 6))
+    written = RigidArm.from_setup(found).torque(*motion)
+    np.testing.assert_allclose(written, case.columns.torque(*motion) @ case.parameters, rtol=0.0, atol=1e-8)
+    np.testing.assert_allclose(written, RigidArm.from_setup(case.true).torque(*motion), rtol=0.0, atol=1e-4)
+    true, near, far = (run_of(setup) for setup in (case.true, found, case.before))
+    np.testing.assert_allclose(near, true, rtol=0.0, atol=1e-8)
+    assert np.abs(far - true).max() > 1e-6
+
+
+def test_folder_says_where_its_values_come_from(case: Case) -> None:
+    """What was identified names its bags; friction from elsewhere stays assumed; all else is as it was."""
+    shipped, files = RobotFiles(), case.files
+    drives, law, friction = (
+        yaml.safe_load(file.read_text()) for file in (files.drives, files.controller, files.friction)
+    )
+    assert drives["transmission"]["provenance"] == {"gear": "assumed", "rotor_inertia": "identified"}
+    rotors = drives["transmission"]["source"]["rotor_inertia"]
+    assert "run--1.mcap (recorded 20" in rotors
+    assert "; of joint_1, joint_2 only the sum with the links" in rotors
+    # What the spring and the weight of the upper arm give is one term in sin(q2).
+    assert drives["spring"]["provenance"] == "identified"
+    assert "; of joint_2 only the sum with the links" in drives["spring"]["source"]
+    assert 90.0 < drives["spring"]["torque"][1] < 120.0
+    assert drives["brake"] == yaml.safe_load(shipped.drives.read_text())["brake"]
+    assert law["feed_forward"]["provenance"]["coulomb_torque"] == "derived"
+    assert law["feed_forward"]["provenance"]["coulomb_velocity"] == "assumed"
+    assert law["servo"] == yaml.safe_load(shipped.controller.read_text())["servo"]
+    assert friction["provenance"] == "identified"
+    bristle = friction["identification"]["parameters"]["joint_5_6"]["c0"]
+    assert (bristle["provenance"], bristle["taken_from"]) == ("assumed", "other.yaml")
+    assert files.tool is not None
+    assert shipped.tool is not None
+    assert files.tool.read_text() == shipped.tool.read_text()
+
+
+def run_of(setup: Setup) -> Array:
+    """Return positions along a short motion of all joints out of a bent pose, shape (m, 6)."""
+    start, end = np.array([0.2, 0.4, 1.0, 0.3, 0.6, -0.2]), np.array([0.22, 0.38, 1.03, 0.25, 0.63, -0.15])
+    names, rest = setup.robot.joint_names, np.zeros(6)
+    points = TrajectoryPoints.create(names, names, [0.0, 0.15], [start, end], [rest] * 2, [rest] * 2)
+    return np.array(simulate(setup, points).slow.joint_states[:, 0])
+
+
+def arm_of(tmp_path: Path, text: str) -> tuple[Path, RigidArm]:
+    """Return a URDF's file and its arm."""
+    file = tmp_path / "arm.urdf"
+    file.write_text(text)
+    return file, RigidArm.from_urdf(file, ["a", "b", "c"])
+
+
+def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSource) -> None:
+    """Pinocchio's torque of the written URDF is the regressor's; the tool and nothing else of the URDF is changed."""
+    urdf = urdf_text(["a", "b", "c"], ["0 0 1", "0 1 0", "0 1 0"], [4.0, 3.0, 2.0]).replace("</robot>", FIXED)
+    file, arm = arm_of(tmp_path, urdf)
+    columns = StandardColumns(arm)
+    theta = columns.values()
+    theta[:30] *= np.repeat([1.2, 0.9, 1.4], 10)
+    theta[30:33] = 0.1
+    prior = InertialPrior.of_urdf(file, arm.names, [0.0, 0.0, 0.1])
+    assert prior.dropped == ("dust",)
+    inertias = consistent_inertias(estimate_of(columns, theta), prior)
+    element = LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5)
+    robot = IdentifiedRobot(arm, inertias, columns.names, (element_of(element, source),) * 3, None, (source,))
+    base, why = folder_base(arm, file)
+    assert base is None
+    assert why.startswith("URDF and friction file alone, no robot folder: ")
+    texts = robot_texts(robot, file, None)
+    assert set(texts) == {"robot.urdf", "friction.yaml"}
+    assert list(yaml.safe_load(texts["friction.yaml"])["elements"]) == ["a", "b", "c"]
+
+    written = pin.buildModelFromXML(texts["robot.urdf"])
+    data = written.createData()
+    q, v, a = RNG.uniform(-2.0, 2.0, (3, 10, 3))
+    links = np.array([pin.rnea(written, data, *row) for row in zip(q, v, a, strict=True)])
+    expected = columns.torque(q, v, a) @ inertias.parameters
+    np.testing.assert_allclose(links + a * inertias.rotors, expected, rtol=0.0, atol=1e-11)
+    assert np.abs(inertias.shift).max() < 1e-6
+    assert rest_of(texts["robot.urdf"]) == rest_of(urdf)
+    assert '<!-- kept --><link name="bare"/>' in texts["robot.urdf"]
+    assert "recorded 20" in texts["robot.urdf"].partition("<link")[0]
+
+
+def rest_of(urdf: str) -> str:
+    """Return a URDF without comments and inertials."""
+    root = ET.fromstring(urdf)
+    for link in root.findall("link"):
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    return re.sub(r"\s+", "", ET.tostring(root, encoding="unicode")).replace("></link>", "/>")
+
+
+@pytest.mark.parametrize("link", ['<link name="l"/>', '<link name="l"></link>', '<link name="l" ><inertial /></link >'])
+def test_inertial_is_put_into_any_link(link: str) -> None:
+    """Empty links, empty inertials and links with spaces in their tags all take the inertial, and lose it again."""
+    urdf = f"<?xml version='1.0'?>\n<!-- é -->\n<robot\n name='a>b'>{link}<joint name='j'/></robot>"
+    pseudo = np.diag([0.1, 0.2, 0.3, 2.0])
+    root = ET.fromstring(with_inertials(urdf, {"l": pseudo}, "a -- b"))
+    assert [inertial.find("mass").attrib for inertial in root.findall("link/inertial")] == [{"value": "2.0"}]  # type: ignore[union-attr]
+    assert float(root.find("link/inertial/inertia").attrib["ixx"]) == pytest.approx(0.5)  # type: ignore[union-attr]
+    assert [child.tag for child in root] == ["link", "joint"]
+    assert ET.fromstring(with_inertials(urdf, {"l": None}, "")).find("link/inertial") is None
+
+
+@pytest.mark.parametrize("pseudo", [np.diag([1.0, 1.0, 1.0, np.nan]), np.diag([1.0, 1.0, 1.0, 1e48])])
+def test_no_absurd_body_is_written(pseudo: Array) -> None:
+    """A mass that is no number, or that of a mountain, is refused in one line."""
+    with pytest.raises(IdentificationError, match="accepted: up to 100000 kg"):
+        with_inertials("<robot><link name='l'/></robot>", {"l": pseudo}, "")
+
+
+def test_each_value_of_a_block_says_where_it_comes_from() -> None:
+    """New values bring their provenance and source, the others keep theirs; a block of new values alone has one."""
+    block = {"provenance": "assumed", "source": "scaled", "note": "n", "a": 1, "b": 2}
+    once = marked(block, {"a": Identified(3, "identified", "bags")})
+    assert once == {
+        "provenance": {"a": "identified", "b": "assumed"}, "source": {"a": "bags", "b": "scaled"}, "note": "n", "a": 3,
+        "b": 2,
+    }  # fmt: skip
+    twice = marked(once, {"b": Identified(4, "identified", "bags")})
+    assert twice == {"provenance": "identified", "source": "bags", "note": "n", "a": 3, "b": 4}
