@@ -98,7 +98,10 @@ def plateau_ranges(bins: Bins, fastest: Array) -> list[tuple[int, int]]:
     """
     number = np.empty(len(bins.velocity), dtype=np.int64)
     floor = np.maximum(_NOISE_CAP * fastest, _LEAST_CAP)
-    _number_plateaus(bins.velocity, bins.tolerance, bins.gap, floor, (_RELATIVE, _AT_REST, _STEADY), number)
+    # Slow ripple hardly shows in third differences; jumps show it, and accelerations, too, hence the limit.
+    jumps = _NOISE * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(bins.velocity, axis=0)), axis=0)
+    tolerance = np.maximum(bins.tolerance, np.minimum(jumps, floor))
+    _number_plateaus(bins.velocity, tolerance, bins.gap, floor, (_RELATIVE, _AT_REST, _STEADY), number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first bin and the last ones may hold a part of a change of velocity.
     cut = [(int(start + 1), int(stop - bins.end)) for start, stop in pairwise(edges)]

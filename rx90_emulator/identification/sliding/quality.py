@@ -128,7 +128,8 @@ class FitQuality:
         said = "significant" if self.drifts else "not significant"
         return (
             f"{self.drift:+.3g} +- {self.drift_deviation:.2g} Nm ({self.drift_share:+.1%} of its friction) in "
-            f"{self.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series)"
+            f"{self.seconds:.4g} s, {said} (false alarms: {FALSE_ALARMS:.0%} of series; bags by their stamps or, where "
+            "these overlap, as they are given)"
         )
 
 
