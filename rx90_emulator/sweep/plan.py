@@ -106,21 +106,25 @@ class SweepBase:
     substeps: int = 1
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
-        """Return name and SHA-256 of each file by its role.
+        """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.
 
         Raises:
             ConfigError: if one cannot be read.
         """
         paths = {role: getattr(self.files, role) for role in (*MODEL_FILES, "task")}
-        return {role: None if path is None else _named_hash(path) for role, path in paths.items()}
+        return {
+            role: None if path is None else _named_hash(path, self.files.text(role)) for role, path in paths.items()
+        }
 
 
-def _named_hash(path: Path) -> dict[str, str]:
+def _named_hash(path: Path, text: str) -> dict[str, str]:
     try:
         content = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from error
-    return {"name": path.name, "sha256": hashlib.sha256(content).hexdigest()}
+    # Wherever the user's own file is, the results are the same.
+    name = path.name if text == str(path) else text
+    return {"name": name, "sha256": hashlib.sha256(content).hexdigest()}
 
 
 @dataclass(frozen=True)

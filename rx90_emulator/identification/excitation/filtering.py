@@ -33,7 +33,7 @@ _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
-BLOCK = 8192  # samples whose columns are held at a time
+_BLOCK = 8192  # samples whose columns are held at a time
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Bandwidths:
         which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
         bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
         band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
-        torque gets half of it, where the positions' filter is still transparent (gain above 0.99).
+        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96).
 
         Raises:
             IdentificationError: if no joint moves.
@@ -83,7 +83,7 @@ class Bandwidths:
             source += f", and {_PER_MOTION:g} times its own band is {wanted:.3g} Hz"
         if position < wanted:
             source += f"; no more than {_HIGHEST:g} of the sampling rate"
-        return cls(position, 0.5 * position, f"{source}; the torque gets half of it")
+        return cls(position, position / 3.0, f"{source}; the torque gets a third of it")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
@@ -170,7 +170,7 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, BLOCK // self.down)
+        count, size = len(self.rows), max(1, _BLOCK // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)

@@ -108,6 +108,6 @@ def undetermined(problem: ExcitationProblem, names: Sequence[str], columns: Arra
         fit: of these columns.
     """
     size = float(np.sqrt(np.mean(problem.torque**2)))
-    effect = fit.deviation * np.sqrt(np.mean(columns**2, axis=0))
+    effect = np.where(fit.determined, fit.deviation, 0.0) * np.sqrt(np.mean(columns**2, axis=0))
     bad = ~fit.determined | ~(effect < size)
     return tuple(name for name, one in zip(names, bad.tolist(), strict=True) if one)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
+from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_instrumental
 from rx90_emulator.identification.excitation.consistency import make_consistent
 from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
@@ -71,7 +73,7 @@ def identify_excitation(
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
         )
-    source = RecordedRobot.load(robot)
+    source = RecordedRobot.load(robot, massless=True)
     records = _read([*used, *unused], source, progress)
     fitted, unseen = records[: len(used)], records[len(used) :]
     _check_unused(fitted, unseen)
@@ -81,6 +83,9 @@ def identify_excitation(
     _check_motion(problem, source)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    progress("instrumental variables")
+    closed_loop = check_closed_loop(problem, friction)
+    friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     checks = []
@@ -98,11 +103,12 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback),
-        base=base_parameters(problem, friction, consistency),
+        base=with_instrumental(base_parameters(problem, friction, consistency), closed_loop),
         consistency=consistency,
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
+        instruments=closed_loop,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 

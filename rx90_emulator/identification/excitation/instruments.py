@@ -121,7 +121,7 @@ def _reason(names: tuple[str, ...], differences: Array, p_value: float, strength
     worst = int(np.argmax(np.abs(differences)))
     size = f"{abs(differences[worst]):.1f} deviations of the difference (p = {p_value:.2g})"
     if biased:
-        return f"instrumental variables are taken, for least squares are biased: {names[worst]} differs by {size}"
+        return f"instrumental variables are taken: {names[worst]} by least squares is off by {size}"
     if p_value < _LEVEL:
         return f"least squares are taken: {names[worst]} differs by {size}, less than a quarter of its own deviation"
     return f"least squares are taken, for instrumental variables agree: {names[worst]} differs most, by {size}"

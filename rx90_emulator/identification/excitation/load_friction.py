@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+_BLOCK = 8192  # samples whose columns are held at a time
 
 
 def load_dependent(problem: ExcitationProblem, parameters: Array) -> tuple[tuple[str, ...], Array]:
@@ -24,8 +27,18 @@ def load_dependent(problem: ExcitationProblem, parameters: Array) -> tuple[tuple
     n = len(arm.names)
     together = [k for k in range(n) if np.count_nonzero(arm.coupling[k]) > 1]
     along = []
-    for run, bare in zip(problem.runs, problem.bare_torque(parameters), strict=True):
+    for run in problem.runs:
+        bare = _bare_torque(problem, run, parameters)
         motors = bare @ np.linalg.inv(arm.coupling)
         load = np.abs(np.hstack([bare, motors[:, together]]))
         along.append((load * np.sign(run.velocity @ arm.element_matrix.T))[:, :, None])
     return tuple(f"{name}.load" for name in arm.element_names), problem.element_rows(along)
+
+
+def _bare_torque(problem: ExcitationProblem, run: FilteredRun, parameters: Array) -> Array:
+    """Return a run's joint torques without friction and payload at its full rate, Nm, shape (m, n)."""
+    leading = list(problem.base.leading)
+    blocks = [slice(k, k + _BLOCK) for k in range(0, len(run.time), _BLOCK)]
+    motion = run.position, run.velocity, run.acceleration
+    parts = [problem.columns.torque(*(values[block] for values in motion))[:, :, leading] for block in blocks]
+    return np.concatenate([part @ parameters for part in parts])

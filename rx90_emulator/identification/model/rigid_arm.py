@@ -59,6 +59,8 @@ class RigidArm:
         coupling: ArrayLike | None = None,
         rotor_inertia: ArrayLike | None = None,
         spring: ArrayLike | None = None,
+        *,
+        massless: bool = False,
     ) -> RigidArm:
         """Read the arm of any robot.
 
@@ -70,11 +72,12 @@ class RigidArm:
                 its own. By default each motor turns with its joint.
             rotor_inertia: of each motor, seen through its gear, kg m^2, shape (n,); by default none.
             spring: as the attribute; by default none.
+            massless: whether links without <inertial> are accepted, because only kinematics are wanted.
 
         Raises:
             IdentificationError: for a URDF that cannot be used, an unknown joint or a wrong shape.
         """
-        model = joint_model(urdf, joints)
+        model = joint_model(urdf, joints, massless=massless)
         names = tuple(str(name) for name in model.names)[1:]
         n = len(names)
         turns = _shaped("coupling", np.eye(n) if coupling is None else coupling, (n, n))

@@ -49,14 +49,18 @@ class RecordedRobot:
     zero: Array | None = None
 
     @classmethod
-    def load(cls, options: RobotOptions) -> RecordedRobot:
+    def load(cls, options: RobotOptions, *, massless: bool = False) -> RecordedRobot:
         """Return the robot that the options describe.
+
+        Args:
+            options: of the command.
+            massless: whether links without <inertial> are accepted, because only kinematics are wanted.
 
         Raises:
             IdentificationError: if they do not fit each other.
             ConfigError: for a file that cannot be used.
         """
-        robot = _own(options) if options.urdf is None else _other(options, Path(options.urdf))
+        robot = _own(options) if options.urdf is None else _other(options, Path(options.urdf), massless=massless)
         if options.zero is None:
             return robot
         n = len(robot.arm.names)
@@ -108,11 +112,11 @@ def _own(options: RobotOptions) -> RecordedRobot:
     return RecordedRobot(arm, setup, None, *_fallback(name, arm), options.torque_delay, options.record_time)
 
 
-def _other(options: RobotOptions, urdf: Path) -> RecordedRobot:
+def _other(options: RobotOptions, urdf: Path, *, massless: bool) -> RecordedRobot:
     for name in ("robot", "tool", "drives"):
         if getattr(options, name) is not None:
             raise IdentificationError(f"--{name} with --urdf; accepted: for this project's robot alone")
-    n = len(RigidArm.from_urdf(urdf, options.joints).names)
+    n = len(RigidArm.from_urdf(urdf, options.joints, massless=massless).names)
     for name, size in (
         ("names", n), ("gear", n), ("torque_constant", n), ("rotor_inertia", n), ("spring", n), ("coupling", n * n),
     ):  # fmt: skip
@@ -122,7 +126,8 @@ def _other(options: RobotOptions, urdf: Path) -> RecordedRobot:
                 f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size} for {n} joints"
             )
     coupling = None if options.coupling is None else np.array(options.coupling).reshape(n, n)
-    arm = RigidArm.from_urdf(urdf, options.joints, coupling, options.rotor_inertia, options.spring)
+    motors = coupling, options.rotor_inertia, options.spring
+    arm = RigidArm.from_urdf(urdf, options.joints, *motors, massless=massless)
     constant = None if options.torque_constant is None else np.array(options.torque_constant)
     messages, topic = tuple(options.names or arm.names), options.topic or "joint_states"
     if options.gear is None:

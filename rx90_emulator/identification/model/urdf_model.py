@@ -20,12 +20,13 @@ _TURNING = ("revolute", "continuous")
 _STDERR = 2
 
 
-def joint_model(urdf: Path, joints: Sequence[str] | None) -> Any:
+def joint_model(urdf: Path, joints: Sequence[str] | None, *, massless: bool = False) -> Any:
     """Return Pinocchio's model of these joints; the others are held at zero.
 
     Args:
         urdf: the robot's description.
         joints: from base to tip; by default all movable joints.
+        massless: whether joints that move no mass are accepted, because only kinematics are wanted.
 
     Raises:
         IdentificationError: for a file that cannot be read, and for joints that are not there, do not turn, follow
@@ -45,7 +46,8 @@ def joint_model(urdf: Path, joints: Sequence[str] | None) -> Any:
     _check_turning(urdf, root, wanted, there)
     held = [model.getJointId(name) for name in there if name not in wanted]
     reduced = pin.buildReducedModel(model, held, pin.neutral(model)) if held else model
-    _check_mass(urdf, reduced)
+    if not massless:
+        _check_mass(urdf, reduced)
     return reduced
 
 

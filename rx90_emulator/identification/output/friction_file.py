@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from typing import Any
 
 from rx90_common.base.config import check_numbers
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import plain
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
@@ -21,6 +25,9 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
+_LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
+"""Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
+_NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
 def friction_text(result: FrictionIdentification, now: datetime | None = None) -> str:
@@ -53,8 +60,11 @@ def elements_text(
         sliding: fit of sweeps, whose use of the bags and goodness go into the file; None without sweeps.
 
     Raises:
-        ConfigError: for values or deviations that are not finite, or absurd.
+        IdentificationError: for a value that no arm has, or that is no number.
+        ConfigError: for a deviation that is absurd.
     """
+    for name, one in zip(names, elements, strict=True):
+        _check(name, one)
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     sources: dict[BagSource, str] = {}
     for one in elements:
@@ -91,13 +101,26 @@ def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource
     }
 
 
+def _check(name: str, one: IdentifiedElement) -> None:
+    for parameter, value in vars(one.element).items():
+        most = math.inf if parameter == "omega_d" else _LARGEST[FRICTION_UNITS[parameter]]
+        estimate = one.estimates.get(parameter)
+        spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
+        if not (value <= most and math.isfinite(spread)):
+            raise IdentificationError(
+                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} "
+                f"{FRICTION_UNITS[parameter]}, with a finite deviation; nothing is written"
+            )
+
+
 def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
     values = vars(_rounded_element(one.element))
-    names = [name for name in PARAMETERS if name in one.estimates]
-    bags = {name: [labels[bag] for bag in one.sources[name]] for name in names}
-    return {name: _parameter(values[name], one.estimates[name], bags[name], date, fallback_name) for name in names}
+    names = [*PARAMETERS, *(name for name in one.estimates if name not in PARAMETERS)]
+    bags = {name: [labels[bag] for bag in one.sources.get(name, ())] for name in names}
+    estimates = {name: one.estimates.get(name, _NOT_FITTED) for name in names}
+    return {name: _parameter(values[name], estimates[name], bags[name], date, fallback_name) for name in names}
 
 
 def _parameter(

@@ -107,6 +107,9 @@ def test_reach_and_limits_are_the_published_ones(tx40: Setup) -> None:
     assert np.degrees(robot.upper) == pytest.approx([180, 125, 138, 270, 133.5, 270])
     assert np.degrees(robot.lower) == pytest.approx([-180, -125, -138, -270, -120, -270])
     assert np.degrees(robot.max_velocity) == pytest.approx([287, 287, 430, 410, 320, 700])
+    limits = tx40.cs7b().trajectory.limits  # those that a trajectory is held against
+    assert (limits.upper.tolist(), limits.velocity.tolist()) == (robot.upper.tolist(), robot.max_velocity.tolist())
+    assert limits.acceleration.tolist() == [50.0] * 6
 
 
 def test_drives_and_friction_are_the_published_ones(tx40: Setup) -> None:

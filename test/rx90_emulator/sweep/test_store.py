@@ -44,7 +44,7 @@ def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
     assert frame["path_error_worst"].isna().equals(frame["error"].notna())
     about = json.loads(schema.metadata[KEY])
     assert (about["seed"], about["runs"]) == (7, 40)
-    assert about["plan"]["files"]["friction"]["name"] == "friction.yaml"
+    assert about["plan"]["files"]["friction"]["name"] == "robots/rx90b/friction.yaml"
     assert len(about["plan"]["files"]["task"]["sha256"]) == 64
     assert about["versions"]["numpy"]
 

@@ -133,10 +133,9 @@ def _validation(squares: Array, other: Array, rows: Array, relative: float) -> C
     error, before = float(np.sqrt(squares.sum() / count)), float(np.sqrt(other.sum() / count))
     gain = before - error
     # Sums over blocks that are independent; the error is the root of their mean.
-    own = _sum_deviation(squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
-    difference = other - squares
-    paired = _sum_deviation(difference - rows * difference.sum() / count) / (count * max(before + error, 1e-300))
-    return CrossValidation(error, own, relative, gain, paired)
+    own = (squares - rows * squares.sum() / count) / (2.0 * count * max(error, 1e-300))
+    its = (other - rows * other.sum() / count) / (2.0 * count * max(before, 1e-300))
+    return CrossValidation(error, _sum_deviation(own), relative, gain, _sum_deviation(its - own))
 
 
 def _sum_deviation(parts: Array) -> float:
@@ -150,7 +149,7 @@ def _relative(problem: ExcitationProblem, residual: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TimeBlocks:
-    """The rows in blocks of time of about equal length; all joints of a time are in one block.
+    """The rows in blocks of time of about equal length; all joints of a time, and its repetitions, are in one block.
 
     Attributes:
         blocks: what they are.
@@ -168,29 +167,38 @@ class TimeBlocks:
 
         A block is long against the autocorrelation of the residuals, so that the errors of blocks are independent; and
         what lies within a correlation time of it is left out with it, so that its neighbours do not tell of it (Burman,
-        Chow and Nolan 1994: h-block cross-validation).
+        Chow and Nolan 1994: h-block cross-validation). A time that is repeated, in another period or run, brings back
+        the same misfit: it is in the block, too.
         """
         correlation = _correlation_time(problem, residual)
-        durations = np.array([run.time[-1] - run.time[0] for run in problem.runs])
-        wanted = _CORRELATION_TIMES * correlation
-        length = min(max(wanted, durations.sum() / _MOST), durations.sum() / _LEAST)
+        motion, time = _phase_times(problem)
+        durations = np.array([time[motion == k].max() for k in range(int(motion.max()) + 1)])
+        wanted, whole = _CORRELATION_TIMES * correlation, float(durations.sum())
+        length = min(max(wanted, whole / _MOST), whole / _LEAST)
         reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
         if length > wanted:
-            reason = f"a {_MOST}th of the runs, more than {reason}"
+            reason = f"a {_MOST}th of the motions, more than {reason}"
         elif length < wanted:
-            reason = f"an {_LEAST}th of the runs, less than {reason}: the runs are short"
+            reason = f"an {_LEAST}th of the motions, less than {reason}: the motions are short"
         counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
-        start = np.array([run.time[0] for run in problem.runs])
-        inside = (problem.time - start[problem.run]) / durations[problem.run]
-        ahead = np.cumsum(counts) - counts
-        place = np.minimum((inside * counts[problem.run]).astype(np.intp), counts[problem.run] - 1)
-        block = np.unique(ahead[problem.run] + place, return_inverse=True)[1].ravel()
+        place = (time / durations[motion] * counts[motion]).astype(np.intp)
+        first = np.cumsum(counts) - counts
+        block = np.unique(first[motion] + np.minimum(place, counts[motion] - 1), return_inverse=True)[1].ravel()
         folds = []
         for rows in _members(block):
-            run, times = problem.run[rows[0]], problem.time[rows]
-            near = (problem.time > times.min() - correlation) & (problem.time < times.max() + correlation)
-            folds.append((rows, np.flatnonzero(near & (problem.run == run))))
-        return cls(BlockDivision(float(durations.sum() / counts.sum()), len(folds), correlation, reason), block, folds)
+            near = (time > time[rows].min() - correlation) & (time < time[rows].max() + correlation)
+            folds.append((rows, np.flatnonzero(near & (motion == motion[rows[0]]))))
+        return cls(BlockDivision(whole / float(counts.sum()), len(folds), correlation, reason), block, folds)
+
+
+def _phase_times(problem: ExcitationProblem) -> tuple[Rows, Array]:
+    """Return the motion of each row and the time in it, s: equal in repetitions, each of shape (r,)."""
+    motion = np.empty(len(problem.torque), dtype=np.intp)
+    time = np.empty(len(motion))
+    for number, (run, (one, phase)) in enumerate(zip(problem.runs, problem.phases, strict=True)):
+        rows = problem.run == number
+        motion[rows], time[rows] = one, phase[problem.place[rows]] * (run.down / run.rate)
+    return np.unique(motion, return_inverse=True)[1].ravel(), time
 
 
 def _members(number: Rows) -> list[Rows]:

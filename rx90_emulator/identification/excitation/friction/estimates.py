@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import DELTA, FITTED, Part
+from rx90_emulator.identification.excitation.friction.law import FITTED, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.models import FittedElement
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 
 _UNTOLD = 0.3  # deviation of an exponent that says nothing about it
-_WEAK = ("omega_s", "c0", "c1")
+_WEAK = ("omega_s", "delta", "c0", "c1")
 _LARGEST = 0.5  # relative deviation up to which one of these counts as known
 
 Refusal = Callable[[Part], str]
@@ -45,7 +45,7 @@ def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSou
 
 
 def _natural(one: FittedElement) -> dict[str, tuple[float, Array]]:
-    """Return values by name with their derivatives by the parameters of the fit, shape (7,)."""
+    """Return values by name with their derivatives by the parameters of the fit, shape (8,)."""
     shape = one.shape
     tau_c, c2, c1 = one.linear.tolist()
 
@@ -61,8 +61,8 @@ def _natural(one: FittedElement) -> dict[str, tuple[float, Array]]:
         c0 = (tau_c * shape.stiffness, by(tau_c=shape.stiffness, stiffness=tau_c * shape.stiffness))
     return {
         "tau_c_positive": coulomb, "tau_c_negative": coulomb, "tau_s_positive": static, "tau_s_negative": static,
-        "omega_s": omega_s, "delta": (DELTA, by()), "c2": (c2, by(c2=1.0)), "alpha": (shape.alpha, by(alpha=1.0)),
-        "c0": c0, "c1": (c1, by(c1=1.0)),
+        "omega_s": omega_s, "delta": (shape.delta, by(delta=1.0)), "c2": (c2, by(c2=1.0)),
+        "alpha": (shape.alpha, by(alpha=1.0)), "c0": c0, "c1": (c1, by(c1=1.0)),
     }  # fmt: skip
 
 
@@ -77,14 +77,12 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
     part = _PART_OF.get(name)
     if part is not None and part not in one.shape.parts:
         return refusal(part)
+    weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST * value if name in _WEAK else math.inf)
     checks = (
         (not one.linear.any(), "the element does not move"),
         (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),
-        (name in ("c2", "alpha") and one.linear[1] <= 0.0, "no viscous friction shows: the best value is 0"),
+        (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, "no viscous friction shows: the best value is 0"),
         (not math.isfinite(value) or not math.isfinite(deviation), "the runs do not determine it"),
-        (
-            name in _WEAK and deviation > _LARGEST * value,
-            f"standard deviation {deviation:.3g} at a value of {value:.3g}",
-        ),
+        (weak, f"standard deviation {deviation:.3g} at a value of {value:.3g}"),
     )
     return next((reason for applies, reason in checks if applies), "")

@@ -45,7 +45,7 @@ def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = 
             moved[e][shapes[e].free.index(name)] += value
     shapes = [shape.with_values(values) for shape, values in zip(shapes, moved, strict=True)]
     fitted = tuple(
-        FittedElement(name, shapes[e], linear[e], _block(e, inner, final.covariance), rows.speeds())
+        FittedElement(name, shapes[e], linear[e], _block(e, inner, final.covariance), rows.speeds)
         for e, (name, rows) in enumerate(zip(problem.arm.element_names, selected.weighted.elements, strict=True))
     )
     sources = tuple(run.source for run in problem.runs)
@@ -103,7 +103,7 @@ def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, 
 
 
 def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
-    """Return the covariance of an element's parameters in FITTED, shape (7, 7); 0 for what is not fitted."""
+    """Return the covariance of an element's parameters in FITTED, shape (8, 8); 0 for what is not fitted."""
     result = np.zeros((len(FITTED), len(FITTED)))
     offset = len(covariance) - len(inner)
     rows = [offset + k for k, (e, _) in enumerate(inner) if e == element]
@@ -114,7 +114,7 @@ def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) ->
 
 def _refusals(selected: Selected, element: int, parts: Sequence[Part]) -> Callable[[Part], str]:
     """Return the function that says why an element does not have a part."""
-    low, high = selected.weighted.elements[element].speed_range()
+    low, high = selected.weighted.elements[element].speed_range
 
     def reason(part: Part) -> str:
         if (element, part) in selected.refused:

@@ -5,9 +5,9 @@ Equations 17 to 19 and the viscous exponent, with the bristle's torque over the 
     tau_f = tau_c u + c1 dz/dt + c2 |v|^alpha sign(v)
     du/dt = stiffness (v - |v| u / h(v)),  h(v) = 1 + rise exp(-(|v| / omega_s)^delta)
 
-Linear are tau_c, c2 and c1; not linear are alpha, rise = tau_s / tau_c - 1, omega_s and stiffness = c0 / tau_c, the
-inverse of the presliding distance. Without a bristle u is sign(v) h(v). A difference of tau_c between the directions is
-a constant torque, which no motion tells from a joint's offset; tau_c is the mean of both directions.
+Linear are tau_c, c2 and c1; not linear are alpha, rise = tau_s / tau_c - 1, omega_s, delta and stiffness = c0 / tau_c,
+the inverse of the presliding distance. Without a bristle u is sign(v) h(v). A difference of tau_c between the
+directions is a constant torque, which no motion tells from a joint's offset; tau_c is the mean of both directions.
 """
 
 from __future__ import annotations
@@ -21,13 +21,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 
-DELTA = 1.0
-"""Stribeck exponent, as given: excitation runs pass the low speeds in which it shows too fast."""
 COULOMB, VISCOUS, DAMPING = 0, 1, 2
 """Places of the linear parameters tau_c, c2 and c1."""
 LINEAR = ("tau_c", "c2", "c1")
-FITTED = (*LINEAR, "alpha", "rise", "omega_s", "stiffness")
-"""All parameters of an element as the fit writes them: the last two stand for their logarithms."""
+FITTED = (*LINEAR, "alpha", "rise", "omega_s", "delta", "stiffness")
+"""All parameters of an element as the fit writes them: omega_s and stiffness stand for their logarithms."""
 
 
 class Part(Enum):
@@ -46,7 +44,7 @@ class Part(Enum):
 
 _SHAPE_OF = {
     Part.EXPONENT: ("alpha",),
-    Part.STRIBECK: ("rise", "omega_s"),
+    Part.STRIBECK: ("rise", "omega_s", "delta"),
     Part.BRISTLE: ("stiffness",),
     Part.DAMPING: (),
 }
@@ -62,6 +60,7 @@ class ElementShape:
         alpha: viscous exponent, 1.
         rise: static over Coulomb torque, less 1.
         omega_s: Stribeck velocity, rad/s.
+        delta: Stribeck exponent, 1.
         stiffness: bristle stiffness over Coulomb torque, 1/rad.
     """
 
@@ -69,6 +68,7 @@ class ElementShape:
     alpha: float = 1.0
     rise: float = 0.0
     omega_s: float = math.inf
+    delta: float = 1.0
     stiffness: float = math.inf
 
     @property
@@ -104,14 +104,18 @@ def _read(name: str, value: float) -> float:
     return math.exp(value) if name in _LOGARITHMIC else value
 
 
-def stribeck_factor(shape: ElementShape, velocity: Array) -> tuple[Array, Array, Array]:
-    """Return h and its derivatives by rise and ln omega_s, each of the shape of `velocity`, rad/s."""
+def stribeck_factor(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
+    """Return h and its derivatives by rise, ln omega_s and delta, each of the shape of `velocity`, rad/s."""
     if Part.STRIBECK not in shape.parts:
         nothing = np.zeros_like(velocity)
-        return nothing + 1.0, nothing, nothing
-    ratio = np.minimum((np.abs(velocity) / shape.omega_s) ** DELTA, 700.0)
+        return nothing + 1.0, dict.fromkeys(Part.STRIBECK.shape, nothing)
+    over = np.abs(velocity) / shape.omega_s
+    ratio = np.minimum(over**shape.delta, 700.0)
     decay = np.exp(-ratio)
-    return 1.0 + shape.rise * decay, decay, shape.rise * decay * ratio * DELTA
+    slope = shape.rise * decay * ratio
+    with np.errstate(divide="ignore"):
+        logarithm = np.where(over > 0.0, np.log(over), 0.0)
+    return 1.0 + shape.rise * decay, {"rise": decay, "omega_s": slope * shape.delta, "delta": -slope * logarithm}
 
 
 def viscous(shape: ElementShape, velocity: Array) -> tuple[Array, Array]:
@@ -134,13 +138,12 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
         Columns of LINEAR, shape (m, 3), and their derivatives by each other parameter in FITTED.
     """
     sign = np.sign(velocity)
-    factor, by_rise, by_omega = stribeck_factor(shape, velocity)
+    factor, by_stribeck = stribeck_factor(shape, velocity)
     column, by_alpha = viscous(shape, velocity)
     nothing = np.zeros_like(velocity)
     derivatives = {
         "alpha": np.column_stack([nothing, by_alpha, nothing]),
-        "rise": np.column_stack([sign * by_rise, nothing, nothing]),
-        "omega_s": np.column_stack([sign * by_omega, nothing, nothing]),
         "stiffness": np.zeros((len(velocity), 3)),
+        **{name: np.column_stack([sign * slope, nothing, nothing]) for name, slope in by_stribeck.items()},
     }
     return np.column_stack([sign * factor, column, nothing]), derivatives

@@ -17,6 +17,7 @@ from rx90_emulator.identification.excitation.friction.separable import Separable
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 
+_LEAST = 1e-6  # Nm, of a load that elements' friction is compared with
 _SIGNIFICANT = 2.0  # deviations of the coefficient from 0
 
 
@@ -49,9 +50,8 @@ def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array
         without: fit of these columns.
     """
     problem = weighted.problem
-    bare = np.abs(problem.regressor @ without.value[: problem.regressor.shape[1]])
-    column = _load_column(weighted, fit, bare)
-    wide = solve(problem, np.column_stack([columns, column]))
+    bare = np.abs(problem.regressor @ without.value[: len(problem.names)])
+    wide = solve(problem, np.column_stack([columns, _load_column(weighted, fit, bare)]))
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     found = LoadDependence(value, deviation, wide.value[:-1] - without.value)
     return found if found.significant else found._replace(shift=np.zeros_like(found.shift))
@@ -76,7 +76,6 @@ def _load_column(weighted: WeightedProblem, fit: SeparableFit, bare: Array) -> A
         table = np.full(len(problem.runs) * samples, float(np.mean(bare[own])))
         table[problem.run[own] * samples + problem.place[own]] = bare[own]
         load = table[problem.run[rows.rows] * samples + problem.place[rows.rows]]
-        size = float(np.sqrt(np.mean(bare[own] ** 2)))
-        coulomb = rows.columns(shape)[0][:, COULOMB] * fit.linear[e, COULOMB]
-        column[rows.rows] += coulomb * load / max(size, 1e-300)
+        size = max(float(np.sqrt(np.mean(bare[own] ** 2))), _LEAST)
+        column[rows.rows] += rows.columns(shape)[0][:, COULOMB] * fit.linear[e, COULOMB] * load / size
     return column

@@ -41,6 +41,7 @@ class ModelRow:
     Attributes:
         name: of the model.
         against: name of the model that it is compared with; empty for the first.
+        parts: of each element, in words, beside Coulomb and viscous friction.
         parameters: how many are fitted, rigid body and friction.
         error: weighted RMS of the residuals of the fit, in noise deviations of the joints.
         relative: of each joint, RMS residual over RMS torque, shape (n,).
@@ -53,6 +54,7 @@ class ModelRow:
 
     name: str
     against: str
+    parts: tuple[tuple[str, ...], ...]
     parameters: int
     error: float
     relative: tuple[float, ...]
@@ -110,7 +112,7 @@ class FittedElement:
         element: its name.
         shape: the parameters that are not linear, and the parts it has.
         linear: tau_c, c2 and c1, in Nm, Nm (s/rad)^alpha, Nm s/rad; 0 for what it does not have, shape (3,).
-        covariance: of the parameters in FITTED, shape (7, 7); 0 for what is not fitted. The exponent of a viscous
+        covariance: of the parameters in FITTED, shape (8, 8); 0 for what is not fitted. The exponent of a viscous
             part is free in it where the runs were asked for exponents, also if it is left at 1: what is not known of
             it is not known of tau_c and c2 either.
         ranges: least and greatest speed of its data in each direction, positive and negative: ((low, high),

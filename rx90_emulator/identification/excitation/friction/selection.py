@@ -3,7 +3,7 @@
 From Coulomb and viscous friction on, parts are tried in the order of their physical plausibility: viscous exponent,
 Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
 disturbs those it is coupled with; then it is taken from one element after the other that predicts as well without it.
-At the end of each step, earlier parts that the later one has replaced are taken away in the same way.
+Earlier parts of an element are judged anew with each later one, which may replace them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
 
-_TRIAL = 8  # evaluations after a part was taken away: the others hardly change
 _STARTS = 5  # Stribeck velocities, and presliding distances, to start from
 _RISE = 0.3  # to start from
 
@@ -50,24 +49,19 @@ class Selected:
 
 
 def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
-    """Try parts in the order given and keep those with which the model predicts better.
-
-    A part that is kept gives the earlier ones another chance: an exponent below 1 and a Stribeck rise bend the curve in
-    opposite directions, and where both are missing neither may show.
-    """
-    search = _Selection(problem)
-    for number, part in enumerate(parts):
-        if search.attempt(part):
-            for earlier in parts[:number]:
-                search.attempt(earlier)
+    """Try parts in the order given and keep those with which the model predicts better."""
+    search = _Selection(problem, parts)
+    for part in parts:
+        search.attempt(part)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
 
 
 class _Selection:
     """The model so far, and the table of what was compared."""
 
-    def __init__(self, problem: ExcitationProblem) -> None:
+    def __init__(self, problem: ExcitationProblem, parts: Sequence[Part]) -> None:
         self._problem = problem
+        self._parts = frozenset(parts)
         self._elements = element_rows(problem)
         self._groups = _groups(problem)
         self.rows: list[ModelRow] = []
@@ -80,53 +74,34 @@ class _Selection:
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
 
-    def attempt(self, part: Part) -> bool:
-        """Give a part to all elements without it, take it from those that do not need it, and keep it where it helps.
-
-        Returns:
-            Whether the model predicts better with it.
-        """
+    def attempt(self, part: Part) -> None:
+        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
         shapes = self._started(part)
-        pairs = zip(shapes, self.now.fit.shapes, strict=True)
-        keys = [(e, part) for e, (shape, now) in enumerate(pairs) if part in shape.parts - now.parts]
+        given = [e for e, shape in enumerate(shapes) if part in shape.parts]
+        keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
-            return False
+            return
         # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
         trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
-        left = [e for e, _ in keys if part in trimmed.fit.shapes[e].parts]
+        left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
         kept = bool(left) and trimmed.better_than(before)
-        same = len(left) == len(keys)
+        same = trimmed.fit.shapes == everywhere.fit.shapes
         if not same:
             gone = "kept on some elements, see below" if kept else "no element predicts better with it"
-            tried = "all" if len(keys) == len(shapes) else "the others"
-            self._add(f"+ {part.value}: {tried}", everywhere, before, False, gone)
+            self._add(f"+ {part.value}: all", everywhere, before, False, gone)
         if left:
-            every = len(left) == len(shapes)
-            names = "all" if every else ", ".join(self._problem.arm.element_names[e] for e in left)
             verdict = _verdict(trimmed, before)
-            self._add(f"+ {part.value}: {names}", trimmed, before, kept, verdict)
+            where = "all" if len(left) == len(given) else ", ".join(self._problem.arm.element_names[e] for e in left)
+            self._add(f"+ {part.value}: {where}", trimmed, before, kept, verdict)
             if not kept:
                 self.refused |= {(e, part): verdict for e in left}
         if kept:
             self.now = trimmed
-            self._replace_earlier(part)
         self._reweight()
-        return kept
-
-    def _replace_earlier(self, part: Part) -> None:
-        """Take away earlier parts of elements that predict as well without them now."""
-        shapes = self.now.fit.shapes
-        keys = [(e, old) for e, shape in enumerate(shapes) if part in shape.parts for old in _before(part, shape)]
-        trimmed = self._trimmed(self.now, keys)
-        gone = [(e, old) for e, old in keys if old not in trimmed.fit.shapes[e].parts]
-        if gone:
-            names = ", ".join(f"{old.value} of {self._problem.arm.element_names[e]}" for e, old in gone)
-            self._add(f"- {names}", trimmed, self.now, True, f"replaced by the {part.value}")
-            self.now = trimmed
 
     def _reweight(self) -> None:
         self.weighted = _reweighted(self.weighted, self.now.fit)
@@ -139,13 +114,11 @@ class _Selection:
         """Return the shapes with a part on every element that moves, from the best of several starts."""
         shapes = list(self.now.fit.shapes)
         for e, shape in enumerate(shapes):
-            if (
-                part in shape.parts
-                or not len(self._elements[e].rows)
-                or (part is Part.DAMPING and Part.BRISTLE not in shape.parts)
-            ):
+            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
                 continue
-            begun = replace(shape, parts=shape.parts | {part})
+            # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
+            with_it = {part, Part.EXPONENT} & self._parts if part is Part.STRIBECK else {part}
+            begun = replace(shape, parts=shape.parts | with_it)
             shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
         return shapes
 
@@ -154,7 +127,7 @@ class _Selection:
         shapes = list(model.fit.shapes)
         names = self._problem.arm.element_names
         for e, bound in enumerate(model.fit.at_bound):
-            at = sorted(bound & set(part.shape))
+            at = sorted(bound & set(part.shape) - {"delta"})
             if at and part in shapes[e].parts:
                 value = getattr(shapes[e], at[0])
                 self.refused[e, part] = f"{at[0]} of {names[e]} ends at the bound of its range, {value:.3g}"
@@ -173,7 +146,7 @@ class _Selection:
             gone = []
             for group, candidates in todo.items():
                 there = [(e, part) for e, part in candidates if part in model.fit.shapes[e].parts]
-                useless = self._most_useless(model, there)
+                useless = self._most_useless(model, there, group)
                 todo[group] = [] if useless is None else [key for key in there if key != useless]
                 gone += [] if useless is None else [useless]
             if gone:
@@ -183,13 +156,16 @@ class _Selection:
                 model = self._scored(fit_shapes(self.weighted, shapes))
         return model
 
-    def _most_useless(self, model: Scored, keys: Iterable[Key]) -> Key | None:
-        """Return the part without which the model predicts as well or better, by the most; None if there is none."""
+    def _most_useless(self, model: Scored, keys: Iterable[Key], group: Sequence[int]) -> Key | None:
+        """Return the part without which the model predicts as well or better, by the most; None if there is none.
+
+        The non-linear parameters of elements that act on none of the group's joints stay: they hardly change.
+        """
         worst: tuple[float, Key | None] = (np.inf, None)
         for e, part in keys:
             shapes = list(model.fit.shapes)
             shapes[e] = shapes[e].without(part)
-            trial = self._scored(fit_shapes(self.weighted, shapes, _TRIAL))
+            trial = self._scored(fit_shapes(self.weighted, shapes, group))
             if model.better_than(trial):
                 continue
             self.refused[e, part] = _verdict(model, trial)
@@ -206,6 +182,7 @@ class _Selection:
         row = ModelRow(
             name=name,
             against=self._last_kept() if against is not None else "",
+            parts=tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
             parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
             error=model.error,
             relative=tuple(np.sqrt(squares / np.maximum(power, 1e-300)).tolist()),
@@ -231,12 +208,6 @@ def _candidates(weighted: WeightedProblem, shape: ElementShape, element: int, pa
     if part is Part.STRIBECK:
         return [replace(shape, rise=_RISE, omega_s=value) for value in points]
     return [replace(shape, stiffness=value) for value in points]
-
-
-def _before(part: Part, shape: ElementShape) -> list[Part]:
-    """Return the parts of a shape that were tried before another one; a bristle's damping needs it."""
-    order = list(Part)
-    return [old for old in order[: order.index(part)] if old in shape.parts and old is not Part.BRISTLE]
 
 
 def _verdict(model: Scored, against: Scored) -> str:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +24,7 @@ class TorqueCost:
     after: Array
 
 
-def torque_cost(regressor: Array, joint: NDArray[np.intp], residual: Array, shift: Array, count: int) -> TorqueCost:
+def torque_cost(regressor: Array, joint: Index, residual: Array, shift: Array, count: int) -> TorqueCost:
     """Return what a shift of the base parameters costs.
 
     Args:

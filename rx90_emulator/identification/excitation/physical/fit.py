@@ -8,12 +8,13 @@ pseudo-inertia of body b, r_k the rotors and the springs, and P0_b, r0_k their p
 has one minimum. D(P, P0) = tr(P0^-1 P) - log det(P0^-1 P) - order is the Bregman divergence of -log det (Lee, Wensing
 and Park 2020): it does not depend on units and frames, and grows without bound where P ceases to be positive definite,
 so that every P on the way has a body of positive density. The sum is self-concordant, hence damped Newton steps find
-the minimum from any beginning (Boyd and Vandenberghe 2004, section 9.6); no parametrisation by factors is needed.
+the minimum from any beginning (Boyd and Vandenberghe 2004, section 9.6). Where they would be many, `factors` leads.
 
-The weight w of the prior falls from where the prior alone would do to 0.001. Of the weights up to 1, the largest is
-taken with which the base parameters are as near to the identified ones as with the smallest, within a tolerance that
-lies below their noise: the prior decides what the data leave open, and no more than that. Where no consistent inertias
-come near, weights and tolerance count in units of the distance that is left, for the deviations then say too little.
+The weight w of the prior falls from where the prior alone would do to 0.001, or to where it pulls no more. Of the
+weights up to 1, the largest is taken with which the base parameters are as near to the identified ones as with the
+smallest, within a tolerance that lies below their noise: the prior decides what the data leave open, and no more than
+that. Where no consistent inertias come near, weights and tolerance count in units of the distance that is left, for the
+deviations then say too little.
 """
 
 from __future__ import annotations
@@ -27,16 +28,19 @@ from scipy.linalg import block_diag, lstsq, solve_triangular
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
+from rx90_emulator.identification.excitation.physical.factors import Target, nearer
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.excitation.physical.pseudo_inertia import inertial_parameters
 
 _RATIO = 10.0**0.5
 _LEAST_WEIGHT = 1e-3  # far below, the prior would be a barrier alone, and the steps along it short
+_SETTLED = 0.95  # of the distance before: a prior of which less weight brings so little pulls no more
 _TOLERANCE = 0.3  # standard deviations, RMS over the base parameters
 _SHARPEST = 1e-9  # of a base parameter's deviation, as a share of its size in the prior: beyond are rounding errors
 _LEAST_VARIANCE = 1e-9  # of the correlation matrix's eigenvalues: less is rounding
 _APART = 1e-6
-_MOST_STEPS = 1000
+_MOST_STEPS = 100
+_MOST_TRIALS = 4
 _DONE = 1e-7
 _NEAR = 0.1  # Newton decrement from which full steps converge quadratically
 
@@ -162,6 +166,15 @@ class _Minimum(NamedTuple):
     distance: float
 
 
+def _enough(found: list[_Minimum]) -> bool:
+    """Tell whether the last minimum is as near to the identified base parameters as one with less weight would be."""
+    if len(found) < 2:
+        return False
+    before, (weight, _, distance) = found[-2].distance, found[-1]
+    light = weight <= 1.001 * _LEAST_WEIGHT * max(1.0, distance**2)
+    return (light and (distance > _SETTLED * before or distance < _TOLERANCE)) or weight < _LEAST_WEIGHT**2
+
+
 class _Problem:
     """The problem in units of the prior: blocks Q with P = L0 Q L0^T, L0 L0^T = P0, all 1 at the beginning.
 
@@ -200,7 +213,7 @@ class _Problem:
         x = np.concatenate([bodies, np.ones(self.positive), np.zeros(self.others)])
         exponent = int(np.ceil(np.log(max(1.0, float(np.square(self.misfit(x)).sum()))) / np.log(_RATIO)))
         found: list[_Minimum] = []
-        while not found or found[-1].weight > 1.001 * _LEAST_WEIGHT * max(1.0, found[-1].distance ** 2):
+        while not _enough(found):
             weight = _RATIO**exponent
             x = self.minimum(x, weight, _NEAR)
             found.append(_Minimum(weight, x, self._distance(x)))
@@ -209,6 +222,18 @@ class _Problem:
 
     def minimum(self, x: Array, weight: float, enough: float) -> Array:
         """Return the minimum, as near as a Newton decrement below `enough` says, from an x that is near."""
+        for _ in range(_MOST_TRIALS):
+            x, done = self._newton(x, weight, enough)
+            if done:
+                return x
+            x = nearer(x, Target(self.jacobian, self.target, weight, _BASIS, len(self.scale), self.positive))
+        raise IdentificationError(
+            f"no consistent inertias near the base parameters found with a prior's weight of {weight:.1g}; accepted: "
+            "base parameters of this arm, and a description with inertials of their order of magnitude"
+        )
+
+    def _newton(self, x: Array, weight: float, enough: float) -> tuple[Array, bool]:
+        """Return where damped Newton steps lead, and whether that is the minimum."""
         last = np.inf
         for _ in range(_MOST_STEPS):
             factor, scalars = np.linalg.cholesky(self._blocks(x)), self._scalars(x)
@@ -221,13 +246,10 @@ class _Problem:
             decrement = float(np.linalg.norm(rows @ step)) / np.sqrt(weight)
             # Rounding errors keep the decrement of very sharp data from falling to nothing.
             if decrement < enough or (last < _NEAR and decrement >= last):
-                return x
+                return x, True
             x = x + step / (1.0 if decrement < _NEAR else 1.0 + decrement)
             last = decrement
-        raise IdentificationError(
-            f"no consistent inertias near the base parameters found in {_MOST_STEPS} steps with a prior's weight of "
-            f"{weight:.1g}; accepted: base parameters of this arm"
-        )
+        return x, False
 
     def _blocks(self, x: Array) -> Array:
         return np.array([_matrix(x[10 * b : 10 * b + 10]) for b in range(len(self.scale))])

@@ -21,6 +21,7 @@ from rx90_emulator.identification.excitation.physical.pseudo_inertia import (
 _DENSITY = 1500.0  # kg/m^3: castings with motors in them, and with room left
 _SLIM = 6.0  # length over radius of a link without <inertial>
 _THICK = 0.05  # its least radius, as a share of the arm's reach
+_ROUND = 0.2  # radius of one that ends at its joint, as a share of the others' mean length
 _ANY_REACH = 0.5  # m, of an arm whose joints all have one origin
 _FEW = 3  # so many links with the same <inertial> are no chance
 _ALIKE = 1e-9
@@ -128,7 +129,8 @@ def _by_geometry(body: MovingBody, ends: Array) -> MovingBody:
     end = ends[body.joint]
     length = float(np.linalg.norm(end))
     reach = float(np.linalg.norm(ends, axis=1).sum()) or _ANY_REACH
-    radius = max(length / _SLIM, _THICK * reach)
+    others = max(1, int(ends.any(axis=1).sum()))
+    radius = max(length / _SLIM, _THICK * reach) if length else _ROUND * reach / others
     half = max(0.5 * length, radius)
     along = end / length if length > 0.0 else np.zeros(3)
     mass = _DENSITY * 4.0 / 3.0 * np.pi * half * radius**2

@@ -171,7 +171,7 @@ def _controller(robot: IdentifiedRobot, path: Path, speed: Array) -> dict[str, A
     elements = [one.element for one in robot.elements]
     turned = [[element] for element in elements[:6]]
     turned[5].append(elements[6])
-    viscous = [_viscous(some, float(top)) for some, top in zip(turned, speed, strict=True)]
+    viscous = [viscous_sum(some, float(top)) for some, top in zip(turned, speed, strict=True)]
     source = "the identified friction of each joint; of joint 6 and of element 7, with which motor 6 turns as well"
     coulomb = [sum(0.5 * (one.tau_c_positive + one.tau_c_negative) for one in some) for some in turned]
     new = {
@@ -183,7 +183,7 @@ def _controller(robot: IdentifiedRobot, path: Path, speed: Array) -> dict[str, A
     return content | {"feed_forward": marked(content["feed_forward"], new)}
 
 
-def _viscous(elements: Sequence[LuGreElement], speed: float) -> tuple[float, float]:
+def viscous_sum(elements: Sequence[LuGreElement], speed: float) -> tuple[float, float]:
     """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
     if len({one.alpha for one in elements}) == 1:
         return sum(one.c2 for one in elements), elements[0].alpha

@@ -31,7 +31,7 @@ def with_inertials(urdf: str, bodies: Mapping[str, Array | None], remark: str) -
     """
     data = urdf.encode("utf-8")
     places = _Places(data)
-    edits = [(places.first, places.first, f"<!-- {remark.replace('--', '- -')} -->\n  ".encode())]
+    edits = [(places.first, places.first, f"<!-- {remark.strip().replace('--', '- -')} -->\n  ".encode())]
     for link, pseudo in bodies.items():
         if link not in places.links:
             raise IdentificationError(f"no link {plain(link)} in the URDF; accepted: {', '.join(places.links)}")

@@ -1,0 +1,251 @@
+"""Friction's parts from excitation runs, on two joints whose motion and torque are written down here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
+from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
+from rx90_emulator.identification.excitation.friction.identify import identify_friction_parts, predicted_torque
+from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
+from rx90_emulator.identification.excitation.friction.models import FrictionSelection
+from rx90_emulator.identification.excitation.friction.separable import fit_shapes
+from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord
+
+Array = NDArray[np.float64]
+Law = Callable[[Array], Array]
+RATE, SECONDS, NOISE = 100.0, 40.0, 0.05
+A, B, C = 1.5, 0.4, 0.5  # kg m^2: planar arm, M = [[A + 2 C cos q2, B + C cos q2], [B + C cos q2, B]]
+URDF = """<robot name="planar"><link name="base"/>
+<joint name="one" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
+<link name="a"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="two" type="continuous"><origin xyz="0.5 0 0"/>
+<parent link="a"/><child link="b"/><axis xyz="0 0 1"/></joint>
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+</robot>"""
+
+
+def power_law(tau_c: float, c2: float, alpha: float, up: float = 0.0) -> Law:
+    """Return friction that grows as |v|^alpha; for v > 0 its Coulomb torque is `up` more, for v < 0 less."""
+    return lambda v: np.sign(v) * (tau_c + c2 * np.abs(v) ** alpha) + np.where(v != 0.0, up, 0.0)
+
+
+def stribeck(tau_c: float, tau_s: float, omega_s: float, c2: float) -> Law:
+    """Return friction with a Stribeck rise, delta = 1."""
+    return lambda v: np.sign(v) * (tau_c + (tau_s - tau_c) * np.exp(-np.abs(v) / omega_s)) + c2 * v
+
+
+def record(laws: tuple[Law, Law], seed: int = 0, load: float = 0.0) -> JointRecord:
+    """Return a run of random Fourier series; Coulomb friction of joint one may grow with the load."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)[:, None]
+    q, v, a = np.zeros((3, len(time), 2))
+    for k in range(2, 14):
+        rate, phase = 2.0 * np.pi * 0.025 * k, rng.uniform(0.0, 2.0 * np.pi, 2)
+        size = rng.uniform(0.2, 0.6, 2)
+        q += size / rate * np.sin(rate * time + phase)
+        v += size * np.cos(rate * time + phase)
+        a -= size * rate * np.sin(rate * time + phase)
+    c, s = C * np.cos(q[:, 1]), C * np.sin(q[:, 1])
+    bare = np.column_stack(
+        [
+            (A + 2.0 * c) * a[:, 0] + (B + c) * a[:, 1] - s * (2.0 * v[:, 0] + v[:, 1]) * v[:, 1],
+            (B + c) * a[:, 0] + B * a[:, 1] + s * v[:, 0] ** 2,
+        ]
+    )
+    friction = np.column_stack([law(column) for law, column in zip(laws, v.T, strict=True)])
+    friction[:, 0] += load * np.abs(bare[:, 0]) * np.sign(v[:, 0])
+    torque = bare + friction + NOISE * rng.normal(size=q.shape)
+    return JointRecord(("one", "two"), time[:, 0], q, v, torque, Path(f"run_{seed}"), str(seed))
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
+    """Return the arm's kinematics."""
+    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    urdf.write_text(URDF)
+    return RigidArm.from_urdf(urdf)
+
+
+def problem_of(arm: RigidArm, *records: JointRecord) -> ExcitationProblem:
+    """Return the equations of runs."""
+    return ExcitationProblem.of(arm, [run for one in records for run in filter_record(one, Bandwidths(20.0, 10.0))])
+
+
+LAWS = (power_law(3.0, 2.0, 0.7), power_law(1.0, 0.8, 1.0))
+
+
+@pytest.fixture(scope="module")
+def selection(arm: RigidArm) -> FrictionSelection:
+    """Return what two runs tell of an element with an exponent and one without."""
+    return identify_friction_parts(problem_of(arm, record(LAWS, 1), record(LAWS, 2)))
+
+
+def held(selection: FrictionSelection, element: int, **truth: float) -> None:
+    """Assert that values lie within three of their deviations, and that these say something."""
+    for name, value in truth.items():
+        found = selection.elements[element].parameters[name]
+        assert abs(found.value - value) < 3.0 * found.deviation, name
+        assert found.deviation < 0.2 * value, name
+
+
+def test_an_exponent_is_found_where_there_is_one(selection: FrictionSelection) -> None:
+    """The exponent comes out within 0.05, its part is kept on its element alone, and no Stribeck rise is claimed."""
+    assert selection.parts == (frozenset({Part.EXPONENT}), frozenset())
+    assert selection.elements[0].parameters["alpha"].value == pytest.approx(0.7, abs=0.05)
+    held(selection, 0, tau_c_positive=3.0, tau_c_negative=3.0, c2=2.0, alpha=0.7)
+    held(selection, 1, tau_c_positive=1.0, c2=0.8, alpha=1.0)
+    for estimate in selection.elements:
+        for name in ("tau_s_positive", "omega_s", "delta", "c0", "c1"):
+            assert not estimate.parameters[name].identifiable
+            assert estimate.parameters[name].reason
+    kept = [row for row in selection.models if row.kept]
+    assert [row.name for row in kept] == ["Coulomb + viscous", "+ viscous exponent: one"]
+    assert kept[1].by_blocks.gain > kept[1].by_blocks.gain_deviation > 0.0
+    assert kept[1].by_runs is not None
+    assert np.isfinite(selection.fit.value).all()
+
+
+def test_the_model_predicts_a_run_that_it_has_not_seen(arm: RigidArm, selection: FrictionSelection) -> None:
+    """The error on an unseen run is that of its noise."""
+    unseen = problem_of(arm, record(LAWS, 3))
+    quiet = problem_of(arm, record(LAWS, 3))
+    run = quiet.runs[0]
+    passed = float(np.std(run.parallel(np.random.default_rng(0).normal(size=len(run.time)))))
+    error = predicted_torque(selection, unseen) - unseen.torque
+    assert np.sqrt(np.mean(error**2)) < 1.2 * NOISE * passed
+
+
+def test_a_curve_has_the_band_of_its_parameters_and_ends_with_the_data(selection: FrictionSelection) -> None:
+    """The curve is the law's, its deviation that of laws drawn from the covariance, and it ends with the data."""
+    one = selection.fitted[0]
+    curve = one.curve(np.array([-1.0, -0.3, 0.4, 1.5]))
+    truth = LAWS[0](curve.velocity)
+    assert ((curve.band[0] < truth) & (truth < curve.band[1])).all()
+    names = ["tau_c", "c2", "c1", "alpha"]
+    center = np.array([one.linear[0], one.linear[1], 0.0, one.shape.alpha])
+    drawn = np.random.default_rng(0).multivariate_normal(center, one.covariance[: len(names), : len(names)], 4000)
+    torques = [power_law(tau_c, c2, alpha)(curve.velocity) for tau_c, c2, _, alpha in drawn]
+    assert np.std(torques, axis=0) == pytest.approx(curve.deviation, rel=0.05)
+    fastest = one.curve().velocity.max()
+    with pytest.raises(IdentificationError, match="where there were data"):
+        one.curve(np.array([1.1 * fastest]))
+
+
+def test_a_stribeck_rise_is_found_where_there_is_one(arm: RigidArm) -> None:
+    """Static torque and Stribeck velocity come out, and the element without a rise gets none."""
+    laws = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])
+    selection = identify_friction_parts(problem_of(arm, record(laws, 4), record(laws, 5)))
+    assert Part.STRIBECK in selection.parts[0]
+    assert Part.STRIBECK not in selection.parts[1]
+    found = selection.elements[0].parameters
+    for name, value in {"tau_c_positive": 2.0, "tau_s_positive": 3.0, "omega_s": 0.1}.items():
+        assert abs(found[name].value - value) < 3.0 * found[name].deviation, name
+
+
+def test_asymmetry_is_told_to_be_an_offset(arm: RigidArm) -> None:
+    """Of unequal directions the mean comes out, and it is said which offset holds half their difference."""
+    laws = (power_law(3.0, 2.0, 1.0, up=0.5), LAWS[1])
+    selection = identify_friction_parts(problem_of(arm, record(laws, 6)), ())
+    held(selection, 0, tau_c_positive=3.0, tau_c_negative=3.0)
+    (said,) = (remark for remark in selection.remarks if remark.startswith("one: "))
+    assert "mean of both directions" in said
+    assert float(said.split("joint, ")[1].split(" Nm")[0]) == pytest.approx(0.5, abs=0.05)
+
+
+def test_load_dependent_friction_widens_the_deviation(arm: RigidArm) -> None:
+    """Where friction grows with the load, a remark says so, and the interval of tau_c still holds that without load."""
+    laws = (power_law(3.0, 2.0, 1.0), LAWS[1])
+    selection = identify_friction_parts(problem_of(arm, record(laws, 7, load=0.2)), ())
+    assert any("changes with the load" in remark for remark in selection.remarks)
+    found = selection.elements[0].parameters["tau_c_positive"]
+    assert found.value > 3.05
+    low, high = found.bounds
+    assert low < 3.0 < high
+
+
+def test_a_bristle_follows_its_differential_equation() -> None:
+    """Deflection, rate and derivative by the stiffness are those of SciPy's solution, with a Stribeck rise."""
+    step, stiffness, rise, omega_s = 1e-4, 300.0, 0.5, 0.2
+    time = np.arange(0.0, 0.5, step)
+
+    def speed(t: Any) -> Any:
+        return 0.6 * np.sin(9.0 * t)
+
+    def limit(v: Any) -> Any:
+        return 1.0 + rise * np.exp(-np.abs(v) / omega_s)
+
+    def solved(sigma: float) -> Array:
+        answer = solve_ivp(
+            lambda t, u: sigma * (speed(t) - abs(speed(t)) * u / limit(speed(t))),
+            (0.0, 0.5), [0.0], "LSODA", time, rtol=1e-7, atol=1e-8,
+        )  # fmt: skip
+        return np.asarray(answer.y[0])
+
+    shape = ElementShape(
+        frozenset({Part.STRIBECK, Part.BRISTLE, Part.DAMPING}), rise=rise, omega_s=omega_s, stiffness=stiffness
+    )
+    position = 0.6 / 9.0 * (1.0 - np.cos(9.0 * time))
+    columns, derivatives = ElementMotion.of(position, speed(time), step).columns(shape)
+    u, inner = solved(stiffness), slice(10, -10)
+    assert columns[inner, 0] == pytest.approx(u[inner], abs=2e-3)
+    rate = speed(time) - np.abs(speed(time)) * u / limit(speed(time))
+    assert columns[inner, 2] == pytest.approx(rate[inner], abs=2e-3)
+    by_stiffness = (solved(stiffness * 1.01) - solved(stiffness / 1.01)) / (2.0 * np.log(1.01))
+    assert derivatives["stiffness"][inner, 0] == pytest.approx(by_stiffness[inner], abs=5e-3)
+
+
+@pytest.fixture(scope="module")
+def weighted(arm: RigidArm) -> WeightedProblem:
+    """Return the equations of a run with weights that differ."""
+    problem = problem_of(arm, record(LAWS, 8))
+    weight = np.random.default_rng(1).uniform(5.0, 20.0, len(problem.torque))
+    return WeightedProblem.of(problem, element_rows(problem), weight)
+
+
+def test_a_block_is_predicted_by_a_fit_without_it(weighted: WeightedProblem) -> None:
+    """The residuals of a block are those of a least-squares fit that has not seen it nor its neighbours."""
+    fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
+    around = Linearised.of(weighted, fit)
+    time = TimeBlocks.of(weighted.problem, around.residual)
+    left = around.left_out(time.folds)
+    friction = np.zeros((len(weighted.weight), 4))
+    for e, rows in enumerate(weighted.elements):
+        friction[rows.rows, 2 * e : 2 * e + 2] = rows.columns(ElementShape())[0][:, :2]
+    columns = np.hstack([weighted.problem.regressor, friction]) * weighted.weight[:, None]
+    target = weighted.problem.torque * weighted.weight
+    for rows, near in time.folds[::3]:
+        seen = np.setdiff1d(np.arange(len(target)), near)
+        value = np.linalg.lstsq(columns[seen], target[seen])[0]
+        assert left[rows] == pytest.approx(target[rows] - columns[rows] @ value, abs=1e-6)
+
+
+def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
+    """Gain and standard error are those of the blocks' sums of squares, and a model is not better than itself."""
+    plain = fit_shapes(weighted, [ElementShape(), ElementShape()])
+    free = fit_shapes(weighted, [ElementShape(frozenset({Part.EXPONENT})), ElementShape()])
+    time = TimeBlocks.of(weighted.problem, Linearised.of(weighted, plain).residual)
+    small, large = (Scored.of(weighted, fit, time) for fit in (plain, free))
+    assert large.better_than(small)
+    assert not small.better_than(large)
+    assert not small.better_than(small)
+    blocks, runs = large.validations(small)
+    assert runs is None
+    rows = np.bincount(time.block)
+    assert blocks.error == pytest.approx(np.sqrt(large.by_blocks.sum() / rows.sum()))
+    assert blocks.gain == pytest.approx(np.sqrt(small.by_blocks.sum() / rows.sum()) - blocks.error)
+    drawn = np.random.default_rng(0).integers(0, len(rows), (2000, len(rows)))
+    sums = [np.sqrt(m.by_blocks[drawn].sum(axis=1) / rows[drawn].sum(axis=1)) for m in (small, large)]
+    assert np.std(sums[0] - sums[1]) == pytest.approx(blocks.gain_deviation, rel=0.3)

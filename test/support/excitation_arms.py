@@ -1,0 +1,67 @@
+"""Random arms with Coulomb and viscous friction, their filtered runs, and what is true of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.excitation_runs import Disturbances, FourierMotion, measured
+from benchmarks.friction_equations import FrictionLaw
+from benchmarks.random_arms import SyntheticArm, random_arm
+from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+
+Array = NDArray[np.float64]
+
+
+def plain_arm(seed: int, joints: int, *, coupled: bool) -> SyntheticArm:
+    """Return a random arm whose friction is Coulomb and viscous."""
+    arm = random_arm(seed, joints, coupled=coupled, stribeck=False)
+    laws = tuple(FrictionLaw((law.coulomb, law.coulomb), law.c2) for law in arm.friction)
+    return replace(arm, friction=laws)
+
+
+def rigid_arm(arm: SyntheticArm, folder: Path, wrong: float = 0.5) -> RigidArm:
+    """Return the arm as the identification knows it: kinematics and couplings, wrong masses."""
+    urdf = folder / "arm.urdf"
+    urdf.write_text(arm.urdf(wrong), encoding="utf-8")
+    return RigidArm.from_urdf(urdf, coupling=arm.coupling, spring=arm.spring)
+
+
+def standard_values(arm: SyntheticArm) -> Array:
+    """Return the true standard parameters: links, rotors, springs, offsets."""
+    return np.concatenate([arm.link_parameters, arm.rotor, arm.spring[arm.spring != 0.0], arm.offset])
+
+
+def runs_of(
+    arm: SyntheticArm,
+    rate: float,
+    disturbances: Disturbances,
+    bandwidths: Bandwidths | None = None,
+    seeds: Sequence[int] = (0,),
+    periods: int = 2,
+) -> tuple[FilteredRun, ...]:
+    """Return filtered runs with their set-points."""
+    made = [measured(arm, FourierMotion.random(arm, k, periods=periods), rate, k, disturbances) for k in seeds]
+    records = [run.record(arm) for run in made]
+    chosen = bandwidths or Bandwidths.of(records)
+    pairs = zip(records, made, strict=True)
+    return tuple(part for record, run in pairs for part in filter_record(record, chosen, run.reference))
+
+
+def all_columns(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
+    """Return names and columns of base parameters, Coulomb and viscous friction."""
+    names, columns = coulomb_viscous(problem)
+    return problem.names + names, np.hstack([problem.regressor, columns])
+
+
+def truth(problem: ExcitationProblem, arm: SyntheticArm) -> Array:
+    """Return the true values of these parameters."""
+    friction = [value for law in arm.friction for value in (law.coulomb, law.c2)]
+    return np.append(problem.base.combination @ standard_values(arm), friction)
