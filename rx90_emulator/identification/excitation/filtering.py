@@ -34,7 +34,7 @@ _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noi
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
-BLOCK = 8192  # samples whose columns are held at a time
+_BLOCK = 8192  # samples whose columns are held at a time
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, BLOCK // self.down)
+        count, size = len(self.rows), max(1, _BLOCK // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)

@@ -59,6 +59,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             }
             for one in result.validations
         },
+        "instrumental_variables": result.instruments.reason,
         "drifts": [one.text for one in result.trends],
         "remarks": list(friction.remarks),
         "correlation": {"names": list(friction.names), "matrix": _correlation(friction.fit.covariance)},
