@@ -33,7 +33,7 @@ _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
-BLOCK = 8192  # samples whose columns are held at a time
+_BLOCK = 8192  # samples whose columns are held at a time
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, BLOCK // self.down)
+        count, size = len(self.rows), max(1, _BLOCK // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)

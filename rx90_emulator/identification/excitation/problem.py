@@ -18,7 +18,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
-from rx90_emulator.identification.excitation.filtering import BLOCK, FilteredRun
+from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.repetition import phases
 from rx90_emulator.identification.excitation.standstill import SlidingState, element_states

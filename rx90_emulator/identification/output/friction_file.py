@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import plain
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
@@ -20,6 +24,8 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
+_LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
+"""Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -43,7 +49,12 @@ def elements_text(
         elements: what was identified of each.
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
+
+    Raises:
+        IdentificationError: for a value that no arm has, or that is no number.
     """
+    for name, one in zip(names, elements, strict=True):
+        _check(name, one)
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     sources: dict[BagSource, str] = {}
     for one in elements:
@@ -67,6 +78,18 @@ def elements_text(
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
     ).text(_REMARKS)
+
+
+def _check(name: str, one: IdentifiedElement) -> None:
+    for parameter, value in vars(one.element).items():
+        most = math.inf if parameter == "omega_d" else _LARGEST[FRICTION_UNITS[parameter]]
+        estimate = one.estimates.get(parameter)
+        spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
+        if not (value <= most and math.isfinite(spread)):
+            raise IdentificationError(
+                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} "
+                f"{FRICTION_UNITS[parameter]}, with a finite deviation; nothing is written"
+            )
 
 
 def _provenance(

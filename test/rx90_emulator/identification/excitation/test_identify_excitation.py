@@ -140,6 +140,16 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
 
 
+def test_instrumental_variables_stand_beside(bench: Bench, outcome: Outcome) -> None:
+    """Values by instrumental variables hold the truth, too, and a remark says which of both are taken."""
+    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
+    gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
+    other = gravity["instrumental_variables"]
+    inertia = bench.model.inertias[2]
+    assert abs(other["value"] - inertia.mass * inertia.lever[2]) < 4.0 * other["deviation"]
+    assert any("are taken" in text and "the measured path" in text for text in found["remarks"])
+
+
 def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
     """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
     assert outcome.code == VERDICT_NO
