@@ -6,4 +6,4 @@ experiments make bags. `identify.identify_friction` does it all, `job.write_iden
 `friction_check.check_friction` holds a given friction file against bags.
 """
 
-__all__ = ["excitation_job", "friction_check", "identify", "job"]
+__all__ = ["excitation_job", "friction_check", "identify", "job", "progress"]
