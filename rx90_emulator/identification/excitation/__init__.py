@@ -4,14 +4,4 @@ filtering (runs at an even rate, differentiated) -> columns and base_groups (wha
 problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains.
 """
 
-__all__ = [
-    "elements",
-    "filtering",
-    "identify",
-    "least_squares",
-    "load_friction",
-    "problem",
-    "result",
-    "standstill",
-    "torques",
-]
+__all__ = ["elements", "filtering", "identify", "least_squares", "problem", "result", "standstill", "torques"]

@@ -33,6 +33,7 @@ _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
+_SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
 _BLOCK = 8192  # samples whose columns are held at a time
 
 
@@ -196,7 +197,7 @@ def filter_record(
             f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
-    edge = math.ceil(1.5 * rate / bandwidths.position)  # three time constants of the filter's slowest pole, and more
+    edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
     shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
     pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
     if not pieces:
@@ -213,9 +214,9 @@ def _filtered(
     time = record.time[piece]
     rate = _rate(time)
     even = _even(time, rate)
-    position = _resampled(time, record.position[piece], even, 3)
+    position = _resampled(time, record.position[piece], even, 5)
     torque = _resampled(time, record.torque[piece], even, 1)
-    target = None if reference is None else _resampled(time, reference[piece], even, 3)
+    target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
     curve = make_interp_spline(even, smooth, k=5)

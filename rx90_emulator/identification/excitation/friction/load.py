@@ -16,7 +16,6 @@ from rx90_emulator.identification.excitation.friction.law import COULOMB
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.load_friction import load_dependent
 
 _LEAST = 1e-6  # Nm, of a load that elements' friction is compared with
 _SIGNIFICANT = 2.0  # deviations of the coefficient from 0
@@ -50,14 +49,33 @@ def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array
         columns: of the whole model around the fit, shape (r, q).
         without: fit of these columns.
     """
-    problem, arm = weighted.problem, weighted.problem.arm
-    base = without.value[: len(problem.names)]
-    # Of each element in parts of its Coulomb torque and of its load, which for a coupled one is the last joint's.
-    bare = problem.regressor @ base
-    last = [int(np.flatnonzero(share)[-1]) for share in arm.element_matrix]
-    sizes = [max(float(np.sqrt(np.mean(bare[problem.joint == j] ** 2))), _LEAST) for j in last]
-    column = load_dependent(problem, base)[1] @ (fit.linear[:, COULOMB] / sizes)
-    wide = solve(problem, np.column_stack([columns, column]))
+    problem = weighted.problem
+    bare = np.abs(problem.regressor @ without.value[: len(problem.names)])
+    wide = solve(problem, np.column_stack([columns, _load_column(weighted, fit, bare)]))
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     found = LoadDependence(value, deviation, wide.value[:-1] - without.value)
     return found if found.significant else found._replace(shift=np.zeros_like(found.shift))
+
+
+def _load_column(weighted: WeightedProblem, fit: SeparableFit, bare: Array) -> Array:
+    """Return Coulomb torques times the load over its RMS, Nm, shape (r,).
+
+    Args:
+        weighted: the rows.
+        fit: of the friction.
+        bare: size of each row's torque without friction, Nm, shape (r,).
+    """
+    problem, column = weighted.problem, np.zeros(len(bare))
+    samples = max(len(run.rows) for run in problem.runs)
+    for e, (rows, shape) in enumerate(zip(weighted.elements, fit.shapes, strict=True)):
+        joint = int(np.flatnonzero(problem.arm.element_matrix[e])[-1])
+        own = problem.joint == joint
+        if not own.any():
+            continue
+        # A coupled element carries the torque of the last joint that it acts on, on the rows of all of them.
+        table = np.full(len(problem.runs) * samples, float(np.mean(bare[own])))
+        table[problem.run[own] * samples + problem.place[own]] = bare[own]
+        load = table[problem.run[rows.rows] * samples + problem.place[rows.rows]]
+        size = max(float(np.sqrt(np.mean(bare[own] ** 2))), _LEAST)
+        column[rows.rows] += rows.columns(shape)[0][:, COULOMB] * fit.linear[e, COULOMB] * load / size
+    return column
