@@ -176,7 +176,7 @@ def _lag(simulated: _Simulated, time: Array, position: Array, velocity: Array) -
 def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:
     """Return what of the bag is not compared, and why."""
     said = []
-    cut = 2.0 * (1.5 / run.bandwidths.position + 1.0 / run.rate)
+    cut = 2.0 * (1.5 / run.bandwidths.position + 12.0 / run.rate)  # what the filters take at both ends
     if len(pieces) > 1 or record.time[-1] - record.time[0] - (run.time[-1] - run.time[0]) > 1.5 * cut:
         said.append(
             f"there are gaps in the record: only {run.time[0]:.3f} to {run.time[-1]:.3f} s of {record.time[0]:.3f} to "

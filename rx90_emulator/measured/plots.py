@@ -38,36 +38,33 @@ def torque_plot(result: MeasuredComparison) -> str:
 
 
 def position_plot(result: MeasuredComparison) -> str:
-    """Return measured position, and how far the simulated one is from it, a panel for each joint, as SVG."""
-    figure, axes, shown, time = _panels(result)
-    for joint, panel in enumerate(axes):
-        panel.plot(time, result.position[shown, joint], color=_MEASURED, linewidth=1.5, label="measured, rad")
-        panel.set_ylabel("rad", color=_MEASURED)
-        beside = panel.twinx()
+    """Return positions measured and simulated, and their difference beside them, a row for each joint, as SVG."""
+    figure, axes, shown, time = _panels(result, columns=2)
+    for joint, (panel, beside) in enumerate(zip(axes[::2], axes[1::2], strict=True)):
+        panel.plot(time, result.position[shown, joint], color=_MEASURED, linewidth=1.8, label="measured")
+        panel.plot(time, result.simulated_position[shown, joint], color=_SIMULATED, linewidth=0.8, label="simulated")
+        panel.set_ylabel("rad")
         far = 1e3 * (result.simulated_position - result.position)[shown, joint]
-        beside.plot(time, far, color=_SIMULATED, linewidth=0.7, label="simulated - measured, mrad")
-        beside.set_ylabel("mrad", color=_SIMULATED)
-        beside.grid(visible=False)
-        beside.yaxis.set_major_locator(MaxNLocator(4))
-        if joint == 0:
-            lines = [*panel.get_lines(), *beside.get_lines()]
-            panel.legend(lines, [str(line.get_label()) for line in lines], **_PLACE)
-    return _finished(figure, axes, legend=False)
+        beside.plot(time, far, color=_DIFFERENCE, linewidth=0.7, label="simulated - measured")
+        beside.set_ylabel("mrad")
+    axes[1].legend(**_PLACE)
+    return _finished(figure, axes, columns=2)
 
 
-def _panels(result: MeasuredComparison) -> tuple[Figure, list[Axes], slice, Array]:
-    figure, axes = make_grid(len(result.names), 1, 1.7)
+def _panels(result: MeasuredComparison, columns: int = 1) -> tuple[Figure, list[Axes], slice, Array]:
+    figure, axes = make_grid(columns * len(result.names), columns, 1.7)
     time = result.time - result.time[0]
     count = int(np.searchsorted(time, _WINDOW, side="right"))
     shown = slice(0, count, 1 + count // _MOST_POINTS)
-    for panel, name in zip(axes, result.names, strict=True):
+    for panel, name in zip(axes[::columns], result.names, strict=True):
         panel.set_title(name, loc="left", fontsize=9)
+    for panel in axes:
         panel.yaxis.set_major_locator(MaxNLocator(4))
     return figure, axes, shown, time[shown]
 
 
-def _finished(figure: Figure, axes: list[Axes], *, legend: bool = True) -> str:
-    if legend:
-        axes[0].legend(**_PLACE)
-    axes[-1].set_xlabel("time since the comparison began, s")
+def _finished(figure: Figure, axes: list[Axes], columns: int = 1) -> str:
+    axes[0].legend(**_PLACE)
+    for panel in axes[-columns:]:
+        panel.set_xlabel("time since the comparison began, s")
     return as_svg(figure)

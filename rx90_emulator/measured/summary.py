@@ -60,7 +60,7 @@ def verdict(result: MeasuredComparison) -> str:
         f"{result.total_share:.2%} (limit {limits.total_torque:.3g}), largest {max(share):.2%} "
         f"({result.names[joint]}, limit {limits.torque:.3g}); position "
         f"{1e3 * result.position_worst[farthest]:.3f} mrad ({result.names[farthest]}, limit "
-        f"{1e3 * limits.position:.4g})"
+        f"{1e3 * limits.position:.4g} mrad)"
     )
 
 
