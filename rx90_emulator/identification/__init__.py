@@ -7,4 +7,4 @@ experiments make bags. `identify.identify_friction` does it all, `job.write_iden
 needs no plateaus: runs of any shape give base parameters and friction, which `excitation_job.write_excitation` writes.
 """
 
-__all__ = ["excitation_job", "friction_check", "identify", "job"]
+__all__ = ["excitation_job", "friction_check", "identify", "job", "progress"]
