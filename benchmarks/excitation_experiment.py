@@ -24,11 +24,15 @@ from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord
 
 Array = NDArray[np.float64]
 
 RUNS = 4
 """Of 24 s each, to identify from; one more is predicted."""
+HIGHEST = 1000.0
+"""Samples per second above which bags are averaged."""
+UNLOADED = " without load"
 
 
 @dataclass
@@ -36,7 +40,8 @@ class Outcome:
     """What one arm gave.
 
     Attributes:
-        scores: by kind of parameter, errors over their deviations.
+        scores: by kind of parameter, errors over their deviations; against what friction is without load, where a kind
+            ends so.
         errors: by kind, errors: of exponents as they are, of others in parts of the value.
         floor: of each joint, RMS error of an unseen run's torque over that of the best model of the same form.
         noise: the same over the RMS noise, which leaves out ripple and load.
@@ -71,6 +76,7 @@ class Case:
         rate: samples per second.
         periods: of a run of 24 s.
         seed: of the runs.
+        motions: from which the true values are computed.
     """
 
     arm: SyntheticArm
@@ -79,6 +85,7 @@ class Case:
     rate: float
     periods: int = 1
     seed: int = 0
+    motions: int = 40
 
     @classmethod
     def of(cls, arm: SyntheticArm, disturbances: Disturbances, rate: float, periods: int = 1, seed: int = 0) -> Case:
@@ -101,7 +108,7 @@ class Case:
 
     def problem(self, runs: list[ExcitationRun], bandwidths: Bandwidths | None = None) -> ExcitationProblem:
         """Return the equations of runs."""
-        records = [run.record(self.arm) for run in runs]
+        records = [as_read(run.record(self.arm)) for run in runs]
         chosen = bandwidths or Bandwidths.of(records)
         filtered = [piece for record in records for piece in filter_record(record, chosen)]
         return ExcitationProblem.of(self.rigid, filtered)
@@ -113,7 +120,20 @@ class Case:
         def columns(position: Array, velocity: Array, acceleration: Array) -> Array:
             return problem.columns.torque(position, velocity, acceleration)[:, :, leading]
 
-        return truth_of(self.arm, columns, sigma, self.disturbances, self.motion)
+        return truth_of(self.arm, columns, sigma, self.disturbances, self.motion, self.motions)
+
+
+def as_read(record: JointRecord) -> JointRecord:
+    """Return block means of a record of more than 1 kHz, as the command reads bags."""
+    rate = (len(record.time) - 1) / (record.time[-1] - record.time[0])
+    size = max(1, round(rate / HIGHEST))
+    count = len(record.time) // size
+
+    def mean(values: Array) -> Array:
+        return np.asarray(values[: count * size].reshape(count, size, *values.shape[1:]).mean(axis=1))
+
+    fields = ("time", "position", "velocity", "torque")
+    return replace(record, **{name: mean(getattr(record, name)) for name in fields})
 
 
 def random_case(seed: int, disturbances: Disturbances, *, largest: int = 6, bristles: bool = False) -> Case:
@@ -132,8 +152,16 @@ def experiment(case: Case, *, bristles: bool = False) -> Outcome:
     truth = case.truth(problem, found.fit.sigma)
     for value, deviation, true in zip(found.fit.value, found.fit.deviation, truth.base, strict=False):
         outcome.note("base", value - true, deviation, 1.0)
-    for kind, value, deviation, true in _friction(found, truth):
-        outcome.note(kind, value - true, deviation, 1.0 if kind == "exponent" else true)
+    laws = case.arm.friction
+    bare = replace(
+        truth,
+        coulomb=np.array([law.coulomb for law in laws]),
+        viscous=np.array([law.c2 for law in laws]),
+        exponent=np.array([law.alpha for law in laws]),
+    )
+    for text, values in (("", truth), (UNLOADED, bare)):
+        for kind, value, deviation, true in _friction(found, values):
+            outcome.note(kind + text, value - true, deviation, 1.0 if kind == "exponent" else true)
     there = [
         (Part.STRIBECK in parts, law.rise > 0.0) for parts, law in zip(found.parts, case.arm.friction, strict=True)
     ]
@@ -196,5 +224,5 @@ def best_model(case: Case, run: ExcitationRun, truth: Truth, problem: Excitation
 
 def _at_rows(case: Case, problem: ExcitationProblem, run: ExcitationRun, torque: Array) -> Array:
     """Return a torque along a run, filtered like the recorded one, at a problem's rows, Nm, shape (r,)."""
-    other = filter_record(replace(run.record(case.arm), torque=torque), problem.runs[0].bandwidths)
+    other = filter_record(as_read(replace(run.record(case.arm), torque=torque)), problem.runs[0].bandwidths)
     return problem.rows_of([piece.torque[:, :, None] for piece in other])[:, 0]

@@ -70,7 +70,7 @@ def run_excitation(
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     check_folder(output, _FILES, force=force)
-    with steps(len(bags) + 2 * len(validation) + 3) as step:
+    with steps(len(bags) + 2 * len(validation) + 4) as step:
         result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")

@@ -33,7 +33,8 @@ _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
-BLOCK = 8192  # samples whose columns are held at a time
+_SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
+_BLOCK = 8192  # samples whose columns are held at a time
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class FilteredRun:
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
-        count, size = len(self.rows), max(1, BLOCK // self.down)
+        count, size = len(self.rows), max(1, _BLOCK // self.down)
         for first in range(0, count, size):
             last = min(first + size, count)
             yield slice(first * self.down, (last - 1) * self.down + len(self.taps)), slice(first, last)
@@ -196,7 +197,7 @@ def filter_record(
             f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
-    edge = math.ceil(1.5 * rate / bandwidths.position)  # three time constants of the filter's slowest pole, and more
+    edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
     shortest = 2 * edge + len(_taps(rate, bandwidths.torque)) + 1
     pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
     if not pieces:
@@ -213,9 +214,9 @@ def _filtered(
     time = record.time[piece]
     rate = _rate(time)
     even = _even(time, rate)
-    position = _resampled(time, record.position[piece], even, 3)
+    position = _resampled(time, record.position[piece], even, 5)
     torque = _resampled(time, record.torque[piece], even, 1)
-    target = None if reference is None else _resampled(time, reference[piece], even, 3)
+    target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
     curve = make_interp_spline(even, smooth, k=5)

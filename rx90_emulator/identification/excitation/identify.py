@@ -83,6 +83,7 @@ def identify_excitation(
     _check_motion(problem, source)
     progress("friction")
     friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    progress("instrumental variables")
     closed_loop = check_closed_loop(problem, friction)
     friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
     progress("consistent inertias")
@@ -107,6 +108,7 @@ def identify_excitation(
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
+        instruments=closed_loop,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 

@@ -18,7 +18,7 @@ from rx90_common.base.arrays import Array, Index, Mask
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
-from rx90_emulator.identification.excitation.filtering import BLOCK, FilteredRun
+from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.repetition import phases
 from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
@@ -148,19 +148,6 @@ class ExcitationProblem:
             return np.asarray(torque.reshape(len(rows), -1))
 
         return self._gathered(rows_of)
-
-    def bare_torque(self, parameters: Array) -> list[Array]:
-        """Return each run's joint torques without friction and payload, Nm, shape (m, n), at the full rate.
-
-        Args:
-            parameters: of the base, shape (b,).
-        """
-        result = []
-        for run in self.runs:
-            blocks = (slice(k, k + BLOCK) for k in range(0, len(run.time), BLOCK))
-            parts = [_columns(self, run, samples)[:, :, list(self.base.leading)] @ parameters for samples in blocks]
-            result.append(np.concatenate(parts))
-        return result
 
     def moved(self, motions: Sequence[Motion]) -> ExcitationProblem:
         """Return the same rows with the columns of other motions, one for each run at its times.

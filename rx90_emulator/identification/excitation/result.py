@@ -8,6 +8,7 @@ import numpy as np
 
 from rx90_emulator.identification.excitation.consistency import Consistency
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
@@ -57,6 +58,7 @@ class ExcitationIdentification:
         validations: the same of runs that were not used, with a verdict.
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
+        instruments: least squares against instrumental variables.
     """
 
     robot: RecordedRobot
@@ -70,6 +72,7 @@ class ExcitationIdentification:
     validations: tuple[TorqueValidation, ...]
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
+    instruments: InstrumentalComparison
 
     @property
     def confirmed(self) -> bool:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
+from rx90_common.base.config import check_numbers
+from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import plain
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
-from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_common.friction.parameters import FRICTION_UNITS
+from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\
 #
@@ -20,6 +25,8 @@ _REMARKS = """\
 # each of them is known: standard deviation, interval at 95 %, bags, and whether the bags identify it. A value that they
 # do not identify is taken from elsewhere, and is an assumption.
 """
+_LARGEST = {"Nm": 1e6, "rad/s": 1e4, "1": 1e3, "Nm/rad": 1e12, "Nm s/rad": 1e9, "Nm (s/rad)^alpha": 1e6}
+"""Of values with these units: orders of magnitude beyond any arm's, and no result of a fit that went well."""
 _NOT_FITTED = ParameterEstimate.unknown("the model that was fitted does not have it")
 
 
@@ -29,12 +36,19 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
     Args:
         result: what was identified.
         now: date of the identification; by default the present.
+
+    Raises:
+        ConfigError: for values or deviations that are not finite, or absurd.
     """
-    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now)
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now, result.sliding)
 
 
 def elements_text(
-    names: Sequence[str], elements: Sequence[IdentifiedElement], fallback_name: str | None, now: datetime | None = None
+    names: Sequence[str],
+    elements: Sequence[IdentifiedElement],
+    fallback_name: str | None,
+    now: datetime | None = None,
+    sliding: SlidingFit | None = None,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -43,7 +57,14 @@ def elements_text(
         elements: what was identified of each.
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
+        sliding: fit of sweeps, whose use of the bags and goodness go into the file; None without sweeps.
+
+    Raises:
+        IdentificationError: for a value that no arm has, or that is no number.
+        ConfigError: for a deviation that is absurd.
     """
+    for name, one in zip(names, elements, strict=True):
+        _check(name, one)
     date = (now or datetime.now(timezone.utc)).isoformat(timespec="seconds")
     sources: dict[BagSource, str] = {}
     for one in elements:
@@ -54,19 +75,42 @@ def elements_text(
     identification = {
         "date": date,
         "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": recorded(bag.path)}
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
             for bag, label in sources.items()
         },
+        **({} if sliding is None else _sweeps(sliding, names, sources)),
         "parameters": {
             name: _provenance(one, sources, date, fallback_name) for name, one in zip(names, elements, strict=True)
         },
     }
+    check_numbers(identification, LARGEST, "identification")
     return FrictionFile(
         {name: _rounded_element(one.element) for name, one in zip(names, elements, strict=True)},
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
     ).text(_REMARKS)
+
+
+def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource, str]) -> dict[str, Any]:
+    """Return what was used of each bag of sweeps, and how well the curves fit."""
+    named = zip(names, sliding.quality, strict=True)
+    return {
+        "sweeps": {labels[use.bag]: use.text(names) for use in sliding.usage if use.bag in labels},
+        "fit": {name: one.content for name, one in named if one is not None},
+    }
+
+
+def _check(name: str, one: IdentifiedElement) -> None:
+    for parameter, value in vars(one.element).items():
+        most = math.inf if parameter == "omega_d" else _LARGEST[FRICTION_UNITS[parameter]]
+        estimate = one.estimates.get(parameter)
+        spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0
+        if not (value <= most and math.isfinite(spread)):
+            raise IdentificationError(
+                f"{plain(name)}: {parameter} came out as {value:.3g} +- {spread:.2g}; accepted: up to {most:g} "
+                f"{FRICTION_UNITS[parameter]}, with a finite deviation; nothing is written"
+            )
 
 
 def _provenance(
@@ -106,10 +150,3 @@ def _rounded(value: float) -> float:
 
 def _rounded_element(element: LuGreElement) -> LuGreElement:
     return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
-
-
-def recorded(path: Path) -> str:
-    """Return when a bag's newest file was written: simulated bags carry no wall time."""
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
-    newest = max((file.stat().st_mtime for file in files), default=0.0)
-    return datetime.fromtimestamp(newest, timezone.utc).isoformat(timespec="seconds")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -109,3 +110,15 @@ def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path) -> None:
         with pytest.raises(IdentificationError, match=r"no\.urdf: no URDF") as caught:
             RigidArm.from_urdf(path)
         assert "\n" not in str(caught.value)
+
+
+def test_kinematics_of_a_urdf_without_inertials(urdf: Path, tmp_path: Path) -> None:
+    """Where only kinematics are wanted, links need no <inertial>, and the regressor is the same without it."""
+    bare = tmp_path / "bare.urdf"
+    bare.write_text(re.sub(r"<inertial>.*?</inertial>", "", urdf.read_text(), flags=re.DOTALL))
+    with pytest.raises(IdentificationError, match="accepted: links with <inertial>"):
+        RigidArm.from_urdf(bare, ["shoulder", "elbow"])
+    joints = ["shoulder", "elbow"]
+    weightless, whole = RigidArm.from_urdf(bare, joints, massless=True), RigidArm.from_urdf(urdf, joints)
+    motion = np.random.default_rng(3).uniform(-1.0, 1.0, (3, 4, len(whole.names)))
+    np.testing.assert_allclose(weightless.regressor(*motion), whole.regressor(*motion), atol=1e-13)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
@@ -24,6 +25,7 @@ from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, c
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot.folder import IdentifiedRobot, folder_base, robot_texts, viscous_sum
 from rx90_emulator.identification.output.robot.inertials import with_inertials
 from rx90_emulator.identification.output.robot.marking import Identified, marked
@@ -66,7 +68,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
     """Return a bag."""
     bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
     bag.write_bytes(b"")
-    return BagSource(bag, "0" * 64, 60.0, 0, 0)
+    return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,7 @@ def test_folder_says_where_its_values_come_from(case: Case) -> None:
     assert 90.0 < drives["spring"]["torque"][1] < 120.0
     assert drives["brake"] == yaml.safe_load(shipped.drives.read_text())["brake"]
     assert law["feed_forward"]["provenance"]["coulomb_torque"] == "derived"
-    assert law["feed_forward"]["provenance"]["coulomb_velocity"] == "assumed"
+    assert law["feed_forward"]["provenance"]["others"] == "assumed"
     assert law["servo"] == yaml.safe_load(shipped.controller.read_text())["servo"]
     assert friction["provenance"] == "identified"
     bristle = friction["identification"]["parameters"]["joint_5_6"]["c0"]
@@ -229,14 +231,19 @@ def test_no_absurd_body_is_written(pseudo: Array) -> None:
 
 def test_each_value_of_a_block_says_where_it_comes_from() -> None:
     """New values bring their provenance and source, the others keep theirs; a block of new values alone has one."""
-    block = {"provenance": "assumed", "source": "scaled", "note": "n", "a": 1, "b": 2}
-    once = marked(block, {"a": Identified(3, "identified", "bags")})
+    block = {"provenance": "assumed", "source": "scaled", "note": "n", "a": 1, "b": 2, "c": 3, "d": 4}
+    once = marked(block, {"a": Identified(5, "identified", "bags")})
     assert once == {
-        "provenance": {"a": "identified", "b": "assumed"}, "source": {"a": "bags", "b": "scaled"}, "note": "n", "a": 3,
-        "b": 2,
+        "provenance": {"a": "identified", "others": "assumed"}, "source": {"a": "bags", "others": "scaled"},
+        "note": "n", "a": 5, "b": 2, "c": 3, "d": 4,
     }  # fmt: skip
-    twice = marked(once, {"b": Identified(4, "identified", "bags")})
-    assert twice == {"provenance": "identified", "source": "bags", "note": "n", "a": 3, "b": 4}
+    twice = marked(once, {"b": Identified(6, "identified", "bags")})
+    assert twice["source"] == {"a": "bags", "b": "bags", "c": "scaled", "d": "scaled"}
+    with_gap = marked({"source": {"b": "book"}, "b": 1, "c": 2}, {})
+    assert with_gap["source"] == {"b": "book"}
+    whole = marked(twice, dict.fromkeys("cd", Identified(7, "identified", "bags")))
+    assert whole == {"provenance": "identified", "source": "bags", "note": "n", "a": 5, "b": 6, "c": 7, "d": 7}
+    assert marked({"a": 1, "b": 2}, {"a": Identified(3, "derived", "x")})["provenance"] == {"a": "derived"}
 
 
 def test_noisy_tx40_stays_a_robot() -> None:
@@ -265,9 +272,23 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     assert written["viscous_friction"] == [14.0, 14.0, 7.0, 2.0, 1.5, 0.7]
     assert written["viscous_exponent"] == [1.0] * 6
     assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
-    parts = [
-        LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=alpha) for c2, alpha in ((2.0, 0.6), (1.0, 1.0))
-    ]
+    bent, straight = (
+        LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=a) for c2, a in ((2, 0.6), (1, 1))
+    )
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
     np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "deviation"),
+    [("tau_s_positive", 1e48, 1.0), ("c2", 1e7, 1.0), ("omega_s", 1e5, 1.0), ("c2", 1.0, math.nan)],
+)
+def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
+    """A friction value that no arm has, or whose deviation is no number, is refused by name in one line."""
+    good = element_of(LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
+    assert "tau_c: 1.0" in elements_text(["a"], [good], None)
+    estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
+    bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)
+    with pytest.raises(IdentificationError, match=f"^a: {parameter} came out as .*accepted: up to "):
+        elements_text(["a"], [bad], None)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.law import (
+    LINEAR,
     ElementShape,
     Part,
     steady_columns,
@@ -95,10 +97,16 @@ class ElementRows:
         filtered = []
         for run, motion in zip(self.problem.runs, self.motions, strict=True):
             columns, derivatives = motion.columns(shape)
-            filtered.append(run.parallel(np.stack([columns, *derivatives.values()], axis=1)))
-        all_rows = np.concatenate(filtered)[self.place] * self.factor[:, None, None]
-        return all_rows[:, 0], {name: all_rows[:, 1 + k] for k, name in enumerate(shape.free)}
+            table = np.hstack([columns, *derivatives.values()])
+            used = table.any(axis=0)
+            low = np.zeros((len(run.rows), table.shape[1]))
+            low[:, used] = run.parallel(table[:, used])
+            filtered.append(low)
+        rows = np.concatenate(filtered)[self.place] * self.factor[:, None]
+        width = len(LINEAR)
+        return rows[:, :width], {n: rows[:, width * (k + 1) : width * (k + 2)] for k, n in enumerate(shape.free)}
 
+    @cached_property
     def speeds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the least and the greatest speed with data in each direction, rad/s; (0, 0) without data.
 
@@ -111,11 +119,13 @@ class ElementRows:
             ranges.append((float(low), float(high)))
         return ranges[0], ranges[1]
 
+    @cached_property
     def speed_range(self) -> tuple[float, float]:
         """Return the least and the greatest speed with data in any direction, rad/s."""
-        ranges = [pair for pair in self.speeds() if pair[1] > 0.0]
+        ranges = [pair for pair in self.speeds if pair[1] > 0.0]
         return min((low for low, _ in ranges), default=0.0), max((high for _, high in ranges), default=0.0)
 
+    @cached_property
     def shortest_presliding(self) -> float:
         """Return the least presliding distance that the rows can show, rad.
 

@@ -45,7 +45,7 @@ def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = 
             moved[e][shapes[e].free.index(name)] += value
     shapes = [shape.with_values(values) for shape, values in zip(shapes, moved, strict=True)]
     fitted = tuple(
-        FittedElement(name, shapes[e], linear[e], _block(e, inner, final.covariance), rows.speeds())
+        FittedElement(name, shapes[e], linear[e], _block(e, inner, final.covariance), rows.speeds)
         for e, (name, rows) in enumerate(zip(problem.arm.element_names, selected.weighted.elements, strict=True))
     )
     sources = tuple(run.source for run in problem.runs)
@@ -114,7 +114,7 @@ def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) ->
 
 def _refusals(selected: Selected, element: int, parts: Sequence[Part]) -> Callable[[Part], str]:
     """Return the function that says why an element does not have a part."""
-    low, high = selected.weighted.elements[element].speed_range()
+    low, high = selected.weighted.elements[element].speed_range
 
     def reason(part: Part) -> str:
         if (element, part) in selected.refused:

@@ -16,7 +16,6 @@ from rx90_emulator.identification.excitation.friction.law import COULOMB
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
-from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _LEAST = 1e-6  # Nm, of a load that elements' friction is compared with
 _SIGNIFICANT = 2.0  # deviations of the coefficient from 0
@@ -50,37 +49,33 @@ def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array
         columns: of the whole model around the fit, shape (r, q).
         without: fit of these columns.
     """
-    problem, arm = weighted.problem, weighted.problem.arm
-    base = without.value[: len(problem.names)]
-    # Of each element in parts of its Coulomb torque and of its load, which for a coupled one is the last joint's.
-    bare = problem.regressor @ base
-    last = [int(np.flatnonzero(share)[-1]) for share in arm.element_matrix]
-    sizes = [max(float(np.sqrt(np.mean(bare[problem.joint == j] ** 2))), _LEAST) for j in last]
-    column = load_dependent(problem, base)[1] @ (fit.linear[:, COULOMB] / sizes)
-    wide = solve(problem, np.column_stack([columns, column]))
+    problem = weighted.problem
+    bare = np.abs(problem.regressor @ without.value[: len(problem.names)])
+    wide = solve(problem, np.column_stack([columns, _load_column(weighted, fit, bare)]))
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     found = LoadDependence(value, deviation, wide.value[:-1] - without.value)
     return found if found.significant else found._replace(shift=np.zeros_like(found.shift))
 
 
-def load_dependent(problem: ExcitationProblem, parameters: Array) -> tuple[tuple[str, ...], Array]:
-    """Return names and columns, one for each element: |load| sign(v), Nm per unit of relative growth; (r, n_el).
-
-    Where friction grows with the load and the model does not say so, Coulomb torques come out as those at the mean
-    load, with deviations that know nothing of it. With these columns they are the torques of the unloaded gear.
+def _load_column(weighted: WeightedProblem, fit: SeparableFit, bare: Array) -> Array:
+    """Return Coulomb torques times the load over its RMS, Nm, shape (r,).
 
     Args:
-        problem: r rows.
-        parameters: values of the problem's b base parameters, from a fit without these columns, shape (b,): they give
-            the torque of the arm alone, which is the load. An element of a motor that turns with several joints
-            carries the torque of that motor.
+        weighted: the rows.
+        fit: of the friction.
+        bare: size of each row's torque without friction, Nm, shape (r,).
     """
-    arm = problem.arm
-    n = len(arm.names)
-    together = [k for k in range(n) if np.count_nonzero(arm.coupling[k]) > 1]
-    along = []
-    for run, bare in zip(problem.runs, problem.bare_torque(parameters), strict=True):
-        motors = bare @ np.linalg.inv(arm.coupling)
-        load = np.abs(np.hstack([bare, motors[:, together]]))
-        along.append((load * np.sign(run.velocity @ arm.element_matrix.T))[:, :, None])
-    return tuple(f"{name}.load" for name in arm.element_names), problem.element_rows(along)
+    problem, column = weighted.problem, np.zeros(len(bare))
+    samples = max(len(run.rows) for run in problem.runs)
+    for e, (rows, shape) in enumerate(zip(weighted.elements, fit.shapes, strict=True)):
+        joint = int(np.flatnonzero(problem.arm.element_matrix[e])[-1])
+        own = problem.joint == joint
+        if not own.any():
+            continue
+        # A coupled element carries the torque of the last joint that it acts on, on the rows of all of them.
+        table = np.full(len(problem.runs) * samples, float(np.mean(bare[own])))
+        table[problem.run[own] * samples + problem.place[own]] = bare[own]
+        load = table[problem.run[rows.rows] * samples + problem.place[rows.rows]]
+        size = max(float(np.sqrt(np.mean(bare[own] ** 2))), _LEAST)
+        column[rows.rows] += rows.columns(shape)[0][:, COULOMB] * fit.linear[e, COULOMB] * load / size
+    return column

@@ -25,7 +25,6 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
 
-_TRIAL = 8  # evaluations after a part was taken away: the others hardly change
 _STARTS = 5  # Stribeck velocities, and presliding distances, to start from
 _RISE = 0.3  # to start from
 
@@ -147,7 +146,7 @@ class _Selection:
             gone = []
             for group, candidates in todo.items():
                 there = [(e, part) for e, part in candidates if part in model.fit.shapes[e].parts]
-                useless = self._most_useless(model, there)
+                useless = self._most_useless(model, there, group)
                 todo[group] = [] if useless is None else [key for key in there if key != useless]
                 gone += [] if useless is None else [useless]
             if gone:
@@ -157,13 +156,16 @@ class _Selection:
                 model = self._scored(fit_shapes(self.weighted, shapes))
         return model
 
-    def _most_useless(self, model: Scored, keys: Iterable[Key]) -> Key | None:
-        """Return the part without which the model predicts as well or better, by the most; None if there is none."""
+    def _most_useless(self, model: Scored, keys: Iterable[Key], group: Sequence[int]) -> Key | None:
+        """Return the part without which the model predicts as well or better, by the most; None if there is none.
+
+        The non-linear parameters of elements that act on none of the group's joints stay: they hardly change.
+        """
         worst: tuple[float, Key | None] = (np.inf, None)
         for e, part in keys:
             shapes = list(model.fit.shapes)
             shapes[e] = shapes[e].without(part)
-            trial = self._scored(fit_shapes(self.weighted, shapes, _TRIAL))
+            trial = self._scored(fit_shapes(self.weighted, shapes, group))
             if model.better_than(trial):
                 continue
             self.refused[e, part] = _verdict(model, trial)

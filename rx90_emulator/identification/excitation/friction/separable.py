@@ -53,55 +53,72 @@ _SHAPED = {"alpha": 1, "rise": 0, "omega_s": 0, "delta": 0, "stiffness": 0}
 
 
 def fit_shapes(
-    weighted: WeightedProblem, shapes: Sequence[ElementShape], evaluations: int = _EVALUATIONS
+    weighted: WeightedProblem, shapes: Sequence[ElementShape], only: Sequence[int] | None = None
 ) -> SeparableFit:
-    """Fit linear and free non-linear parameters, from the shapes given as start."""
-    search = _Search(weighted, tuple(shapes))
+    """Fit linear and free non-linear parameters.
+
+    Args:
+        weighted: the rows.
+        shapes: to start from.
+        only: elements whose non-linear parameters are fitted; by default all.
+    """
+    search = _Search(weighted, tuple(shapes), range(len(shapes)) if only is None else only)
     start, lower, upper = search.start()
-    names = [(e, name) for e, shape in enumerate(shapes) for name in shape.free]
-    at_bound: list[set[str]] = [set() for _ in shapes]
-    if names:
+    if len(start):
         found = least_squares(
             search.residual, np.clip(start, lower, upper), search.jacobian, (lower, upper),
-            ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=evaluations,
+            ftol=_TOLERANCE, xtol=_TOLERANCE, max_nfev=_EVALUATIONS,
         )  # fmt: skip
         search.move(np.asarray(found.x))
-        near = np.minimum(found.x - lower, upper - found.x) < _AT_BOUND * (upper - lower)
-        for (e, name), lies in zip(names, near.tolist(), strict=True):
-            if lies:
-                at_bound[e].add(name)
-    return SeparableFit(search.shapes, search.linear, search.cost, tuple(map(frozenset, at_bound)))
+    at_bound = tuple(_at_bound(weighted, e, shape) for e, shape in enumerate(search.shapes))
+    return SeparableFit(search.shapes, search.linear, search.cost, at_bound)
+
+
+def _at_bound(weighted: WeightedProblem, element: int, shape: ElementShape) -> frozenset[str]:
+    """Return the free parameters of a shape that lie on a bound of their range."""
+    found = set()
+    for name, value in zip(shape.free, shape.values.tolist(), strict=True):
+        low, high = weighted.bounds(element, name)
+        if min(value - low, high - value) < _AT_BOUND * (high - low):
+            found.add(name)
+    return frozenset(found)
 
 
 def best_start(
     weighted: WeightedProblem, shapes: Sequence[ElementShape], element: int, candidates: Sequence[ElementShape]
 ) -> ElementShape:
     """Return which of an element's candidate shapes fits best, the other elements as they are."""
-    costs = [_Search(weighted, (*shapes[:element], candidate, *shapes[element + 1 :])).cost for candidate in candidates]
+    costs = [
+        _Search(weighted, (*shapes[:element], candidate, *shapes[element + 1 :]), ()).cost for candidate in candidates
+    ]
     return candidates[int(np.argmin(costs))]
 
 
 class _Search:
     """Residuals and derivatives at free parameters, up to a rotation, which changes no sum of squares."""
 
-    def __init__(self, weighted: WeightedProblem, shapes: tuple[ElementShape, ...]) -> None:
+    def __init__(self, weighted: WeightedProblem, shapes: tuple[ElementShape, ...], only: Sequence[int]) -> None:
         self._weighted = weighted
+        self._only = only
         self._at: Array | None = None
         self.shapes = shapes
         self._solve()
 
     def start(self) -> tuple[Array, Array, Array]:
         """Return free parameters of the shapes, and their bounds, each shape (t,)."""
-        values = np.concatenate([shape.values for shape in self.shapes])
-        pairs = [self._weighted.bounds(e, name) for e, shape in enumerate(self.shapes) for name in shape.free]
+        values = np.concatenate([np.empty(0), *(self.shapes[e].values for e in self._only)])
+        pairs = [self._weighted.bounds(e, name) for e in self._only for name in self.shapes[e].free]
         return values, np.array([low for low, _ in pairs]), np.array([high for _, high in pairs])
 
     def move(self, x: Array) -> None:
         """Solve at other free parameters, unless they are those of the last time."""
         if self._at is not None and np.array_equal(self._at, x):
             return
-        pieces = np.split(x, np.cumsum([len(shape.free) for shape in self.shapes])[:-1])
-        self.shapes = tuple(shape.with_values(piece) for shape, piece in zip(self.shapes, pieces, strict=True))
+        shapes, rest = list(self.shapes), x
+        for e in self._only:
+            count = len(shapes[e].free)
+            shapes[e], rest = shapes[e].with_values(rest[:count]), rest[count:]
+        self.shapes = tuple(shapes)
         self._at = x.copy()
         self._solve()
 
@@ -125,8 +142,8 @@ class _Search:
         for (e, place), value in zip(linear, values, strict=True):
             self.linear[e, place] = value
         slopes = []
-        for e, shape in enumerate(self.shapes):
-            for k in range(len(shape.free)):
+        for e in self._only:
+            for k in range(len(self.shapes[e].free)):
                 slope = np.zeros(len(gram))
                 slope[offsets[e] + 3 * (1 + k) : offsets[e] + 3 * (2 + k)] = self.linear[e]
                 slopes.append(slope)

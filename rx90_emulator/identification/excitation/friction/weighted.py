@@ -16,7 +16,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 _RANGES = {"alpha": (0.2, 2.0), "rise": (0.0, 1.5), "delta": (0.5, 2.5)}
 _STRIBECK = (1.0, 0.1)  # Stribeck velocity: over the least and over the greatest speed with data
 _LONGEST_PRESLIDING = 0.3  # rad, 1 / stiffness
-_KEPT = 3  # shapes of an element whose inner products are kept
+_KEPT = 6  # shapes of an element whose inner products are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +78,9 @@ class WeightedProblem:
         if name in _RANGES:
             return _RANGES[name]
         if name == "stiffness":
-            shortest = min(self.elements[element].shortest_presliding(), 0.1 * _LONGEST_PRESLIDING)
+            shortest = min(self.elements[element].shortest_presliding, 0.1 * _LONGEST_PRESLIDING)
             return -float(np.log(_LONGEST_PRESLIDING)), -float(np.log(shortest))
-        low, high = self.elements[element].speed_range()
+        low, high = self.elements[element].speed_range
         least = _STRIBECK[0] * max(low, 1e-4)
         return float(np.log(least)), float(np.log(max(_STRIBECK[1] * high, 2.0 * least)))
 

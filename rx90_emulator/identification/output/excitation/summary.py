@@ -19,6 +19,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *_lacking(result),
         *_fits(result),
         f"model: {result.model.name}; {result.model.reason}",
+        f"closed loop: {result.instruments.reason}",
         *(f"drift: {one.text}" for one in result.trends),
         *(_verdict(check) for check in result.validations),
     ]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-_ABOUT = ("provenance", "source", "note")
+_ABOUT = ("provenance", "source")
+_REST = "others"
+"""Stands for the keys that are not named."""
 
 
 class Identified(NamedTuple):
@@ -17,18 +20,26 @@ class Identified(NamedTuple):
 
 
 def marked(block: Mapping[str, Any], new: Mapping[str, Identified]) -> dict[str, Any]:
-    """Return a block with new values; `provenance` and `source` name every key where they differ from key to key."""
-    content = {key: value for key, value in block.items() if key not in _ABOUT}
+    """Return a block with new values; where not all keys have one `provenance` or `source`, these name the keys."""
+    content = {key: value for key, value in block.items() if key not in (*_ABOUT, "note")}
     content |= {key: one.value for key, one in new.items()}
     about = {}
-    for word in _ABOUT[:2]:
+    for word in _ABOUT:
         given = block.get(word)
-        each = {key: given.get(key) if isinstance(given, dict) else given for key in content}
+        each = {key: given.get(key, given.get(_REST)) if isinstance(given, dict) else given for key in content}
         each |= {key: getattr(one, word) for key, one in new.items()}
-        different = list(dict.fromkeys(each.values()))
-        said = {key: value for key, value in each.items() if value is not None}
-        if said:
-            about[word] = different[0] if len(different) == 1 else said
-    if "note" in block:
-        about["note"] = block["note"]
-    return about | content
+        if any(value is not None for value in each.values()):
+            about[word] = _named(each)
+    note = {"note": block["note"]} if "note" in block else {}
+    return about | note | content
+
+
+def _named(each: Mapping[str, str | None]) -> str | dict[str, str] | None:
+    """Return what all keys have, or a mapping; what most of several keys have stands under `others`."""
+    (most, count), *rest = Counter(each.values()).most_common()
+    if not rest:
+        return most
+    said = {key: value for key, value in each.items() if value is not None}
+    if most is None or len(said) < len(each) or count == rest[0][1]:
+        return said
+    return {**{key: value for key, value in said.items() if value != most}, _REST: most}

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import io
+import os
+import re
+import signal
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +16,26 @@ import pinocchio as pin
 import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
+from scipy.signal import fftconvolve
 
-from rx90_common.base.errors import DONE
+import rx90_emulator as rx
+from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import excitation_job
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
+from rx90_emulator.identification.excitation.torques import (
+    JointTorque,
+    RunTorques,
+    TorqueValidation,
+    torque_noise,
+    trends,
+)
+from rx90_emulator.identification.records.record import BagSource
 
 RATE = 100.0
 NAMES = ["shoulder", "elbow"]
 CURVES = [Curve(8.0, 8.0, 8.0, 8.0, 0.1, 1.0, 5.0), Curve(3.0, 3.0, 3.0, 3.0, 0.1, 1.0, 2.0)]
+STILL = Curve(0.0, 0.0, 0.0, 0.0, 0.1, 1.0, 0.0)
 NOISE = 0.15  # Nm
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -69,27 +87,214 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     bench.bag("run", 1)
     bench.bag("unseen", 2)
     bench.bag("stiff", 3, 1.8)
+    position, velocity = fourier(4, 20.0)
+    for name, moves in (("still", [0.0, 0.0]), ("half", [1.0, 0.0])):
+        motion = position * moves, velocity * moves
+        write(folder / name, "/joint_states", NAMES, RATE, (*motion, bench.torque(motion)))
+    bench.bag("short", 5, seconds=0.5)
     return bench
 
 
+@dataclass
+class Outcome:
+    """What came of one run of the command: a good and a bad validation run, its folder, and what it said."""
+
+    code: int
+    folder: Path
+    said: str
+    error: str
+    result: rx.ExcitationIdentification
+
+
 @pytest.fixture(scope="module")
-def identified(bench: Bench) -> Path:
-    """Return the folder that the command wrote."""
-    folder = bench.folder / "identified"
-    bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen"]
-    assert bench.identify(*bags, "--output", folder) == DONE
-    return folder
+def outcome(bench: Bench) -> Outcome:
+    """Identify the arm; of two validation runs the second is of an arm with more friction."""
+    folder, kept = bench.folder / "identified", []
+
+    def kept_result(*arguments: Any, **options: Any) -> rx.ExcitationIdentification:
+        kept.append(rx.identify_excitation(*arguments, **options))
+        return kept[0]
+
+    bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(excitation_job, "identify_excitation", kept_result)
+        code = bench.identify(*bags, "--output", folder)
+    return Outcome(code, folder, out.getvalue(), err.getvalue(), kept[0])
 
 
-def test_friction_and_inertia_are_those_of_the_arm(bench: Bench, identified: Path) -> None:
-    """Coulomb, viscous and gravity parameters lie within four deviations of the truth, and these within 5 % of it."""
-    found = yaml.safe_load((identified / "parameters.yaml").read_text(encoding="utf-8"))
+def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
+    """Coulomb, viscous and gravity parameters lie within four deviations of the truth; friction is told to 5 %."""
+    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
     for name, curve in zip(NAMES, CURVES, strict=True):
         for parameter in ("tau_c_positive", "tau_c_negative", "c2"):
             truth, entry = getattr(curve, parameter), found["friction"][name][parameter]
             assert abs(entry["value"] - truth) < 4.0 * entry["deviation"]
-            assert entry["deviation"] < 0.05 * truth
-    mass, centre = 3.0, bench.model.inertias[2].lever[2]
-    gravity = next(entry for name, entry in found["base_parameters"].items() if entry["group"].startswith("mz_2"))
-    assert abs(gravity["value"] - mass * centre) < 4.0 * gravity["deviation"]
+            assert abs(entry["value"] / truth - 1.0) < 0.05
+    gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
+    inertia = bench.model.inertias[2]
+    assert abs(gravity["value"] - inertia.mass * inertia.lever[2]) < 4.0 * gravity["deviation"]
     assert gravity["unit"] == "kg m"
+    names = found["correlation"]["names"]
+    assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
+    assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
+
+
+def test_instrumental_variables_stand_beside(bench: Bench, outcome: Outcome) -> None:
+    """Values by instrumental variables hold the truth, too, and a remark says which of both are taken."""
+    found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
+    gravity = next(entry for entry in found["base_parameters"].values() if entry["group"].startswith("mz_2"))
+    other = gravity["instrumental_variables"]
+    inertia = bench.model.inertias[2]
+    assert abs(other["value"] - inertia.mass * inertia.lever[2]) < 4.0 * other["deviation"]
+    assert any("are taken" in text and "the measured path" in text for text in found["remarks"])
+
+
+def test_verdict_is_that_of_the_unseen_runs(outcome: Outcome) -> None:
+    """The arm's own run is confirmed at its noise, one with 1.8 times the friction is not, and the code says so."""
+    assert outcome.code == VERDICT_NO
+    assert outcome.error.splitlines()[-1] == "rx90_identify: the validation does not confirm the result"
+    verdicts = re.findall(r"validation \S+/(\w+): (confirmed|NOT CONFIRMED)", outcome.said)
+    assert verdicts == [("unseen", "confirmed"), ("stiff", "NOT CONFIRMED")]
+    good, bad = outcome.result.validations
+    assert (good.torques.chi_square < 1.2).all()
+    assert (bad.torques.chi_square > 100.0).all()
+    assert good.consistent.total_share < 1.1 * good.torques.total_share
+    assert all(f"{check.torques.total_share:.1%}" in outcome.said for check in (good, bad))
+
+
+def test_folder_holds_the_arm(bench: Bench, outcome: Outcome) -> None:
+    """The written URDF and friction give the torque of an unseen motion to 5 % of its RMS; the page shows all parts."""
+    model = pin.buildModelFromXML((outcome.folder / "robot.urdf").read_text(encoding="utf-8"))
+    elements = rx.FrictionFile.read(outcome.folder / "friction.yaml").elements
+    position, velocity = fourier(9, 10.0)
+    bare = drive_torque(model, np.eye(2), [STILL, STILL], (position, velocity), RATE)
+    rotors = outcome.result.consistency.inertias.rotors * np.gradient(velocity, 1.0 / RATE, axis=0)
+    friction = np.column_stack([elements[name].steady_torque(velocity[:, k]) for k, name in enumerate(NAMES)])
+    truth = bench.torque((position, velocity))
+    difference = bare + rotors + friction - truth
+    assert (np.std(difference, axis=0) < 0.05 * np.std(truth, axis=0)).all()
+    page = (outcome.folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") >= 6
+    assert len(page) < 3e6
+    for part in ("Spectra", "Residual against speed", "Residual against time", "Models of friction", "Correlation",
+                 "Physically consistent", "Filters"):  # fmt: skip
+        assert part in page
+    assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL).lower().split()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("place", ["identify_excitation", "report_page", "write_folder"])
+def test_an_interrupt_leaves_nothing(
+    bench: Bench, outcome: Outcome, tmp_path: Path, place: str, number: signal.Signals,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Ctrl-C and SIGTERM in the fit, in the drawing and in the middle of writing leave neither files nor a folder."""
+
+    def interrupted(*_: Any, **__: Any) -> str:
+        os.kill(os.getpid(), number)
+        return ""
+
+    monkeypatch.setattr(excitation_job, "identify_excitation", lambda *_, **__: outcome.result)
+    monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
+    if place == "write_folder":
+        whole = Path.write_text
+        monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
+    else:
+        monkeypatch.setattr(excitation_job, place, interrupted)
+    assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "folder") == INTERRUPTED
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90_identify: interrupted; nothing was written"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["run", "run"], "given twice for --excitation; accepted: each bag once"),
+        (["run", "--validation", "run"], "run: also used for the identification, as .*run; accepted: another bag"),
+        (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
+        (["run", "--friction", "f.yaml"], "f.yaml with --excitation; accepted"),
+        (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
+        (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
+        (["run", "--output", "nowhere/deep"], "nowhere does not exist"),
+        (["run", "--torque-delay", "0.01"], "--torque-delay 0.01 with --excitation; accepted: 0"),
+        (["nowhere"], "nowhere: no such bag"),
+        (["still"], "no joint moves in any run; accepted"),
+        (["half"], "elbow at rest in all runs; accepted: runs in which all joints move, or --fallback"),
+        (["short"], "accepted"),
+    ],
+)
+def test_what_cannot_be_identified_is_refused(
+    bench: Bench, outcome: Outcome, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Repeated bags, other uses at the same time, places that take no folder and runs that tell nothing are refused."""
+    assert outcome.folder.is_dir()
+    before = sorted(bench.folder.rglob("*"))
+    given = [word if word.startswith(("--", "0")) else str(bench.folder / word) for word in words]
+    output = [] if "--output" in words else ["--output", str(bench.folder / "new")]
+    assert bench.identify("--excitation", *given, *output) == REFUSED
+    said = [line for line in capsys.readouterr().err.replace("\r", "\n").splitlines() if line and "| " not in line]
+    assert len(said) == 1, said
+    assert re.search(message, said[0]), said[0]
+    assert sorted(bench.folder.rglob("*")) == before
+
+
+def test_python_writes_what_the_command_does(outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`rx.write_excitation` writes the same files; those that exist stay without force, and others in the folder do."""
+    monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert rx.write_excitation(outcome.result, tmp_path) == tmp_path
+    names = {path.name for path in outcome.folder.iterdir()}
+    assert {path.name for path in tmp_path.iterdir()} == names | {"notes.txt"}
+    with pytest.raises(rx.Rx90Error, match="exists; accepted: another name, or --force"):
+        rx.write_excitation(outcome.result, tmp_path)
+    rx.write_excitation(outcome.result, tmp_path, force=True)
+    assert not outcome.result.confirmed
+    assert "shoulder" in rx.excitation_summary(outcome.result)
+
+
+def series(friction: Array, noise: float, rng: np.random.Generator) -> RunTorques:
+    """Return one joint that swings for 120 s, whose friction torque differs from the predicted one."""
+    time = np.arange(0.0, 120.0, 0.1)
+    velocity = np.sin(time)
+    recorded = 10.0 * velocity + np.sign(velocity) * friction + noise * rng.normal(size=len(time))
+    joint = JointTorque(time, velocity, recorded, 10.0 * velocity + 5.0 * np.sign(velocity))
+    return RunTorques(("hinge",), BagSource(Path("run"), "", 120.0, 0, 0), (joint,), np.array([noise]))
+
+
+def test_a_drift_is_told_from_noise() -> None:
+    """Friction that falls by a tenth within a run is found with its size; of steady ones at most a few per cent are."""
+    rng = np.random.default_rng(5)
+    (drift,) = trends([series(np.linspace(5.25, 4.75, 1200), 0.5, rng)], 5.0)
+    assert drift.change == pytest.approx(-0.5, abs=3.0 * drift.deviation)
+    assert "in run the friction of hinge falls by 0." in drift.text
+    false = [found for _ in range(100) for found in trends([series(np.full(1200, 5.0), 0.5, rng)], 5.0)]
+    assert len(false) <= 5
+
+
+def test_shares_and_chi_square_are_those_of_the_noise() -> None:
+    """With the true model chi^2 is 1 and the share is the noise over the torque; a joint at rest has neither."""
+    run = series(np.full(1200, 5.0), 0.5, np.random.default_rng(6))
+    assert run.chi_square[0] == pytest.approx(1.0, abs=0.15)
+    assert run.share[0] == pytest.approx(0.5 / np.std(run.joints[0].recorded), rel=0.1)
+    empty = JointTorque(*np.empty((4, 0)))
+    both = RunTorques(("hinge", "rest"), run.source, (*run.joints, empty), np.array([0.5, 0.5]))
+    assert np.isnan(both.share[1])
+    assert both.total_share == pytest.approx(run.share[0])
+    assert TorqueValidation(both, both, rx.ExcitationTolerances()).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01)).passed
+    assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01)).passed
+
+
+@pytest.mark.parametrize("steps", [0.0, 20.0])
+def test_noise_of_a_torque_is_that_of_the_filtered_one(steps: float) -> None:
+    """White noise beside slow motion and steps of friction is found as SciPy's filter leaves it, within a tenth."""
+    rng = np.random.default_rng(7)
+    time = np.arange(0.0, 60.0, 0.01)
+    noise = 0.3 * rng.normal(size=(len(time), 1))
+    slow = (30.0 * np.sin(time) + steps * np.sign(np.cos(time)))[:, None]
+    zero = np.zeros_like(slow)
+    source = BagSource(Path("run"), "", 60.0, 0, 0)
+    run = FilteredRun(source, ("hinge",), time, zero, zero, zero, slow + noise, None, Bandwidths(10.0, 5.0))
+    filtered = fftconvolve(noise[:, 0], run.taps, mode="valid")
+    assert torque_noise(run)[0] == pytest.approx(np.std(filtered), rel=0.1)
