@@ -8,11 +8,11 @@ from datetime import datetime
 from typing import Any
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import yaml_text
+from rx90_common.base.config import check_numbers, yaml_text
 from rx90_emulator.identification.excitation.friction.models import CrossValidation, ModelRow
 from rx90_emulator.identification.excitation.result import BaseParameter, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques
-from rx90_emulator.identification.model.estimates import ParameterEstimate
+from rx90_emulator.identification.model.estimates import LARGEST, ParameterEstimate
 
 _HEAD = """\
 # Parameters identified from excitation runs, joint side, SI units; deviation: standard deviation, HAC.
@@ -64,6 +64,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "remarks": list(friction.remarks),
         "correlation": {"names": list(friction.names), "matrix": _correlation(friction.fit.covariance)},
     }
+    check_numbers(content, LARGEST)
     return _HEAD + yaml_text(content)
 
 

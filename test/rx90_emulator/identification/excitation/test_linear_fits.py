@@ -181,6 +181,9 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     gains = drive_gains(problem, friction)
     assert np.all(np.abs(gains.factor - factor) < 3.0 * gains.deviation)
     assert gains.deviation.max() < 0.01
+    expected = truth(true, arm)[: len(problem.names)]
+    deviation = gains.fit.deviation[: len(expected)]
+    assert np.mean(np.abs(gains.fit.value[: len(expected)] - expected) < 2.5 * deviation) > 0.9
     corrected = with_gains(problem, gains.factor)
     _, columns = all_columns(corrected)
     fit = solve(corrected, columns)
