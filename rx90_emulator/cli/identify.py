@@ -48,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "which takes some times as long")  # fmt: skip
+    bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
+                      "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
+                      "drive gains (docs/excitation.md)")  # fmt: skip
+    bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
+                      "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
@@ -123,7 +128,7 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
     tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
     return run_excitation(
         options.excitation, robot, options.validation, tolerances, options.output,
-        bristles=options.bristles, force=options.force,
+        bristles=options.bristles, payload=options.payload, prior=options.prior, force=options.force,
     )  # fmt: skip
 
 

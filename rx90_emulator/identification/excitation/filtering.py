@@ -150,7 +150,7 @@ class FilteredRun:
     @cached_property
     def taps(self) -> Array:
         """Return the parallel filter, shape (2 h + 1,): Kaiser window, -60 dB beyond twice the bandwidth."""
-        return _taps(self.rate, self.bandwidths.torque)
+        return low_pass_taps(self.rate, self.bandwidths.torque)
 
     @cached_property
     def rows(self) -> Index:
@@ -167,7 +167,7 @@ class FilteredRun:
         Returns:
             Shape (k, ...), at the samples `rows`.
         """
-        return _low_pass(np.asarray(values), self.taps, self.down)
+        return low_pass(np.asarray(values), self.taps, self.down)
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
@@ -198,7 +198,7 @@ def filter_record(
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
     edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
-    shortest = 2 * edge + len(_taps(rate, bandwidths.torque)) + 1
+    shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
     pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
     if not pieces:
         raise IdentificationError(
@@ -261,14 +261,25 @@ def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     return np.asarray(make_interp_spline(time, values, k=degree)(even))
 
 
-def _taps(rate: float, bandwidth: float) -> Array:
-    """Return a symmetric low-pass: full amplitude up to the bandwidth, none from twice it."""
+def low_pass_taps(rate: float, bandwidth: float) -> Array:
+    """Return a symmetric low-pass, shape (2 h + 1,): full amplitude up to the bandwidth, none from twice it.
+
+    Args:
+        rate: samples per second.
+        bandwidth: Hz.
+    """
     count, beta = kaiserord(_STOP, bandwidth / (0.5 * rate))
     return np.asarray(firwin(count | 1, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
 
 
-def _low_pass(values: Array, taps: Array, down: int) -> Array:
-    """Return every down-th sample of the filtered values at which the filter has its whole length."""
+def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
+    """Return every down-th sample of the filtered values at which the filter has its whole length.
+
+    Args:
+        values: shape (m, ...).
+        taps: shape (2 h + 1,); the first sample that is returned lies at index h.
+        down: samples from one to the next.
+    """
     count = max(0, (len(values) - len(taps)) // down + 1)
     # Zeros in front delay the filter until its first whole sample is one of those that are kept.
     ahead = -(len(taps) - 1) % down
