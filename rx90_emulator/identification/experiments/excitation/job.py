@@ -38,5 +38,4 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
                 bars[0].update((len(names) - 1) * options.steps - bars[0].n)
             bars[0].update()
 
-        plan = plan_excitation(setup, options, step)
-    return plan
+        return plan_excitation(setup, options, step)
