@@ -147,10 +147,11 @@ class _Simulated:
         filtered = low_pass(values, taps)
         if len(filtered) < 4:
             raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
-        times = setpoints.start + (len(taps) // 2 + np.arange(len(filtered))) / rate
+        since = (len(taps) // 2 + np.arange(len(filtered))) / rate
         self.saturated = np.asarray(controller.saturated / ticks)
-        self._first, self._last = max(float(times[0]), setpoints.begin), float(times[-1])
-        self._curve: BSpline = make_interp_spline(times, filtered, k=3)
+        self._start = setpoints.start
+        self._first, self._last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
+        self._curve: BSpline = make_interp_spline(since, filtered, k=3)
 
     def within(self, time: Array) -> Mask:
         """Return which of the times it covers, however late it is."""
@@ -161,7 +162,7 @@ class _Simulated:
 
     def at(self, time: Array) -> Array:
         """Return position rad and torque Nm at times, shape (k, 2, 6)."""
-        return np.asarray(self._curve(time))
+        return np.asarray(self._curve(time - self._start))
 
 
 def _lag(simulated: _Simulated, time: Array, position: Array, velocity: Array) -> float:
