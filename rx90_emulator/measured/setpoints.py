@@ -13,7 +13,7 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
-from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.loop.setup import Setup
 

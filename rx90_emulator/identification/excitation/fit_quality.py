@@ -1,16 +1,13 @@
-"""How well a fit explains the torque: against the torque's noise, by speed, and what the runs did not determine."""
+"""How well a fit explains the torque at each speed, and what the runs did not determine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.covariance import time_blocks
-from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
@@ -33,37 +30,6 @@ class SpeedResiduals:
     velocity: Array
     residual: Array
     deviation: Array
-
-
-def noise_floor(problem: ExcitationProblem) -> Array:
-    """Return the deviation that white noise of the recorded torques leaves in the rows, Nm, shape (n,).
-
-    Its power is the median of the spectrum beyond what the parallel filter lets pass: of the torque alone, no model.
-    """
-    power = [run_floor(run) for run in problem.runs]
-    length = np.array([len(run.rows) for run in problem.runs], dtype=np.float64)
-    return np.asarray(np.sqrt(np.average(power, axis=0, weights=length)))
-
-
-def run_floor(run: FilteredRun) -> Array:
-    """Return the variance of the noise of one run's filtered torque, Nm^2, shape (n,)."""
-    frequency, power = welch(run.torque, run.rate, nperseg=min(len(run.time), max(256, round(run.rate))), axis=0)
-    beyond = frequency > 2.0 * run.bandwidths.torque
-
-    typical = np.median(power[beyond], axis=0)
-    return np.asarray(typical * 0.5 * run.rate * float(np.sum(run.taps**2)))
-
-
-def reduced_chi2(problem: ExcitationProblem, fit: LinearFit) -> Array:
-    """Return mean square residual over the variance of the torque's noise, shape (n,): 1 where the model is complete.
-
-    NaN for a joint without rows.
-    """
-    floor = noise_floor(problem)
-    result = np.full(len(floor), np.nan)
-    for joint in np.unique(problem.joint).tolist():
-        result[joint] = np.mean(fit.residual[problem.joint == joint] ** 2) / max(float(floor[joint]) ** 2, 1e-300)
-    return result
 
 
 def residuals_by_speed(problem: ExcitationProblem, fit: LinearFit) -> tuple[SpeedResiduals, ...]:
@@ -95,19 +61,19 @@ def _deviation(values: Array, block: Array) -> float:
     return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else float("nan")
 
 
-def undetermined(problem: ExcitationProblem, names: Sequence[str], columns: Array, fit: LinearFit) -> tuple[str, ...]:
-    """Return the parameters that these runs do not determine, by name.
+def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
+    """Return the base parameters that these runs do not determine, by name.
 
     One deviation of such a parameter alone would move torques by more than the torques' own RMS: the data would bear
     any value that an arm may have.
 
     Args:
         problem: r rows.
-        names: of q parameters.
-        columns: shape (r, q).
-        fit: of these columns.
+        fit: of the base parameters, and of others behind them.
     """
+    count = len(problem.names)
     size = float(np.sqrt(np.mean(problem.torque**2)))
-    effect = np.where(fit.determined, fit.deviation, 0.0) * np.sqrt(np.mean(columns**2, axis=0))
-    bad = ~fit.determined | ~(effect < size)
-    return tuple(name for name, one in zip(names, bad.tolist(), strict=True) if one)
+    deviation, known = fit.deviation[:count], fit.determined[:count]
+    effect = np.where(known, deviation, 0.0) * np.sqrt(np.mean(problem.regressor**2, axis=0))
+    bad = ~known | ~(effect < size)
+    return tuple(name for name, one in zip(problem.names, bad.tolist(), strict=True) if one)

@@ -25,8 +25,9 @@ def test_set_points_are_those_of_the_motion(shipped: Setup, rate: float) -> None
     position = middle + size * np.sin(angles)
     record = JointRecord(NAMES, time, position, np.gradient(position, time, axis=0), position, Path("bag"), "digest")
     (run,) = filter_record(record, Bandwidths(15.0, 5.0))
+    edge = round(0.4 * rate)  # where the filter has forgotten the ends
     exact = -size * phase**2 * np.sin(phase * (run.time - 1e9)[:, None] + np.arange(6))
-    np.testing.assert_allclose(run.acceleration[20:-20], exact[20:-20], atol=1e-2)
+    np.testing.assert_allclose(run.acceleration[edge:-edge], exact[edge:-edge], atol=1e-2)
     found = path_setpoints(run, shipped)
     period = shipped.rates.position_period
     at = found.start + np.arange(len(found.values)) * period

@@ -9,6 +9,7 @@ from rx90_emulator.identification.excitation.result import ExcitationIdentificat
 from rx90_emulator.identification.excitation.torques import TorqueValidation
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
+_SHOWN_VALUES = "; the values here are by least squares, the others stand in the report"
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "c0", "c1")
 
 
@@ -19,7 +20,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *_lacking(result),
         *_fits(result),
         f"model: {result.model.name}; {result.model.reason}",
-        f"closed loop: {result.instruments.reason}",
+        f"closed loop: {result.instruments.reason}{_SHOWN_VALUES * result.instruments.biased}",
         *(f"drift: {one.text}" for one in result.trends),
         *(_verdict(check) for check in result.validations),
     ]
