@@ -149,7 +149,8 @@ def with_linear(
         for e, one in enumerate(selection.fitted)
     ]
     elements = [
-        element_estimate(one, _as_before(old), old.sources) for one, old in zip(fitted, selection.elements, strict=True)
+        element_estimate(one, _as_before(old), old.sources)
+        for one, old in zip(fitted, selection.elements, strict=True)
     ]
     other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
     predicted = predicted_torque(other, problem)
