@@ -15,7 +15,7 @@ from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 
 _USAGE = """\
-rx90_identify FOLDER --output FILE [options]
+rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
        rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
        rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]
        rx90_identify --excitation BAG ... [--validation BAG ...] --output FOLDER [--urdf FILE] [options]
@@ -82,7 +82,7 @@ def main(options: argparse.Namespace) -> int:
     """
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
     what = "the result"
-    if options.excitation:
+    if options.excitation or _holds_excitation(options):
         confirmed = _excitation(options, robot)
     elif options.friction is not None:
         confirmed, what = _check(options, robot), options.friction
@@ -92,6 +92,20 @@ def main(options: argparse.Namespace) -> int:
         return DONE
     print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
     return VERDICT_NO
+
+
+def _holds_excitation(options: argparse.Namespace) -> bool:
+    """Return whether the folder is one of excitation runs, whose bags then are as if named."""
+    if options.folder is None or options.friction is not None:
+        return False
+    if options.sliding or options.presliding or options.validation:
+        return False  # refused where the bags are put together
+    from rx90_emulator.identification.experiments.folder import read_index
+
+    bags = read_index(options.folder)
+    if bags.excitation:
+        options.folder, options.excitation, options.validation = None, bags.excitation, bags.validation
+    return bool(bags.excitation)
 
 
 def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
