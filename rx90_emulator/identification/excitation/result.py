@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from rx90_emulator.identification.excitation.consistency import Consistency
-from rx90_emulator.identification.excitation.fit_quality import undetermined
+from rx90_emulator.identification.excitation.fit_quality import (
+    SpeedResiduals,
+    residuals_by_speed,
+    undetermined,
+)
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
 from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
@@ -77,6 +82,11 @@ class ExcitationIdentification:
     bags: tuple[tuple[str, BagSource], ...]
     instruments: InstrumentalComparison
     gains: DriveGains | None = None
+
+    @cached_property
+    def speeds(self) -> tuple[SpeedResiduals, ...]:
+        """Return what is left at each speed of the elements."""
+        return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
     def undetermined(self) -> tuple[str, ...]:
