@@ -15,6 +15,7 @@ EXECUTABLES = (
     "rx90_line",
     "rx90_run",
     "rx90_bag",
+    "rx90_compare_measured",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",

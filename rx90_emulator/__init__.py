@@ -15,6 +15,8 @@ Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccur
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
+Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
+                MeasuredTolerances
 Friction        FrictionFile, FrictionSet, LuGreElement
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
@@ -81,6 +83,11 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
+    from rx90_emulator.measured.compare import compare_measured
+    from rx90_emulator.measured.comparison import MeasuredComparison
+    from rx90_emulator.measured.job import write_measured
+    from rx90_emulator.measured.options import MeasuredLayout, MeasuredTolerances
+    from rx90_emulator.measured.summary import measured_summary
     from rx90_emulator.sweep.execution import read_sweep, run_sweep
     from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
     from rx90_emulator.sweep.plan_file import load_sweep_plan
@@ -103,6 +110,9 @@ __all__ = [
     "LineTask",
     "LogUniform",
     "LuGreElement",
+    "MeasuredComparison",
+    "MeasuredLayout",
+    "MeasuredTolerances",
     "Normal",
     "PathAccuracy",
     "Rates",
@@ -126,6 +136,7 @@ __all__ = [
     "Verdict",
     "check_friction",
     "compare_bags",
+    "compare_measured",
     "compare_series",
     "comparison_text",
     "excitation_summary",
@@ -136,6 +147,7 @@ __all__ = [
     "load_sweep_plan",
     "load_task",
     "load_trajectory",
+    "measured_summary",
     "parameters",
     "path_accuracy",
     "plan_experiments",
@@ -153,6 +165,7 @@ __all__ = [
     "write_excitation",
     "write_identification",
     "write_joint_states",
+    "write_measured",
 ]
 
 _HOMES = {
@@ -191,6 +204,11 @@ _HOMES = {
     "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
+    "rx90_emulator.measured.compare": "compare_measured",
+    "rx90_emulator.measured.comparison": "MeasuredComparison",
+    "rx90_emulator.measured.job": "write_measured",
+    "rx90_emulator.measured.options": "MeasuredLayout MeasuredTolerances",
+    "rx90_emulator.measured.summary": "measured_summary",
     "rx90_emulator.sweep.execution": "read_sweep run_sweep",
     "rx90_emulator.sweep.plan": "Block SweepBase SweepPlan SweptParameter",
     "rx90_emulator.sweep.plan_file": "load_sweep_plan",

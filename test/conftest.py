@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +11,10 @@ from typing import Any
 
 import pytest
 import yaml
+
+# Small matrices: a second thread of the BLAS waits in a loop, and takes the core from the worker beside this one. NumPy
+# reads this once, when it is imported, and so do the processes that tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup

@@ -55,9 +55,22 @@ _OUTSIDE = sorted(
 )
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _trees() -> Iterator[None]:
+    """Let go of the syntax trees when the tests of this file are over: they are large."""
+    yield
+    tree_of.cache_clear()
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def parse(name: str) -> ast.Module:
     """Return the syntax tree of a module."""
-    return ast.parse(MODULES[name].read_text(encoding="utf-8"))
+    return tree_of(MODULES[name])
 
 
 def owner(dotted: str) -> str | None:
@@ -88,6 +101,7 @@ def imports(name: str, strings: bool = True) -> frozenset[str]:
     return frozenset(found)
 
 
+@cache
 def arrows(name: str, strings: bool = True) -> set[str]:
     """Return the project's modules that a module imports or, by a string, has imported by another process."""
     return {target for dotted in imports(name, strings) if (target := owner(dotted)) is not None and target != name}
@@ -142,37 +156,37 @@ def test_the_house_is_found() -> None:
     assert ros("rx90_common.exchange.node_tools") == {"rclpy", "diagnostic_msgs", "rcl_interfaces"}
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_arrows_point_down(name: str) -> None:
+def test_arrows_point_down() -> None:
     """The ground imports only itself, a room itself and the ground; rooms do not import each other."""
-    own = package(name)
-    below = {GROUND, own} if own != ROOF else set(PACKAGES)
-    assert {target for target in arrows(name) if package(target) not in below} == set()
-    assert top_level(name) & {"benchmarks", "launch", "support", "test", "tools"} == set()
+    for name in MODULES:
+        own = package(name)
+        below = {GROUND, own} if own != ROOF else set(PACKAGES)
+        assert {target for target in arrows(name) if package(target) not in below} == set(), name
+        assert top_level(name) & {"benchmarks", "launch", "support", "test", "tools"} == set(), name
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_ros_is_imported_in_few_places(name: str) -> None:
+def test_ros_is_imported_in_few_places() -> None:
     """Only a room's node/, the ground's exchange/ and the recorder import ROS, and no model reaches it."""
     # The share folder looks for the ament index where there is one, and works without.
     index = {"ament_index_python"}
-    if not speaks_ros(name):
-        assert ros(name) - (index if name == f"{GROUND}.base.share" else set()) == set()
-    if package(name) in ROOMS and not speaks_ros(name):
-        assert {target for target in reached(name) if ros(target) - index} == set()
+    for name in MODULES:
+        if not speaks_ros(name):
+            assert ros(name) - (index if name == f"{GROUND}.base.share" else set()) == set(), name
+        if package(name) in ROOMS and not speaks_ros(name):
+            assert {target for target in reached(name) if ros(target) - index} == set(), name
 
 
-@pytest.mark.parametrize("name", FOLDERS)
-def test_every_folder_says_what_others_may_use(name: str) -> None:
+def test_every_folder_says_what_others_may_use() -> None:
     """A folder's docstring says what lives there, and what others import from it stands in its `__all__`."""
-    assert ast.get_docstring(parse(name))
-    used = set()
-    for module in MODULES:
-        if module != name and folder(module) != name:
-            for dotted in imports(module):
-                if dotted.startswith(f"{name}."):
-                    used.add(dotted.removeprefix(f"{name}.").split(".")[0])
-    assert {item for item in used if f"{name}.{item}" not in FOLDERS} <= exported(name)
+    for name in FOLDERS:
+        assert ast.get_docstring(parse(name)), name
+        used = set()
+        for module in MODULES:
+            if module != name and folder(module) != name:
+                for dotted in imports(module):
+                    if dotted.startswith(f"{name}."):
+                        used.add(dotted.removeprefix(f"{name}.").split(".")[0])
+        assert {item for item in used if f"{name}.{item}" not in FOLDERS} <= exported(name), name
 
 
 @cache
@@ -184,21 +198,21 @@ def exported(name: str) -> set[str]:
     return set()
 
 
-@pytest.mark.parametrize("name", FOLDERS)
-def test_what_a_folder_offers_is_there_and_is_used(name: str) -> None:
+def test_what_a_folder_offers_is_there_and_is_used() -> None:
     """Each name in `__all__` is a module of the folder or a name its `__init__` imports, and another folder uses it."""
-    bound = {
-        alias.asname or alias.name
-        for node in ast.walk(parse(name))
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert {item for item in exported(name) if f"{name}.{item}" not in MODULES and item not in bound} == set()
-    used = {dotted for module in MODULES if folder(module) != name for dotted in imports(module)}
-    if name != ROOF:  # whose names are for users
-        assert {
-            item for item in exported(name) if not any(f"{d}.".startswith(f"{name}.{item}.") for d in used)
-        } == set()
+    for name in FOLDERS:
+        bound = {
+            alias.asname or alias.name
+            for node in ast.walk(parse(name))
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        offered = exported(name)
+        assert {item for item in offered if f"{name}.{item}" not in MODULES and item not in bound} == set(), name
+        if name != ROOF:  # whose names are for users
+            used = {dotted for module in MODULES if folder(module) != name for dotted in imports(module)}
+            begun = {".".join(dotted.split(".")[: name.count(".") + 2]) for dotted in used}
+            assert {item for item in offered if f"{name}.{item}" not in begun} == set(), name
 
 
 def test_folders_do_not_import_each_other_in_a_circle() -> None:
@@ -212,22 +226,23 @@ def test_folders_do_not_import_each_other_in_a_circle() -> None:
     assert len(list(TopologicalSorter(graph).static_order())) == len(FOLDERS)
 
 
-@pytest.mark.parametrize("file", [*_BUILD_FILES, *_PAGES])
-def test_modules_and_files_named_in_pages_exist(file: str) -> None:
+def test_modules_and_files_named_in_pages_exist() -> None:
     """Every module that an entry point, a setting or a document names is there, and so is every file."""
-    text = (ROOT / file).read_text(encoding="utf-8")
-    named = set(re.findall(rf"(?<![\w/.])({_NAMED})", text))
-    assert {name for name in named if not known(name)} == set()
-    assert set(re.findall(r"(?<![\w./-])rx90_[a-z_]+", text)) <= {*PACKAGES, *EXECUTABLES}
     places = (
         rf"(?<![\w/.*<-])((?:{'|'.join(PACKAGES)}|config|docs|firmware|launch|benchmarks|tools|test)/[a-z][\w./-]*)"
     )
-    paths = {
-        path
-        for path in re.findall(places, text)
-        if "NAME" not in path and path.endswith(("/", ".c", ".h", ".md", ".py", ".yaml", ".svg"))
-    }
-    assert {path for path in paths if not (ROOT / path).exists() and not path.startswith("firmware/build")} == set()
+    for file in (*_BUILD_FILES, *_PAGES):
+        text = (ROOT / file).read_text(encoding="utf-8")
+        named = set(re.findall(rf"(?<![\w/.])({_NAMED})", text))
+        assert {name for name in named if not known(name)} == set(), file
+        assert set(re.findall(r"(?<![\w./-])rx90_[a-z_]+", text)) <= {*PACKAGES, *EXECUTABLES}, file
+        paths = {
+            path
+            for path in re.findall(places, text)
+            if "NAME" not in path and path.endswith(("/", ".c", ".h", ".md", ".py", ".yaml", ".svg"))
+        }
+        missing = {path for path in paths if not (ROOT / path).exists() and not path.startswith("firmware/build")}
+        assert missing == set(), file
 
 
 def known(dotted: str) -> bool:
@@ -237,35 +252,36 @@ def known(dotted: str) -> bool:
     )
 
 
-@pytest.mark.parametrize("path", _OUTSIDE, ids=lambda p: str(p.relative_to(ROOT)))
-def test_modules_named_outside_the_packages_exist(path: Path) -> None:
+def test_modules_named_outside_the_packages_exist() -> None:
     """What benchmarks, launch files, tools and tests import or name in a string is there."""
-    named = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            named.update(alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            named.add(node.module or "")
-        elif isinstance(node, ast.Constant) and (match := _DOTTED.fullmatch(str(node.value))):
-            named.add(match[1])
-    assert {name for name in named if package(name) in PACKAGES and not (known(name) or name.endswith(_FILES))} == set()
+    for path in _OUTSIDE:
+        named = set()
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Import):
+                named.update(alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                named.add(node.module or "")
+            elif isinstance(node, ast.Constant) and (match := _DOTTED.fullmatch(str(node.value))):
+                named.add(match[1])
+        own = {name for name in named if package(name) in PACKAGES and not name.endswith(_FILES)}
+        assert {name for name in own if not known(name)} == set(), path
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_modules_named_by_a_string_exist(name: str) -> None:
+def test_modules_named_by_a_string_exist() -> None:
     """Every string that looks like a module's name, as entry points and `-m` take it, is one."""
-    tree = parse(name)
-    parts = {id(value) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for value in node.values}
-    strings = {str(node.value) for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in parts}
-    assert {m[1] for m in map(_DOTTED.fullmatch, strings) if m and m[1] not in MODULES} == set()
+    for name in MODULES:
+        nodes = list(ast.walk(parse(name)))
+        parts = {id(value) for node in nodes if isinstance(node, ast.JoinedStr) for value in node.values}
+        strings = {str(node.value) for node in nodes if isinstance(node, ast.Constant) and id(node) not in parts}
+        named = {match[1] for match in map(_DOTTED.fullmatch, strings) if match}
+        assert named <= set(MODULES), name
 
 
-@pytest.mark.parametrize("name", ["rx90_sim", "rx90_controller"])
-def test_models_stand_on_numerical_libraries_only(name: str) -> None:
+def test_models_stand_on_numerical_libraries_only() -> None:
     """Plant and law import numpy, numba and the plain standard library: nothing opens a socket or a thread."""
     allowed = PLAIN | {"numpy", "numba", "scipy", *PACKAGES}
     for module in MODULES:
-        if package(module) == name and not speaks_ros(module):
+        if package(module) in {"rx90_sim", "rx90_controller"} and not speaks_ros(module):
             assert top_level(module) <= allowed, module
 
 
@@ -284,20 +300,19 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert len(list(order.static_order())) == len(plain)
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_a_module_can_be_read_at_one_sitting(name: str) -> None:
+def test_a_module_can_be_read_at_one_sitting() -> None:
     """No module exceeds 400 lines, no class 150, no function seven positional arguments; each says what it holds."""
-    text = MODULES[name].read_text(encoding="utf-8")
-    tree = ast.parse(text)
-    assert text.count("\n") <= LONGEST
-    assert ast.get_docstring(tree)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef):
-            assert (node.end_lineno or 0) - node.lineno < LARGEST_CLASS, node.name
-    for function in functions(tree):
-        if not compiled(function):
-            given = [a.arg for a in (*function.args.posonlyargs, *function.args.args) if a.arg not in {"self", "cls"}]
-            assert len(given) <= MOST_POSITIONAL, function.name
+    for name, path in MODULES.items():
+        tree = parse(name)
+        assert path.read_text(encoding="utf-8").count("\n") <= LONGEST, name
+        assert ast.get_docstring(tree), name
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                assert (node.end_lineno or 0) - node.lineno < LARGEST_CLASS, f"{name}.{node.name}"
+        for function in functions(tree):
+            arguments = (*function.args.posonlyargs, *function.args.args)
+            given = [argument.arg for argument in arguments if argument.arg not in {"self", "cls"}]
+            assert len(given) <= MOST_POSITIONAL or compiled(function), f"{name}.{function.name}"
 
 
 def compiled(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
@@ -322,10 +337,9 @@ def functions(tree: ast.AST) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]
     yield from (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
 
 
-@pytest.mark.parametrize("name", sorted(MODULES))
-def test_parameters_are_frozen(name: str) -> None:
+def test_parameters_are_frozen() -> None:
     """Dataclasses that are checked where they are built are frozen, so that they stay as checked."""
-    for node in ast.walk(parse(name)):
+    for name, node in ((module, part) for module in MODULES for part in ast.walk(parse(module))):
         if not isinstance(node, ast.ClassDef):
             continue
         checked = any(function.name == "__post_init__" for function in functions(node))
@@ -382,10 +396,10 @@ def test_compiled_code_keeps_its_bits() -> None:
                 assert node.arg not in {"fastmath", "parallel"}, name
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "test").rglob("test_*.py")), ids=lambda p: p.stem)
-def test_every_test_says_what_it_proves(path: Path) -> None:
+def test_every_test_says_what_it_proves() -> None:
     """Every test's docstring is one sentence naming a property."""
-    for function in functions(ast.parse(path.read_text(encoding="utf-8"))):
+    tests = sorted((ROOT / "test").rglob("test_*.py"))
+    for path, function in ((file, part) for file in tests for part in functions(tree_of(file))):
         if function.name.startswith("test_"):
             text = ast.get_docstring(function)
             assert text, f"{path.name}: {function.name}"
@@ -399,7 +413,7 @@ def test_the_walks_name_files_and_functions_that_are_there() -> None:
     for file, functions_named in rows:
         assert (ROOT / file).is_file(), file
         for dotted in re.findall(r"`([\w.]+)`", functions_named):
-            assert dotted in defined(ast.parse((ROOT / file).read_text(encoding="utf-8"))), f"{file}: {dotted}"
+            assert dotted in defined(tree_of(ROOT / file)), f"{file}: {dotted}"
 
 
 def page(name: str) -> str:

@@ -313,9 +313,35 @@ def _read(path: Path) -> str:
         raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
 
 
+def check_numbers(content: object, most: float = math.inf, where: str = "") -> None:
+    """Refuse plain data with a number that no file may hold.
+
+    Args:
+        content: mappings, lists and scalars.
+        most: largest magnitude of a floating-point number.
+        where: its place, for the message.
+
+    Raises:
+        ConfigError: naming place and value.
+    """
+    if isinstance(content, Mapping):
+        for key, value in content.items():
+            check_numbers(value, most, f"{where}{'.' if where else ''}{key}")
+    elif isinstance(content, list | tuple):
+        for k, value in enumerate(content):
+            check_numbers(value, most, f"{where}[{k}]")
+    elif isinstance(content, float) and not (math.isfinite(content) and abs(content) <= most):
+        range_text = "finite numbers" if math.isinf(most) else f"finite numbers up to {most:g}"
+        raise ConfigError(f"{plain(where)} is {content:g}, so the file is not written; accepted: {range_text}")
+
+
 def yaml_text(content: Mapping[str, Any]) -> str:
     """Return plain data as YAML; `load_yaml` and readers of YAML 1.1 give it back to the same bits.
 
     Lists and mappings without others inside stand on one line each.
+
+    Raises:
+        ConfigError: for a NaN or an infinity.
     """
+    check_numbers(content)
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=118)

@@ -104,37 +104,52 @@ def add_arm_arguments(parser: argparse.ArgumentParser) -> None:
                                     lambda value: abs(value) <= _LONGEST_DELAY),
                         help="how much later a recorded torque acted than in the sample period that ends at its stamp, "
                         "s: half a period for torques of the very instant (%(default)g)")  # fmt: skip
-    either.add_argument("--record-time", action="store_true",
-                        help="take the times at which messages were recorded, not the stamps in "
-                        "their headers")  # fmt: skip
-    either.add_argument("--zero", nargs="+", type=FINITE, metavar="RAD",
-                        help="what the encoder of each joint says where its angle in the URDF is 0, which is "
-                        "subtracted, rad (0)")  # fmt: skip
+    add_record_arguments(either)
     other = parser.add_argument_group(
         "another robot", "n is the number of joints; lists follow --joints. SI units, and gravity along -z of the "
         "URDF's root link."
     )  # fmt: skip
     other.add_argument("--urdf", type=Path, metavar="FILE",
                        help="its URDF with <inertial>, no xacro; turns the options of this group on")  # fmt: skip
-    other.add_argument("--topic", help="JointState topic (joint_states)")
     other.add_argument("--joints", nargs="+", metavar="NAME",
                        help="the URDF's joints of interest from base to tip; the others are held at 0 (all movable "
                        "ones)")  # fmt: skip
-    other.add_argument("--names", nargs="+", metavar="NAME",
-                       help="what the messages call these joints, or their motors with --gear; their order there is "
-                       "free, and others may be there, too (as --joints)")  # fmt: skip
-    other.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
-                       help="motor turns per joint turn, negative where they turn against each other; says that "
-                       "the messages hold the motors' positions, velocities and efforts (the joints')")  # fmt: skip
-    other.add_argument("--coupling", nargs="+", type=FINITE, metavar="C",
-                       help="where motors turn with several joints: turns of each motor per joint turn without the "
-                       "gears, row by row, n x n; such a motor has a friction element of its own "
-                       "(identity)")  # fmt: skip
-    other.add_argument("--torque-constant", nargs="+", type=_NOT_ZERO, metavar="K",
-                       help="torque per unit of effort, where effort is a current: Nm/A of the motor with --gear, else "
-                       "at the joint (1)")  # fmt: skip
+    add_message_arguments(other)
     other.add_argument("--rotor-inertia", nargs="+", metavar="J",
                        type=number("0 or a positive number", lambda value: value >= 0.0),
                        help="of each motor, seen through its gear (times its square), kg m^2 (0)")  # fmt: skip
     other.add_argument("--spring", nargs="+", type=FINITE, metavar="K",
                        help="gravity-compensation springs, torque -K sin(q) on each joint, Nm (0)")  # fmt: skip
+
+
+def add_record_arguments(group: argparse._ActionsContainer) -> None:
+    """Add the options that say how times and angles of any bag are read."""
+    group.add_argument("--record-time", action="store_true",
+                       help="take the times at which messages were recorded, not the stamps in "
+                       "their headers")  # fmt: skip
+    group.add_argument("--zero", nargs="+", type=FINITE, metavar="RAD",
+                       help="what the encoder of each joint says where its angle in the URDF is 0, which is "
+                       "subtracted, rad (0)")  # fmt: skip
+
+
+def add_message_arguments(
+    group: argparse._ActionsContainer,
+    topic: str = "joint_states",
+    names: str = "as --joints",
+    coupling: str = "identity",
+) -> None:
+    """Add the options that say what JointState messages hold; the arguments name the defaults."""
+    group.add_argument("--topic", help=f"JointState topic ({topic})")
+    group.add_argument("--names", nargs="+", metavar="NAME",
+                       help="what the messages call these joints, or their motors with --gear; their order there is "
+                       f"free, and others may be there, too ({names})")  # fmt: skip
+    group.add_argument("--gear", nargs="+", type=_NOT_ZERO, metavar="N",
+                       help="motor turns per joint turn, negative where they turn against each other; says that "
+                       "the messages hold the motors' positions, velocities and efforts (the joints')")  # fmt: skip
+    group.add_argument("--coupling", nargs="+", type=FINITE, metavar="C",
+                       help="where motors turn with several joints: turns of each motor per joint turn without the "
+                       "gears, row by row, n x n; such a motor has a friction element of its own "
+                       f"({coupling})")  # fmt: skip
+    group.add_argument("--torque-constant", nargs="+", type=_NOT_ZERO, metavar="K",
+                       help="torque per unit of effort, where effort is a current: Nm/A of the motor with --gear, else "
+                       "at the joint (1)")  # fmt: skip

@@ -33,6 +33,7 @@ _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
+_SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
 _BLOCK = 8192  # samples whose columns are held at a time
 
 
@@ -149,7 +150,7 @@ class FilteredRun:
     @cached_property
     def taps(self) -> Array:
         """Return the parallel filter, shape (2 h + 1,): Kaiser window, -60 dB beyond twice the bandwidth."""
-        return _taps(self.rate, self.bandwidths.torque)
+        return low_pass_taps(self.rate, self.bandwidths.torque)
 
     @cached_property
     def rows(self) -> Index:
@@ -166,7 +167,7 @@ class FilteredRun:
         Returns:
             Shape (k, ...), at the samples `rows`.
         """
-        return _low_pass(np.asarray(values), self.taps, self.down)
+        return low_pass(np.asarray(values), self.taps, self.down)
 
     def blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield pairs of samples and of the rows that `parallel` makes of them, so that memory stays bounded."""
@@ -196,8 +197,8 @@ def filter_record(
             f"{record.source}: bandwidths of {bandwidths.position:.4g} and {bandwidths.torque:.4g} Hz at "
             f"{rate:.4g} samples per second; accepted: up to {0.45 * rate:.4g} and {0.22 * rate:.4g} Hz"
         )
-    edge = math.ceil(1.5 * rate / bandwidths.position)  # three time constants of the filter's slowest pole, and more
-    shortest = 2 * edge + len(_taps(rate, bandwidths.torque)) + 1
+    edge = math.ceil(1.5 * rate / bandwidths.position) + _SPLINE_END  # three time constants of the slowest pole
+    shortest = 2 * edge + len(low_pass_taps(rate, bandwidths.torque)) + 1
     pieces = [piece for piece in _pieces(record.time) if piece[1] - piece[0] >= shortest]
     if not pieces:
         raise IdentificationError(
@@ -213,20 +214,22 @@ def _filtered(
     time = record.time[piece]
     rate = _rate(time)
     even = _even(time, rate)
-    position = _resampled(time, record.position[piece], even, 3)
+    position = _resampled(time, record.position[piece], even, 5)
     torque = _resampled(time, record.torque[piece], even, 1)
-    target = None if reference is None else _resampled(time, reference[piece], even, 3)
+    target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
-    curve = make_interp_spline(even, smooth, k=5)
+    # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
+    count = np.arange(len(even)) / rate
+    curve = make_interp_spline(count, smooth, k=5)
     inner = slice(edge, len(even) - edge)
     return FilteredRun(
         source=record.bag,
         names=record.names,
         time=even[inner],
         position=smooth[inner],
-        velocity=np.asarray(curve(even[inner], 1)),
-        acceleration=np.asarray(curve(even[inner], 2)),
+        velocity=np.asarray(curve(count[inner], 1)),
+        acceleration=np.asarray(curve(count[inner], 2)),
         torque=torque[inner],
         reference=None if target is None else target[inner],
         bandwidths=bandwidths,
@@ -255,19 +258,31 @@ def _even(time: Array, rate: float) -> Array:
 
 def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     """Return values at even times; those whose stamps are even stay as they are."""
-    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]):
+    rounding = 2.0 * float(np.spacing(np.abs(time[-1])))
+    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]) + rounding:
         return values
     return np.asarray(make_interp_spline(time, values, k=degree)(even))
 
 
-def _taps(rate: float, bandwidth: float) -> Array:
-    """Return a symmetric low-pass: full amplitude up to the bandwidth, none from twice it."""
+def low_pass_taps(rate: float, bandwidth: float) -> Array:
+    """Return a symmetric low-pass, shape (2 h + 1,): full amplitude up to the bandwidth, none from twice it.
+
+    Args:
+        rate: samples per second.
+        bandwidth: Hz.
+    """
     count, beta = kaiserord(_STOP, bandwidth / (0.5 * rate))
     return np.asarray(firwin(count | 1, 1.5 * bandwidth, window=("kaiser", beta), fs=rate))
 
 
-def _low_pass(values: Array, taps: Array, down: int) -> Array:
-    """Return every down-th sample of the filtered values at which the filter has its whole length."""
+def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
+    """Return every down-th sample of the filtered values at which the filter has its whole length.
+
+    Args:
+        values: shape (m, ...).
+        taps: shape (2 h + 1,); the first sample that is returned lies at index h.
+        down: samples from one to the next.
+    """
     count = max(0, (len(values) - len(taps)) // down + 1)
     # Zeros in front delay the filter until its first whole sample is one of those that are kept.
     ahead = -(len(taps) - 1) % down

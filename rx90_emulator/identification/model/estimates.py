@@ -19,6 +19,8 @@ VISCOUS_EXPONENT = "alpha"
 PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
 _MOST_DECIMALS = 7
+LARGEST = 1e12
+"""Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
-from pathlib import Path
 from typing import Any
 
+from rx90_common.base.config import check_numbers
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
 from rx90_common.friction import LuGreElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_UNITS
-from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.sliding.fit import SlidingFit
 
 _REMARKS = """\
 #
@@ -35,12 +36,19 @@ def friction_text(result: FrictionIdentification, now: datetime | None = None) -
     Args:
         result: what was identified.
         now: date of the identification; by default the present.
+
+    Raises:
+        ConfigError: for values or deviations that are not finite, or absurd.
     """
-    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now)
+    return elements_text(result.arm.element_names, result.elements, result.fallback_name, now, result.sliding)
 
 
 def elements_text(
-    names: Sequence[str], elements: Sequence[IdentifiedElement], fallback_name: str | None, now: datetime | None = None
+    names: Sequence[str],
+    elements: Sequence[IdentifiedElement],
+    fallback_name: str | None,
+    now: datetime | None = None,
+    sliding: SlidingFit | None = None,
 ) -> str:
     """Return the text of a file with these elements.
 
@@ -49,9 +57,11 @@ def elements_text(
         elements: what was identified of each.
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         now: date of the identification; by default the present.
+        sliding: fit of sweeps, whose use of the bags and goodness go into the file; None without sweeps.
 
     Raises:
         IdentificationError: for a value that no arm has, or that is no number.
+        ConfigError: for a deviation that is absurd.
     """
     for name, one in zip(names, elements, strict=True):
         _check(name, one)
@@ -65,19 +75,30 @@ def elements_text(
     identification = {
         "date": date,
         "bags": {
-            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": recorded(bag.path)}
+            label: {"path": str(bag.path), "sha256": bag.sha256, "recorded": bag.recorded}
             for bag, label in sources.items()
         },
+        **({} if sliding is None else _sweeps(sliding, names, sources)),
         "parameters": {
             name: _provenance(one, sources, date, fallback_name) for name, one in zip(names, elements, strict=True)
         },
     }
+    check_numbers(identification, LARGEST, "identification")
     return FrictionFile(
         {name: _rounded_element(one.element) for name, one in zip(names, elements, strict=True)},
         "identified",
         source if fallback_name is None else f"{source}, it is that of {fallback_name}",
         identification,
     ).text(_REMARKS)
+
+
+def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource, str]) -> dict[str, Any]:
+    """Return what was used of each bag of sweeps, and how well the curves fit."""
+    named = zip(names, sliding.quality, strict=True)
+    return {
+        "sweeps": {labels[use.bag]: use.text(names) for use in sliding.usage if use.bag in labels},
+        "fit": {name: one.content for name, one in named if one is not None},
+    }
 
 
 def _check(name: str, one: IdentifiedElement) -> None:
@@ -129,10 +150,3 @@ def _rounded(value: float) -> float:
 
 def _rounded_element(element: LuGreElement) -> LuGreElement:
     return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
-
-
-def recorded(path: Path) -> str:
-    """Return when a bag's newest file was written: simulated bags carry no wall time."""
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
-    newest = max((file.stat().st_mtime for file in files), default=0.0)
-    return datetime.fromtimestamp(newest, timezone.utc).isoformat(timespec="seconds")

@@ -28,6 +28,28 @@ def curve_plots(result: FrictionIdentification) -> list[str]:
     return [_curve(name, curve, COLOURS[0]) for name, curve in named if len(curve.velocity)]
 
 
+def drift_plots(result: FrictionIdentification) -> list[str]:
+    """Return residual torque along the motion against time of each element."""
+    plots = []
+    for name, curve in zip(result.arm.element_names, result.sliding.curves, strict=True):
+        if len(curve.velocity):
+            figure, (axes,) = make_figure(1, 1.8)
+            axes.set_title(name, loc="left")
+            axes.plot(
+                curve.time,
+                np.sign(curve.velocity) * (curve.torque - curve.fitted),
+                ".",
+                color=COLOURS[0],
+                markersize=4,
+            )
+            axes.axhline(0.0, color=_INK, linewidth=0.6)
+            axes.set_xlabel("time in the series, s")
+            axes.set_ylabel("residual, Nm")
+            _margins(figure, left=0.1, right=0.99, bottom=0.25, top=0.88)
+            plots.append(as_svg(figure))
+    return plots
+
+
 def _curve(name: str, curve: CurvePoints, colour: str) -> str:
     figure, (above, below) = make_figure(2, 4.2)
     above.set_title(name, loc="left")

@@ -9,7 +9,13 @@ from pathlib import Path
 
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
-from rx90_emulator.identification.output.plots import correlation_plots, curve_plots, hysteresis_plot, validation_plot
+from rx90_emulator.identification.output.plots import (
+    correlation_plots,
+    curve_plots,
+    drift_plots,
+    hysteresis_plot,
+    validation_plot,
+)
 from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.result.validation import Validation
 
@@ -68,6 +74,9 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         friction_file=friction_file,
         date=_date(now),
         bags=result.bags,
+        quality=[pair for pair in zip(result.arm.element_names, result.sliding.quality, strict=True) if pair[1]],
+        usage=[(use, use.text(result.arm.element_names)) for use in result.sliding.usage],
+        trends=drift_plots(result),
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,
         curves=curve_plots(result),

@@ -27,7 +27,15 @@ def identification_summary(result: FrictionIdentification) -> str:
                 lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         lines.append(f"{name:<{width}}" + "".join(cells))
     reasons = [f"not identifiable: {_which(names)}: {reason}" for reason, names in lacking.items()]
-    return "\n".join([*lines, *reasons, *(_verdict(check) for check in result.validations)])
+    return "\n".join([*lines, *reasons, *_fit(result), *(_verdict(check) for check in result.validations)])
+
+
+def _fit(result: FrictionIdentification) -> list[str]:
+    """Return how well the curves fit, and what was used of each bag of sweeps."""
+    names = result.arm.element_names
+    named = zip(names, result.sliding.quality, strict=True)
+    quality = [line for name, one in named if one is not None for line in one.lines(name)]
+    return [*quality, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
 
 
 def check_summary(checks: Sequence[Validation]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.ndimage import median_filter
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 
+_WALL_CLOCK = 946_684_800.0  # s, the year 2000: stamps before count from another beginning
 _NEIGHBOURS = 5  # samples in the running median
 _OUTLIER = 4.0  # times the 99th percentile of the distances from it
 _SPIKE = 0.02  # and this share of the signal's range
@@ -28,6 +30,7 @@ class BagSource:
         duration: time from the first to the last sample, s.
         missing: messages missing from a steady stream.
         outliers: messages left out because of a NaN, a spike or a repeated stamp.
+        begin: stamp of the first sample, s.
     """
 
     path: Path
@@ -35,6 +38,14 @@ class BagSource:
     duration: float
     missing: int
     outliers: int
+    begin: float = 0.0
+
+    @property
+    def recorded(self) -> str:
+        """Return when it was recorded, by its stamps; those of a simulation, and of many a log, tell no date."""
+        if self.begin < _WALL_CLOCK:
+            return f"no date; stamps from {self.begin:.6g} to {self.begin + self.duration:.6g} s"
+        return datetime.fromtimestamp(self.begin, timezone.utc).isoformat(timespec="seconds")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +98,7 @@ class JointRecord:
     def bag(self) -> BagSource:
         """Return the bag, with the figures of what was read of it."""
         duration = float(self.time[-1] - self.time[0])
-        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers)
+        return BagSource(self.source, self.sha256, duration, self.missing, self.outliers, float(self.time[0]))
 
     def between(self, start: float, stop: float) -> JointRecord:
         """Return the samples with start <= time < stop, s.

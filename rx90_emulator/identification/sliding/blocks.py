@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.sliding.plateaus import SCALES, Bins, accelerates, plateau_ranges
+from rx90_emulator.identification.sliding.plateaus import LEAST_BINS, SCALES, Bins, accelerates, plateau_ranges
 from rx90_emulator.identification.sliding.usage import (
     ACCELERATES,
     CHANGES,
@@ -31,6 +32,7 @@ _SETTLE_SHARE = 0.5  # of a plateau, within which the bristles must settle for t
 _LONGEST_BLOCK = 0.25  # s
 _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
 _SHORTEST_BLOCK = 8  # samples
+_LONG_HALF = 1.0  # s
 _OUTLIER = 5.0  # standard deviations from a block's median
 _OWN_VELOCITY = 0.75  # of the plateau's velocity that a block's may be off by
 
@@ -51,7 +53,7 @@ class Blocks:
         sliding: whether an element slides steadily, shape (b, n_el).
         plateau: number of the plateau, shape (b,).
         source: number of the record, shape (b,).
-        time: s, shape (b,).
+        time: in the series, s, shape (b,).
         noise: covariance of the torque's samples, Nm^2, shape (n, n).
     """
 
@@ -82,8 +84,8 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     """
     parts: list[Blocks] = []
     uses = []
-    for source, record in enumerate(records):
-        cut = _Cut(record, elements, source)
+    for source, (record, begin) in enumerate(zip(records, _beginnings(records), strict=True)):
+        cut = _Cut(record, elements, source, begin)
         parts += cut.blocks(len(parts))
         uses.append(cut.use())
     if not parts:
@@ -100,11 +102,20 @@ def find_blocks(records: Sequence[JointRecord], elements: Array) -> tuple[Blocks
     return Blocks(**joined), tuple(uses)
 
 
+def _beginnings(records: Sequence[JointRecord]) -> list[float]:
+    """Return when each record begins in the series, s: by its stamps, or one behind the other where these overlap."""
+    order = sorted(records, key=lambda record: float(record.time[0]))
+    if all(a.time[-1] <= b.time[0] for a, b in pairwise(order)):
+        return [float(record.time[0]) for record in records]
+    lasting = [float(record.time[-1] - record.time[0]) for record in records]
+    return [sum(lasting[:k]) for k in range(len(records))]
+
+
 class _Cut:
     """Cuts one record into blocks, and keeps account of what each sample was used for."""
 
-    def __init__(self, record: JointRecord, elements: Array, source: int) -> None:
-        self._record, self._elements, self._source = record, elements, source
+    def __init__(self, record: JointRecord, elements: Array, source: int, begin: float) -> None:
+        self._record, self._elements, self._source, self._begin = record, elements, source, begin
         self._state = np.full(len(record.time), REASONS.index(CHANGES))
         self._parts: list[Blocks] = []
 
@@ -145,7 +156,13 @@ class _Cut:
         self._mark(rows, SETTLES)
         start = self._settled(rows, sliding)
         kept = slice(start, rows.stop)
-        for begin in (start, start + (rows.stop - start) // 2):  # the first half may be a slow start
+        if (rows.stop - start) // size < LEAST_BINS:
+            self._mark(kept, SHORT)
+            return
+        halves = (start + rows.stop) // 2, rows.stop - 1
+        # The first half may be a slow start; of a wave's crest a short half would look straight.
+        long = float(record.time[halves[1]] - record.time[halves[0]]) >= _LONG_HALF
+        for begin in (start, halves[0])[: 1 + long]:
             kept = slice(begin, rows.stop)
             if not accelerates(self._binned(kept, size), self._moving(sliding)):
                 break
@@ -209,7 +226,7 @@ class _Cut:
             sliding=np.tile(sliding, (len(rows), 1)),
             plateau=np.full(len(rows), plateau),
             source=np.full(len(rows), self._source),
-            time=mean_time,
+            time=mean_time - record.time[0] + self._begin,
             noise=_clipped_covariance(steps) / 2.0,
         )
         self._parts.append(part)

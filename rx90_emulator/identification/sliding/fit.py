@@ -22,6 +22,7 @@ from rx90_emulator.identification.sliding.identifiability import (
     with_viscous_exponent,
     without_stribeck,
 )
+from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 from rx90_emulator.identification.sliding.usage import BagUse
@@ -47,6 +48,7 @@ class CurvePoints:
         deviation: standard deviation of its noise, Nm, shape (p,).
         fitted: torque by the identified parameters, Nm, shape (p,).
         source: number of the record, shape (p,).
+        time: in the series, s, shape (p,).
         line: the identified curve over the measured speeds, in either direction: velocity, torque, and the standard
             deviation of the torque that follows from that of the parameters, shape (3, k).
     """
@@ -56,6 +58,7 @@ class CurvePoints:
     deviation: Array
     fitted: Array
     source: NDArray[np.int64]
+    time: Array
     line: Array
 
 
@@ -72,6 +75,7 @@ class SlidingFit:
         inertial_covariance: of it, that of the prior along directions that sweeps do not observe, shape (10 n, 10 n).
         plateaus: how many stretches of constant velocity were used.
         usage: what was used of each record, and why the rest was not.
+        quality: goodness of fit of each element; None where it could not be identified.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -80,6 +84,7 @@ class SlidingFit:
     inertial_covariance: Array
     plateaus: int
     usage: tuple[BagUse, ...] = ()
+    quality: tuple[FitQuality | None, ...] = ()
 
 
 def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
@@ -117,12 +122,25 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
     estimates = tuple(
         ElementEstimate.unknown(name, SLIDING, lacking[name], sources)
         if name in lacking
-        else element_estimate(solution, arm.element_names, e, sources)
+        else element_estimate(solution, arm.element_names, e, sources, usage)
         for e, name in enumerate(arm.element_names)
     )
     curves = tuple(_curve(solution, e) for e in range(len(arm.element_names)))
+    quality = tuple(
+        FitQuality.of(
+            e,
+            curve.velocity,
+            curve.torque - curve.fitted,
+            curve.deviation,
+            curve.torque,
+            (solution.misfit, solution.drift),
+        )
+        if len(curve.velocity)
+        else None
+        for e, curve in enumerate(curves)
+    )
     inertial = rows.directions @ solution.nuisance, _inertial_covariance(solution, arm)
-    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage)
+    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage, quality)
 
 
 def _solution(
@@ -230,12 +248,14 @@ def _curve(solution: SlidingSolution, element: int) -> CurvePoints:
     velocity = np.bincount(number, gain[mine] ** 2 * rows.velocity[mine, element], len(plateau)) / power
     source = np.zeros(len(plateau), dtype=np.int64)
     source[number] = rows.source[mine]
+    time = np.bincount(number, rows.time[mine], len(plateau)) / np.bincount(number, minlength=len(plateau))
     return CurvePoints(
         velocity=velocity,
         torque=np.bincount(number, gain[mine] * left, len(plateau)) / power,
         deviation=np.sqrt(np.bincount(number, (gain * solution.noise)[mine] ** 2, len(plateau))) / power,
         fitted=stribeck.torque(velocity, solution.parameters[element]),
         source=source,
+        time=time,
         line=_line(solution, element, velocity),
     )
 

@@ -12,6 +12,7 @@ from rx90_emulator.identification.model.estimates import SLIDING, VISCOUS_EXPONE
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.solver import SlidingSolution
+from rx90_emulator.identification.sliding.usage import BagUse, unused_speeds
 
 _SIGNIFICANT = 3.0  # standard deviations of the Stribeck rise from 0
 _LARGEST = 0.3  # relative standard deviation up to which a parameter is identifiable
@@ -52,7 +53,11 @@ def with_viscous_exponent(solution: SlidingSolution) -> Mask:
 
 
 def element_estimate(
-    solution: SlidingSolution, names: Sequence[str], element: int, sources: tuple[BagSource, ...]
+    solution: SlidingSolution,
+    names: Sequence[str],
+    element: int,
+    sources: tuple[BagSource, ...],
+    usage: Sequence[BagUse],
 ) -> ElementEstimate:
     """Return the estimates of one element that was fitted.
 
@@ -61,6 +66,7 @@ def element_estimate(
         names: of all elements.
         element: index of this one.
         sources: the bags.
+        usage: what was used of each.
     """
     values = stribeck.natural(solution.parameters[element])
     covariance = natural_covariance(solution, element)
@@ -69,7 +75,7 @@ def element_estimate(
     covariance = covariance[: len(names_here), : len(names_here)]
     for name, deviation in zip(names_here, np.sqrt(np.diag(covariance)).tolist(), strict=True):
         estimate = ParameterEstimate(values[name], deviation)
-        reason = _reason(solution, names, element, name, estimate)
+        reason = _reason(solution, names, element, name, estimate, usage)
         estimates[name] = ParameterEstimate.unknown(reason) if reason else estimate
     return ElementEstimate.of(names[element], estimates, covariance, sources)
 
@@ -77,12 +83,14 @@ def element_estimate(
 def natural_covariance(solution: SlidingSolution, element: int) -> Array:
     """Return the covariance of an element's parameters as `stribeck.natural` has them, shape (8, 8).
 
-    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed, plus what
-    repetition does not show.
+    It is that of the fit, times the squared t factor and the design effect of plateaus at one speed or, where it is
+    larger, the factor of a misfit, plus what repetition does not show.
     """
     transform = stribeck.natural_jacobian(solution.parameters[element])
-    covariance = transform @ _block(solution, element) @ transform.T * _t_factor(solution, element) ** 2
-    covariance *= float(solution.design_effect[solution.rows.gain[:, element] != 0.0].mean())
+    design = float(solution.design_effect[solution.rows.gain[:, element] != 0.0].mean())
+    wider = np.sqrt(np.maximum(design, solution.misfit.widening[element]))
+    block = wider[:, None] * _block(solution, element) * wider
+    covariance = transform @ block @ transform.T * _t_factor(solution, element) ** 2
     values = stribeck.natural(solution.parameters[element])
     # Independent for each parameter, so that no correlation changes its sign.
     unseen = _SYSTEMATIC * np.array(list(values.values()))
@@ -112,15 +120,23 @@ def _t_factor(solution: SlidingSolution, element: int) -> float:
 
 
 def _reason(
-    solution: SlidingSolution, names: Sequence[str], element: int, name: str, estimate: ParameterEstimate
+    solution: SlidingSolution,
+    names: Sequence[str],
+    element: int,
+    name: str,
+    estimate: ParameterEstimate,
+    usage: Sequence[BagUse],
 ) -> str:
     """Return why a parameter is not identifiable; empty if it is."""
     if name in _STRIBECK and not solution.free[element, stribeck.SHAPE].any():
         speed = np.abs(solution.rows.velocity[solution.rows.gain[:, element] != 0.0, element])
-        return f"no Stribeck effect shows at speeds from {speed.min():.3g} to {speed.max():.3g} rad/s"
+        lacking = unused_speeds(usage, element, float(speed.min()))
+        slower = f"; what it does at {lacking[0]:.3g} rad/s was recorded, but could not be used" if len(lacking) else ""
+        return f"no Stribeck effect shows at speeds from {speed.min():.3g} to {speed.max():.3g} rad/s{slower}"
     if estimate.deviation > _LARGEST * abs(estimate.value):
         partner = _partner(solution, names, element, name)
         size = f"standard deviation {estimate.deviation:.3g} at a value of {estimate.value:.3g}"
+        size += ", as the curve does not fit" * bool(solution.misfit.significant[element])
         return f"not separable from {partner}: {size}" if partner else size
     if name in ("omega_s", "delta") and solution.at_bound[element, _FITTED.index(name)]:
         return f"at the bound of its range, {estimate.value:.3g}"

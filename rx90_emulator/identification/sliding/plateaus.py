@@ -24,12 +24,14 @@ _LEAST_CAP = 3e-3  # rad/s, or this
 _LOCAL = 1.0  # s over which the noise is taken
 _LOCAL_BINS = 10  # or so many bins
 _END = 0.06  # s at the end of a plateau in which the next change of velocity may have begun
-_SMALL_TREND = 0.01  # of the velocity that a plateau may change by
-_CHANCE = 1e-3  # probability below which such a change is no accident
+_SMALL_TREND = 0.003  # of the velocity that a plateau may change by
+_CHANCE = 0.01  # probability below which such a change is no accident
 
 SCALES = ((0.02, np.inf), (0.1, 0.1), (0.4, 0.025))
 """Times over which velocities are compared, s, with the speed up to which, rad/s: a drive that creeps ripples slowly,
 and what a joint does within 10 mrad does not count."""
+LEAST_BINS = 5
+"""Bins in which an acceleration can be told from noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,10 @@ def plateau_ranges(bins: Bins, fastest: Array) -> list[tuple[int, int]]:
     """
     number = np.empty(len(bins.velocity), dtype=np.int64)
     floor = np.maximum(_NOISE_CAP * fastest, _LEAST_CAP)
-    _number_plateaus(bins.velocity, bins.tolerance, bins.gap, floor, (_RELATIVE, _AT_REST, _STEADY), number)
+    # Slow ripple hardly shows in third differences; jumps show it, and accelerations, too, hence the limit.
+    jumps = _NOISE * 1.4826 / np.sqrt(2.0) * np.median(np.abs(np.diff(bins.velocity, axis=0)), axis=0)
+    tolerance = np.maximum(bins.tolerance, np.minimum(jumps, floor))
+    _number_plateaus(bins.velocity, tolerance, bins.gap, floor, (_RELATIVE, _AT_REST, _STEADY), number)
     edges = np.flatnonzero(np.diff(number, prepend=-1, append=number[-1] + 1))
     # The first bin and the last ones may hold a part of a change of velocity.
     cut = [(int(start + 1), int(stop - bins.end)) for start, stop in pairwise(edges)]
@@ -140,16 +145,14 @@ def _number_plateaus(
 def accelerates(velocity: Array, moving: NDArray[np.bool_]) -> bool:
     """Return whether a moving joint speeds up, slows down or turns at the crest of a wave, rather than ripples.
 
-    A parabola through the velocities changes by more than 1 %, and explains more than chance does (F test, with
+    A parabola through the velocities changes by more than 0.3 %, and explains more than chance does (F test, with
     the first autocorrelation of what is left taken into account).
 
     Args:
-        velocity: of the bins of a plateau, rad/s, shape (b, n).
+        velocity: of the bins of a plateau, rad/s, shape (b, n), `LEAST_BINS` or more.
         moving: which joints move, shape (n,).
     """
     count = len(velocity)
-    if count < 5:
-        return False
     at = np.linspace(-1.0, 1.0, count)
     basis = np.linalg.qr(np.vander(at, 3))[0]
     fitted = basis @ (basis.T @ velocity)

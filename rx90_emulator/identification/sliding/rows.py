@@ -38,6 +38,7 @@ class SlidingRows:
         group: joint whose noise the row has, shape (r,).
         plateau: shape (r,).
         source: number of the record, shape (r,).
+        time: in the series, s, shape (r,).
     """
 
     value: Array
@@ -49,6 +50,7 @@ class SlidingRows:
     group: NDArray[np.int64]
     plateau: NDArray[np.int64]
     source: NDArray[np.int64]
+    time: Array
 
     def __len__(self) -> int:
         return len(self.value)
@@ -92,6 +94,7 @@ def sliding_rows(blocks: Blocks, arm: RigidArm) -> SlidingRows:
                 group=np.tile(np.abs(combination).argmax(axis=0), height),
                 plateau=np.repeat(blocks.plateau[rows], width),
                 source=np.repeat(blocks.source[rows], width),
+                time=np.repeat(blocks.time[rows], width),
             )
         )
     joined = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(SlidingRows)}

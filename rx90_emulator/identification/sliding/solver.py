@@ -10,7 +10,10 @@ from scipy.optimize import least_squares, lsq_linear
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.sliding import stribeck
+from rx90_emulator.identification.sliding.drift import Drift
+from rx90_emulator.identification.sliding.misfit import Misfit
 from rx90_emulator.identification.sliding.normal_equations import NormalForm, PlateauTorques
+from rx90_emulator.identification.sliding.residuals import Residuals
 from rx90_emulator.identification.sliding.rows import SlidingRows
 from rx90_emulator.identification.sliding.weights import Weights, speed_design_effect
 
@@ -40,6 +43,8 @@ class SlidingSolution:
         bend: by how many standard deviations a Gauss-Newton step moves each element's exponent from 1, shape (n_el,);
             0 where it is free already.
         design_effect: Kish's factor on the variance because plateaus at one speed err together, shape (r,).
+        misfit: whether the curves fit, and how much wider that makes the variances.
+        drift: of the elements' friction over the series.
     """
 
     rows: SlidingRows
@@ -53,6 +58,8 @@ class SlidingSolution:
     common: Array
     bend: Array
     design_effect: Array
+    misfit: Misfit
+    drift: Drift
 
 
 def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
@@ -81,7 +88,8 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
     at_bound = free & (np.minimum(parameters - fit.lower, fit.upper - parameters) < _AT_BOUND)
     friction = fit.torques(parameters)
     nuisance = form.nuisance(friction)
-    design_effect = speed_design_effect(rows, weights, rows.value - design @ friction - rows.nuisance @ nuisance)
+    residual = rows.value - design @ friction - rows.nuisance @ nuisance
+    residuals = Residuals.of(rows, weights, residual, design @ fit.slope(parameters))
     common = 1.0 - (1.0 - weights.share[weights.cluster]) ** 2
     chosen = np.flatnonzero(free)
     nuisance_covariance = form.nuisance_covariance(fit.slope(parameters), covariance[np.ix_(chosen, chosen)])
@@ -96,7 +104,9 @@ def fit_curves(rows: SlidingRows, free: Mask) -> SlidingSolution:
         noise=1.0 / weights.factor,
         common=common,
         bend=fit.bend(form, parameters),
-        design_effect=design_effect,
+        design_effect=speed_design_effect(rows, weights, residual),
+        misfit=Misfit.of(residuals, free, covariance[np.ix_(chosen, chosen)]),
+        drift=Drift.of(residuals, free),
     )
 
 

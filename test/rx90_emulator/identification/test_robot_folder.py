@@ -68,7 +68,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> BagSource:
     """Return a bag."""
     bag = tmp_path_factory.mktemp("bags") / "run--1.mcap"
     bag.write_bytes(b"")
-    return BagSource(bag, "0" * 64, 60.0, 0, 0)
+    return BagSource(bag, "0" * 64, 60.0, 0, 0, 1_767_225_600.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,26 +128,15 @@ class _Selection:
     def _without_bounds(self, model: Scored, parts: Iterable[Part]) -> Scored:
         """Take parts from elements on which they lie at a bound of their range, and say so."""
         shapes = list(model.fit.shapes)
-        for e, bound in enumerate(model.fit.at_bound):
-            for part in set(parts) & shapes[e].parts:
-                reason = self._at_bound(model.fit, e, part, bound)
+        for e, shape in enumerate(model.fit.shapes):
+            for part in set(parts) & shape.parts:
+                reason = _bound_reason(model.fit, e, part, self._problem.arm.element_names[e])
                 if reason:
                     self.refused[e, part] = reason
                     shapes[e] = shapes[e].without(part)
         if shapes == list(model.fit.shapes):
             return model
         return self._without_bounds(self._scored(fit_shapes(self.weighted, shapes)), parts)
-
-    def _at_bound(self, fit: SeparableFit, element: int, part: Part, bound: frozenset[str]) -> str:
-        """Return why a part of an element is at a bound; empty if it is not."""
-        name = self._problem.arm.element_names[element]
-        at = sorted(bound & set(part.shape) - {"delta"})
-        if at:
-            value = getattr(fit.shapes[element], at[0])
-            return f"{at[0]} of {name} ends at the bound of its range, {value:.3g}"
-        if part is Part.EXPONENT and fit.linear[element, COULOMB] <= 0.0:
-            return f"with it no Coulomb torque of {name} is left"
-        return ""
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -223,6 +212,16 @@ def _candidates(weighted: WeightedProblem, shape: ElementShape, element: int, pa
     return [replace(shape, stiffness=value) for value in points]
 
 
+def _bound_reason(fit: SeparableFit, element: int, part: Part, name: str) -> str:
+    """Return why a part of an element lies at a bound; empty if it does not."""
+    at = sorted(fit.at_bound[element] & set(part.shape) - {"delta"})
+    if at:
+        return f"{at[0]} of {name} ends at the bound of its range, {round(getattr(fit.shapes[element], at[0]), 6):.3g}"
+    if part is Part.EXPONENT and fit.linear[element, COULOMB] <= 0.0:
+        return f"with it no Coulomb torque of {name} is left"
+    return ""
+
+
 def _verdict(model: Scored, against: Scored) -> str:
     """Return by how much a model predicts better, in words."""
     blocks, runs = model.validations(against)
@@ -231,7 +230,8 @@ def _verdict(model: Scored, against: Scored) -> str:
         if one is not None:
             before = one.error + one.gain
             share, deviation = 100.0 * one.gain / before, 100.0 * one.gain_deviation / before
-            texts.append(f"by {kind} the error falls by {share:.2f} % with a standard error of {deviation:.2f} %")
+            way = "rises" if share < 0.0 else "falls"
+            texts.append(f"by {kind} the error {way} by {abs(share):.2f} % with a standard error of {deviation:.2f} %")
     return "; ".join(texts)
 
 

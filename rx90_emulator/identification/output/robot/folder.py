@@ -22,7 +22,7 @@ from rx90_common.friction.friction_set import element_names
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.excitation.physical.fit import ConsistentInertias
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.output.friction_file import elements_text, recorded
+from rx90_emulator.identification.output.friction_file import elements_text
 from rx90_emulator.identification.output.robot.inertials import with_inertials
 from rx90_emulator.identification.output.robot.marking import Identified, marked
 from rx90_emulator.identification.records.record import BagSource
@@ -99,7 +99,7 @@ class IdentifiedRobot:
     @property
     def origin(self) -> str:
         """Return the bags with the dates of recording, in words."""
-        return "identified from " + listed(f"{bag.path.name} (recorded {recorded(bag.path)})" for bag in self.sources)
+        return "identified from " + listed(f"{bag.path.name} (recorded {bag.recorded})" for bag in self.sources)
 
 
 def folder_base(arm: RigidArm, urdf: Path) -> tuple[RobotFiles | None, str]:

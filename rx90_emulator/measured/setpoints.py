@@ -1,0 +1,153 @@
+"""Set-points at the position loop's rate: those that a bag holds, or those of its measured path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import BPoly, make_interp_spline
+
+from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError, TrajectoryError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_controller.trajectory import JointLimits
+from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.loop.setup import Setup
+
+REFERENCE = "rx90_controller/reference"
+_HOLD = 0.5  # s at rest before a motion, in which the integrators take the arm's weight
+_LEAD = 0.5  # s, least time in which the arm gets the velocity that a record begins with
+_RESTS = 1e-6  # rad/s, of a set-point
+_SLACK = 1e-5  # of a range: times are whole nanoseconds
+_QUANTITIES = ("position", "velocity", "acceleration")
+_GAP = 3.5  # periods between set-points that still are interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class SetPoints:
+    """What the simulated arm is to follow.
+
+    Attributes:
+        start: time of the first one by the bag's stamps, s.
+        values: position rad, velocity rad/s, acceleration rad/s^2, one for each position tick, shape (m, 3, 6).
+        begin: time from which they are the bag's, s; before it the arm is brought there.
+        initial_position: where the simulated arm rests at `start`, rad, shape (6,).
+        source: where they come from, in words.
+    """
+
+    start: float
+    values: Array
+    begin: float
+    initial_position: Array
+    source: str
+
+    def beyond(self, bag: Path, limits: JointLimits, period: float) -> tuple[str, ...]:
+        """Return a sentence for velocities, and one for accelerations, that the controller would refuse.
+
+        A measured arm did move so: they are simulated all the same, up to what the controller's supervision stops.
+
+        Args:
+            bag: that they come from.
+            limits: of the controller.
+            period: of the position loop, s.
+
+        Raises:
+            TrajectoryError: for positions beyond the joints' range, naming joint, value, time in the bag and range.
+        """
+        found = self._farthest("position", "rad", limits.lower, limits.upper, limits.names, period)
+        if found:
+            raise TrajectoryError(f"{bag}: {found}; set-points are {self.source}")
+        sizes = (("velocity", "rad/s", limits.velocity), ("acceleration", "rad/s^2", limits.acceleration))
+        said = [self._farthest(what, unit, -most, most, limits.names, period) for what, unit, most in sizes]
+        return tuple(f"{text}; the simulation goes on nevertheless" for text in said if text)
+
+    def _farthest(self, what: str, unit: str, low: Array, high: Array, names: tuple[str, ...], period: float) -> str:
+        """Return the value that is farthest beyond its limits, in words; empty where none is."""
+        values, width = self.values[:, _QUANTITIES.index(what)], high - low
+        beyond = np.maximum(low - values, values - high) / width
+        row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[row, joint] <= _SLACK:
+            return ""
+        time = self.start + row * period
+        where = f"{time:.3f} s" if time >= self.begin else "the lead-in, before the bag begins"
+        return (
+            f"{names[joint]} needs the {what} {values[row, joint]:.4g} {unit} at {where}; accepted by the robot's "
+            f"files: [{low[joint]:.4g}, {high[joint]:.4g}] {unit}"
+        )
+
+
+def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array | None) -> SetPoints | None:
+    """Return the set-points of this project's controller that a bag holds; None where it holds none.
+
+    A bag that begins at time 0 with an arm at rest is simulated as it ran, from its brakes on.
+
+    Args:
+        run: the measured motion.
+        first: where the measured arm was at first, rad, shape (6,).
+        setup: the robot.
+        zero: recorded angles where those of the URDF are 0, rad, shape (6,).
+
+    Raises:
+        IdentificationError: for a series with gaps, or one that ends before the measured motion begins.
+    """
+    bag, rates = run.source.path, setup.rates
+    with BagReader(bag) as reader:
+        if all(topic.name != absolute(REFERENCE) for topic in reader.topics):
+            return None
+    series = read_joint_states(bag, REFERENCE, run.names)
+    if series.position is None or series.velocity is None:
+        return None
+    position, velocity = series.position - (0.0 if zero is None else zero), series.velocity
+    steps = np.diff(series.stamp_ns)
+    period_ns = rates.period_ns * rates.ratio
+    if len(steps) < 2 or not (steps > 0).all() or steps.max() > _GAP * np.median(steps):
+        raise IdentificationError(f"{bag}: the set-points of {series.topic} have gaps; accepted: a steady stream")
+    time = series.time
+    if time[0] > run.time[-1] or time[-1] < run.time[0]:
+        raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
+    if (steps != period_ns).any():
+        since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
+        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        even = np.arange(int(since[-1] / rates.position_period + 1e-6) + 1) * rates.position_period
+        position, velocity = curve(even), curve(even, 1)
+    acceleration = np.gradient(velocity, rates.position_period, axis=0)
+    values = np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
+    source = f"{REFERENCE} in the bag"
+    if series.stamp_ns[0] == 0 and np.abs(velocity[0]).max() < _RESTS:
+        limits = setup.robot
+        return SetPoints(0.0, values, 0.0, np.clip(first, limits.lower, limits.upper), source)
+    return _with_lead_in(float(time[0]), values, setup, source)
+
+
+def path_setpoints(run: FilteredRun, setup: Setup) -> SetPoints:
+    """Return the smoothed measured path as set-points, with the velocities and accelerations that belong to it."""
+    period = setup.rates.position_period
+    # From 0 on: stamps of the wall clock are rounded too much for accelerations.
+    samples = np.arange(len(run.time)) / run.rate
+    curve = make_interp_spline(samples, run.position, k=5)
+    count = int(samples[-1] / period + 1e-6) + 1
+    time = np.minimum(np.arange(count) * period, samples[-1])
+    values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
+    source = f"the measured path below {run.bandwidths.position:.3g} Hz"
+    return _with_lead_in(float(run.time[0]), values, setup, source)
+
+
+def _with_lead_in(begin: float, values: Array, setup: Setup, source: str) -> SetPoints:
+    """Put a rest before set-points, and a motion from there to the velocity that they begin with."""
+    period, limits = setup.rates.position_period, setup.controller.limits(setup.robot)
+    position, velocity, acceleration = values[0]
+    lasting = max(_LEAD, float(np.max(2.0 * np.abs(velocity) / limits.acceleration)))
+    lead, hold = round(lasting / period), round(_HOLD / period)
+    rest = np.clip(position - 0.5 * lead * period * velocity, limits.lower, limits.upper)
+    rest = np.where(np.abs(velocity) < _RESTS, position, rest)
+    ends = [np.stack([rest, np.zeros(6), np.zeros(6)]), np.stack([position, velocity, acceleration])]
+    curve = BPoly.from_derivatives([0.0, lead * period], np.stack(ends))
+    time = np.arange(lead) * period
+    moving = np.stack([curve(time, nu) for nu in range(3)], axis=1)
+    held = np.zeros((hold, 3, 6))
+    held[:, 0] = rest
+    whole = np.ascontiguousarray(np.concatenate([held, moving, values]))
+    return SetPoints(begin - (hold + lead) * period, whole, begin, rest, source)

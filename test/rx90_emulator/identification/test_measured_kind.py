@@ -1,0 +1,211 @@
+"""Recordings of the kind that real arms make: accelerating, slow at 67 Hz, of another curve, warming up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_arms import urdf_text
+from numpy.typing import NDArray
+
+from rx90_common.base.config import check_numbers, yaml_text
+from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
+from rx90_common.friction import LuGreElement
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.presliding.fit import PreslidingFit
+from rx90_emulator.identification.records.record import BagSource, JointRecord
+from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.sliding.blocks import find_blocks
+from rx90_emulator.identification.sliding.drift import Drift
+from rx90_emulator.identification.sliding.fit import SlidingFit, identify_sliding
+from rx90_emulator.identification.sliding.residuals import Residuals
+
+Array = NDArray[np.float64]
+Friction = Callable[[Array], Array]
+SPEEDS = np.geomspace(0.004, 1.2, 12)
+
+
+@pytest.fixture(scope="module")
+def hinge(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
+    """Return an arm of one joint with a vertical axis: no weight, all torque is friction and inertia."""
+    urdf = tmp_path_factory.mktemp("arm") / "hinge.urdf"
+    urdf.write_text(urdf_text(["hinge"], ["0 0 1"], [4.0], "continuous"), encoding="utf-8")
+    return RigidArm.from_urdf(urdf)
+
+
+def straight(velocity: Array) -> Array:
+    """Return Coulomb and viscous friction, Nm."""
+    return np.asarray(5.0 * np.tanh(velocity / 1e-4) + 2.0 * velocity)
+
+
+def record(time: Array, velocity: Array, torque: Array, name: str = "bag") -> JointRecord:
+    """Return the record of one joint; positions are the integral of the velocity that was."""
+    position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))])
+    columns = (values[:, None] for values in (position, velocity, torque))
+    return JointRecord(("hinge",), time, *columns, Path(name), name)  # type: ignore[misc]
+
+
+def sweep(speed: float, rng: np.random.Generator, begin: float, friction: Friction, ripple: float) -> JointRecord:
+    """Return rest, a stretch at a speed that ripples where it is slow, and rest again, at 67 Hz, with noise."""
+    lasting = 1.5 + max(1.5, 0.06 / abs(speed))
+    time = np.arange(0.0, lasting, 1.0 / 67.0)
+    moving = np.clip((time - 0.3) / 0.2, 0.0, 1.0) * np.clip((lasting - 0.3 - time) / 0.1, 0.0, 1.0)
+    wave = np.sin(2.0 * np.pi * 3.0 * time + rng.uniform(0.0, 6.0))
+    velocity = speed * moving * (1.0 + ripple * min(1.0, 0.01 / abs(speed)) * wave)
+    torque = friction(velocity) + 0.05 * rng.normal(size=len(time))
+    clean = record(begin + time, velocity, torque, f"{speed:+.4f}")
+    noisy = clean.velocity + 0.003 * ripple * rng.normal(size=clean.velocity.shape)
+    return JointRecord(clean.names, clean.time, clean.position, noisy, clean.torque, clean.source, clean.sha256)
+
+
+def series(
+    rng: np.random.Generator, friction: Friction = straight, drift: float = 0.0, ripple: float = 0.0
+) -> list[JointRecord]:
+    """Return sweeps in both directions; the friction changes by the share `drift` from the first to the last."""
+    speeds = [sign * speed for speed in rng.permutation(SPEEDS).tolist() for sign in (1.0, -1.0)]
+    found = []
+    for k, speed in enumerate(speeds):
+        share = 1.0 + drift * k / len(speeds)
+        found.append(sweep(speed, rng, 20.0 * k, lambda v, share=share: share * friction(v), ripple))  # type: ignore[misc]
+    return found
+
+
+def test_a_recording_that_mostly_accelerates_holds_no_plateau() -> None:
+    """Nine seconds of Fourier motion at 5 kHz between two rests are no sweeps, whatever the median jump is."""
+    time = np.arange(45_000) / 5000.0
+    moves = (time > 1.0) & (time < 8.0)
+    velocity = np.where(moves, 2.0 * np.sin(3.1 * time) + 1.5 * np.sin(7.3 * time + 1.0), 3e-6)
+    torque = straight(velocity) + np.random.default_rng(1).normal(size=len(time))
+    with pytest.raises(
+        IdentificationError, match=r"bag: .* s changes of velocity.* s at rest.*: no stretch of constant"
+    ):
+        find_blocks([record(time, velocity, torque)], np.eye(1))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.001])
+def test_the_crests_of_a_slow_sine_are_no_plateaus(noise: float) -> None:
+    """A sine of 0.9 rad/s at 0.1 Hz, whose crest keeps within 2 % for 0.6 s, is left out for its acceleration."""
+    time = np.arange(0.0, 40.0, 0.004)
+    velocity = 0.9 * np.sin(0.2 * np.pi * time)
+    sine = record(time, velocity, straight(velocity))
+    measured = sine.velocity + noise * np.random.default_rng(2).normal(size=sine.velocity.shape)
+    with pytest.raises(IdentificationError, match=r"acceleration or a crest.*no stretch of constant velocity"):
+        find_blocks([JointRecord(sine.names, time, sine.position, measured, sine.torque, Path("sine"), "")], np.eye(1))
+
+
+def test_slow_sweeps_at_67_hz_are_used(hinge: RigidArm) -> None:
+    """Sweeps from 4 mrad/s on, of which the slow ones ripple by 30 %, are all used, and friction is found from them."""
+    records = series(np.random.default_rng(3), ripple=0.3)
+    fit = identify_sliding(records, hinge)
+    for one, use in zip(records, fit.usage, strict=True):
+        speed = abs(float(str(one.source)))
+        assert use.stretches >= 1, (one.source, use.text(("hinge",)))
+        assert use.speeds[0, 0] == pytest.approx(speed, rel=0.25)
+    found = fit.estimates[0].parameters
+    for name, truth in (("tau_c_positive", 5.0), ("tau_c_negative", 5.0), ("c2", 2.0)):
+        assert abs(found[name].value - truth) < max(0.03 * truth, 3.0 * found[name].deviation), name
+
+
+def test_what_was_not_used_is_told(hinge: RigidArm) -> None:
+    """A bag at rest and one that creeps through 3 mrad are told with the reason; no claim covers their speeds."""
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 10.0, 1.0 / 67.0)
+    rest = record(1000.0 + time, np.full(len(time), 3e-6), np.zeros(len(time)), "rest")
+    creep = record(1100.0 + time, np.full(len(time), 3e-4), np.full(len(time), 5.0), "creep")
+    fit = identify_sliding([*series(rng), rest, creep], hinge)
+    assert fit.usage[-2].text(("hinge",)).startswith("used NOTHING; left out 9.9 s at rest")
+    assert fit.usage[-1].text(("hinge",)).startswith("used NOTHING; left out 9.9 s travel of less than 10 mrad")
+    reason = fit.estimates[0].parameters["tau_s_positive"].reason
+    assert "no Stribeck effect shows at speeds from 0.004" in reason
+    assert reason.endswith("what it does at 0.0003 rad/s was recorded, but could not be used")
+
+
+def humped(velocity: Array) -> Array:
+    """Return friction with a hump near 50 mrad/s, as of a lubricant, which is no curve of the model, Nm."""
+    speed = np.abs(velocity) + 1e-9
+    return np.asarray(straight(velocity) + 3.0 * np.sign(velocity) * np.exp(-(np.log(speed / 0.05) ** 2)))
+
+
+def quality(fit: SlidingFit) -> tuple[float, bool, float]:
+    """Return chi2, whether the curve fits, and the deviation of c2."""
+    (one,) = fit.quality
+    assert one is not None
+    return one.chi2, not one.misfit, one.widening
+
+
+def test_a_misfit_is_told_and_widens_deviations(hinge: RigidArm) -> None:
+    """A curve of the model's form has chi2 near 1 and no misfit; one of another form has one, and wider deviations."""
+    fits = {f: identify_sliding(series(np.random.default_rng(5), f), hinge) for f in (straight, humped)}
+    chi2, good, widening = quality(fits[straight])
+    assert (good, widening) == (True, 1.0)
+    assert 0.3 < chi2 < 3.0
+    chi2, good, widening = quality(fits[humped])
+    assert not good
+    assert chi2 > 10.0
+    assert widening > 2.0
+    line = fits[humped].quality[0].lines("hinge")[0]  # type: ignore[union-attr]
+    assert "the curve does NOT FIT" in line
+
+
+def test_a_drift_of_coulomb_friction_is_found(hinge: RigidArm) -> None:
+    """Friction that falls by 12 % over a series is told with its size; in one that stays, none is claimed."""
+    fits = [identify_sliding(series(np.random.default_rng(6), drift=drift), hinge) for drift in (0.0, -0.12)]
+    steady, falling = (fit.quality[0] for fit in fits)
+    assert steady is not None
+    assert falling is not None
+    assert not steady.drifts
+    assert falling.drifts
+    assert falling.drift == pytest.approx(-0.12 * 5.5, rel=0.3)  # of Coulomb friction and the mean of the viscous part
+    assert "drift of hinge" in falling.lines("hinge")[1]
+
+
+@pytest.mark.parametrize("repeated", [0.0, 0.6])
+def test_false_alarms_of_drift(repeated: float) -> None:
+    """Autocorrelated residuals without a trend raise an alarm in some 1 % of series, in less than 3 % of 400."""
+    rng = np.random.default_rng(7)
+    count, alarms = 60, 0
+    slope = np.stack([np.ones(count), rng.normal(size=count)], axis=1)
+    for _ in range(400):
+        noise = rng.normal(size=count + 30)
+        for k in range(1, len(noise)):
+            noise[k] += repeated * noise[k - 1]
+        left = noise[30:] - slope @ np.linalg.lstsq(slope, noise[30:], rcond=None)[0]
+        one = np.ones((count, 1))
+        alarms += bool(
+            Drift.of(
+                Residuals(left, slope, one, np.arange(count), one, left[:, None], np.arange(count) * 10.0),
+                np.ones((1, 2), dtype=np.bool_),
+            ).significant[0]
+        )
+    assert alarms < 12
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e48])
+def test_absurd_numbers_are_never_written(hinge: RigidArm, value: float) -> None:
+    """A deviation that is no number, infinite or absurd refuses the file in one line that names it."""
+    estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1)) | {"c2": ParameterEstimate(1.0, value)}
+    element = IdentifiedElement(
+        LuGreElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
+    )
+    nothing = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
+    result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit((), (), 0))
+    with pytest.raises(Rx90Error, match=r"hinge: c2 came out as 1 \+- (nan|inf)|hinge.c2.deviation is 1e\+48"):
+        friction_text(result)
+    assert ConfigError.exit_code == 2
+    with pytest.raises(
+        ConfigError, match=r"a\[1\].b is (nan|inf|1e\+48), so the file is not written; accepted: finite"
+    ):
+        check_numbers({"a": [1.0, {"b": value}]}, 1e12)
+    if not np.isfinite(value):
+        with pytest.raises(ConfigError, match="accepted: finite numbers"):
+            yaml_text({"x": value})
+
+
+def test_a_bag_was_recorded_when_its_stamps_say() -> None:
+    """Stamps of the wall clock are a date, whenever the file was written; those of a simulation are none."""
+    assert BagSource(Path("bag"), "", 60.0, 0, 0, 1_577_836_800.4).recorded == "2020-01-01T00:00:00+00:00"
+    assert BagSource(Path("bag"), "", 60.0, 0, 0, 2.0).recorded == "no date; stamps from 2 to 62 s"
