@@ -16,6 +16,7 @@ from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
+from rx90_emulator.identification.excitation.zeros import ZeroCheck
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -66,6 +67,7 @@ class ExcitationIdentification:
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
         instruments: least squares against instrumental variables.
+        zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
     """
 
@@ -81,6 +83,7 @@ class ExcitationIdentification:
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
     instruments: InstrumentalComparison
+    zeros: ZeroCheck
     gains: DriveGains | None = None
 
     @cached_property
