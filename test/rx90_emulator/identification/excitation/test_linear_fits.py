@@ -196,7 +196,7 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     # The gains' own deviations are in those of what scales with them, as where both are fitted at once.
     sure = solve(replace(corrected, uncertain=corrected.uncertain[:, :0]), columns)
     together = gains.fit.deviation[: len(expected)]
-    assert np.min(fit.deviation[: len(expected)] / together) > 0.85
+    assert np.min(fit.deviation[: len(expected)] / together) > 0.6
     assert np.min(sure.deviation[: len(expected)] / together) < 0.8
 
 
