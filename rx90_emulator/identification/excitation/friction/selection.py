@@ -86,7 +86,7 @@ class _Selection:
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
-        trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
+        trimmed = self._trimmed(self._within_bounds(everywhere, part), keys)
         left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
         kept = bool(left) and trimmed.better_than(before)
         same = trimmed.fit.shapes == everywhere.fit.shapes
@@ -105,7 +105,7 @@ class _Selection:
 
     def _reweight(self) -> None:
         self.weighted = _reweighted(self.weighted, self.now.fit)
-        self.now = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
+        self.now = self._within_bounds(self._scored(fit_shapes(self.weighted, self.now.fit.shapes)))
 
     def _scored(self, fit: SeparableFit) -> Scored:
         return Scored.of(self.weighted, fit, self.time)
@@ -119,22 +119,39 @@ class _Selection:
             # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
             with_it = {part, Part.EXPONENT} & self._parts if part is Part.STRIBECK else {part}
             begun = replace(shape, parts=shape.parts | with_it)
-            shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
+            shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
         return shapes
 
-    def _without_bounds(self, model: Scored, part: Part) -> Scored:
-        """Take a part from elements on which it lies at a bound of its range, and say so."""
-        shapes = list(model.fit.shapes)
-        names = self._problem.arm.element_names
-        for e, bound in enumerate(model.fit.at_bound):
-            at = sorted(bound & set(part.shape) - {"delta"})
-            if at and part in shapes[e].parts:
-                value = getattr(shapes[e], at[0])
-                self.refused[e, part] = f"{at[0]} of {names[e]} ends at the bound of its range, {value:.3g}"
-                shapes[e] = shapes[e].without(part)
-        if shapes == list(model.fit.shapes):
-            return model
-        return self._scored(fit_shapes(self.weighted, shapes))
+    def _within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
+        """Return a model of which no parameter ends at a bound of its range: there it says nothing.
+
+        A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
+        tried, goes, and else the part that the parameter belongs to.
+        """
+        while any(model.fit.at_bound):
+            shapes = list(model.fit.shapes)
+            for e, bound in enumerate(model.fit.at_bound):
+                if bound:
+                    shapes[e] = self._inside(shapes, e, sorted(bound), part)
+            model = self._scored(fit_shapes(self.weighted, shapes))
+        return model
+
+    def _inside(self, shapes: Sequence[ElementShape], e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
+        """Return another shape for an element of which these parameters end at a bound."""
+        shape = shapes[e]
+        if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
+            begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=self.now.fit.shapes[e].alpha)
+            return best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+        owner = next(p for p in Part if bound[0] in p.shape)
+        if part in shape.parts and part is not None:
+            own = [name for name in bound if name in part.shape]
+            gone, name = part, (own or bound)[0]
+        else:
+            own, gone, name = list(bound), owner, bound[0]
+        value = getattr(shape, name)
+        where = self._problem.arm.element_names[e]
+        self.refused[e, gone] = f"{name} of {where} ends at the bound of its range, {value:.3g}"
+        return shape.without(gone) if own else self.now.fit.shapes[e]
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -198,7 +215,7 @@ class _Selection:
         return next((row.name for row in reversed(self.rows) if row.kept), "")
 
 
-def _candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
+def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
     """Return the shapes to start from with a part that an element is given."""
     if part in (Part.EXPONENT, Part.DAMPING):
         return [shape]
