@@ -4,4 +4,15 @@ filtering (runs at an even rate, differentiated) -> columns and base_groups (wha
 problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains.
 """
 
-__all__ = ["elements", "filtering", "identify", "least_squares", "problem", "result", "standstill", "torques"]
+__all__ = [
+    "base_groups",
+    "columns",
+    "elements",
+    "filtering",
+    "identify",
+    "least_squares",
+    "problem",
+    "result",
+    "standstill",
+    "torques",
+]

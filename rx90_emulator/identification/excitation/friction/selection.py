@@ -16,7 +16,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
-from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
+from rx90_emulator.identification.excitation.friction.law import COULOMB, ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
@@ -87,6 +87,8 @@ class _Selection:
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
         trimmed = self._trimmed(self._within_bounds(everywhere, part), keys)
+        # Without the parts that went, others may have come to a bound.
+        trimmed = self._within_bounds(trimmed, part)
         left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
         kept = bool(left) and trimmed.better_than(before)
         same = trimmed.fit.shapes == everywhere.fit.shapes
@@ -128,30 +130,32 @@ class _Selection:
         A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
         tried, goes, and else the part that the parameter belongs to.
         """
-        while any(model.fit.at_bound):
+        while any(ended := _ended(model.fit)):
             shapes = list(model.fit.shapes)
-            for e, bound in enumerate(model.fit.at_bound):
+            for e, bound in enumerate(ended):
                 if bound:
-                    shapes[e] = self._inside(shapes, e, sorted(bound), part)
+                    shapes[e] = self._inside(model.fit, e, sorted(bound), part)
             model = self._scored(fit_shapes(self.weighted, shapes))
         return model
 
-    def _inside(self, shapes: Sequence[ElementShape], e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
+    def _inside(self, fit: SeparableFit, e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
         """Return another shape for an element of which these parameters end at a bound."""
-        shape = shapes[e]
+        shape = fit.shapes[e]
         if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
             begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=self.now.fit.shapes[e].alpha)
-            return best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
-        owner = next(p for p in Part if bound[0] in p.shape)
-        if part in shape.parts and part is not None:
-            own = [name for name in bound if name in part.shape]
-            gone, name = part, (own or bound)[0]
-        else:
-            own, gone, name = list(bound), owner, bound[0]
-        value = getattr(shape, name)
-        where = self._problem.arm.element_names[e]
-        self.refused[e, gone] = f"{name} of {where} ends at the bound of its range, {value:.3g}"
+            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+        tried = part if part in shape.parts else None
+        own = [name for name in bound if tried is None or name in tried.shape]
+        name = (own or bound)[0]
+        gone = tried or next(p for p in Part if name in p.shape)
+        self.refused[e, gone] = self._why_ended(fit, e, name)
         return shape.without(gone) if own else self.now.fit.shapes[e]
+
+    def _why_ended(self, fit: SeparableFit, e: int, name: str) -> str:
+        element = self._problem.arm.element_names[e]
+        if name in fit.at_bound[e]:
+            return f"{name} of {element} ends at the bound of its range, {getattr(fit.shapes[e], name):.3g}"
+        return f"with an exponent no Coulomb torque of {element} is left"
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -213,6 +217,13 @@ class _Selection:
 
     def _last_kept(self) -> str:
         return next((row.name for row in reversed(self.rows) if row.kept), "")
+
+
+def _ended(fit: SeparableFit) -> list[frozenset[str]]:
+    """Return the parameters of each element that end at a bound, or leave no Coulomb torque: an exponent does so."""
+    pairs = zip(fit.shapes, fit.linear[:, COULOMB].tolist(), fit.at_bound, strict=True)
+    swallowed = frozenset({"alpha"})
+    return [b | swallowed if Part.EXPONENT in s.parts and tau_c <= 0.0 else b for s, tau_c, b in pairs]
 
 
 def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:

@@ -18,17 +18,21 @@ from rx90_emulator.identification.excitation.friction.selection import Selected,
 from rx90_emulator.identification.excitation.friction.separable import best_start
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.prior import Prior
 
 _WORTH = 0.2  # of tau_c: a rise that matters
 _CERTAIN = 2.0  # deviations
 
 
-def undecided_rises(selected: Selected, columns: Array) -> tuple[dict[int, tuple[float, float]], Array | None]:
+def undecided_rises(
+    selected: Selected, columns: Array, prior: Prior | None = None
+) -> tuple[dict[int, tuple[float, float]], Array | None]:
     """Return rises that may be there, though they were not kept.
 
     Args:
         selected: the model.
         columns: of the whole of it, linear around its fit, shape (r, q).
+        prior: of the first parameters.
 
     Returns:
         Value and standard deviation over tau_c by element, and the covariance of the q parameters with these rises
@@ -39,7 +43,7 @@ def undecided_rises(selected: Selected, columns: Array) -> tuple[dict[int, tuple
     open_ones = sorted({e for e in tried if Part.STRIBECK not in fit.shapes[e].parts and fit.linear[e, COULOMB] > 0.0})
     table = {e: _column(weighted, fit.shapes, fit.linear, e) for e in open_ones}
     while table:
-        wide = solve(weighted.problem, np.column_stack([columns, *table.values()]))
+        wide = solve(weighted.problem, np.column_stack([columns, *table.values()]), prior=prior)
         found = _sizes(wide, tuple(table))
         kept = {e: table[e] for e, (value, deviation) in found.items() if value + _CERTAIN * deviation > _WORTH}
         if len(kept) == len(table):
