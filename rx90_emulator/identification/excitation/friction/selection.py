@@ -148,14 +148,8 @@ class _Selection:
         own = [name for name in bound if tried is None or name in tried.shape]
         name = (own or bound)[0]
         gone = tried or next(p for p in Part if name in p.shape)
-        self.refused[e, gone] = self._why_ended(fit, e, name)
+        self.refused[e, gone] = _why_ended(fit, e, name, self._problem.arm.element_names[e])
         return shape.without(gone) if own else self.now.fit.shapes[e]
-
-    def _why_ended(self, fit: SeparableFit, e: int, name: str) -> str:
-        element = self._problem.arm.element_names[e]
-        if name in fit.at_bound[e]:
-            return f"{name} of {element} ends at the bound of its range, {getattr(fit.shapes[e], name):.3g}"
-        return f"with an exponent no Coulomb torque of {element} is left"
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -196,18 +190,16 @@ class _Selection:
         return worst[1]
 
     def _add(self, name: str, model: Scored, against: Scored | None, kept: bool, reason: str) -> None:
-        problem = self._problem
-        power = np.bincount(problem.joint, problem.torque**2, len(problem.arm.names))
-        squares = np.bincount(problem.joint, model.residual**2, len(problem.arm.names))
+        relative, relative_all = _relative(self._problem, model.residual)
         by_blocks, by_runs = model.validations(against)
         row = ModelRow(
             name=name,
-            against=self._last_kept() if against is not None else "",
+            against=_last_kept(self.rows) if against is not None else "",
             parts=tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
             parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
             error=model.error,
-            relative=tuple(np.sqrt(squares / np.maximum(power, 1e-300)).tolist()),
-            relative_all=float(np.sqrt(squares.sum() / power.sum())),
+            relative=relative,
+            relative_all=relative_all,
             by_blocks=by_blocks,
             by_runs=by_runs,
             kept=kept,
@@ -215,8 +207,17 @@ class _Selection:
         )
         self.rows.append(row)
 
-    def _last_kept(self) -> str:
-        return next((row.name for row in reversed(self.rows) if row.kept), "")
+
+def _last_kept(rows: Sequence[ModelRow]) -> str:
+    return next((row.name for row in reversed(rows) if row.kept), "")
+
+
+def _relative(problem: ExcitationProblem, residual: Array) -> tuple[tuple[float, ...], float]:
+    """Return RMS residual over RMS torque, of each joint and of all together."""
+    power = np.bincount(problem.joint, problem.torque**2, len(problem.arm.names))
+    squares = np.bincount(problem.joint, residual**2, len(problem.arm.names))
+    each = np.sqrt(squares / np.maximum(power, 1e-300))
+    return tuple(each.tolist()), float(np.sqrt(squares.sum() / power.sum()))
 
 
 def _ended(fit: SeparableFit) -> list[frozenset[str]]:
@@ -224,6 +225,12 @@ def _ended(fit: SeparableFit) -> list[frozenset[str]]:
     pairs = zip(fit.shapes, fit.linear[:, COULOMB].tolist(), fit.at_bound, strict=True)
     swallowed = frozenset({"alpha"})
     return [b | swallowed if Part.EXPONENT in s.parts and tau_c <= 0.0 else b for s, tau_c, b in pairs]
+
+
+def _why_ended(fit: SeparableFit, e: int, name: str, element: str) -> str:
+    if name in fit.at_bound[e]:
+        return f"{name} of {element} ends at the bound of its range, {getattr(fit.shapes[e], name):.3g}"
+    return f"with an exponent no Coulomb torque of {element} is left"
 
 
 def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
