@@ -26,6 +26,7 @@ from rx90_emulator.identification.model.estimates import ElementEstimate
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
+_FARTHEST = 0.8  # of an exponent from 1
 _SAME = 1e-6  # share of a constant torque that the regressor may leave, to explain it
 
 
@@ -203,9 +204,25 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
         final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
     rises, covariance = undecided_rises(selected, columns, prior)
     known = final.covariance if covariance is None else covariance
-    closed = np.where(wide.determined, wide.value - final.value, 0.0)
+    closed = _hidden(wide, final, (*inner, *open_ones), len(open_ones))
     widened = replace(final, covariance=known + np.outer(load.shift, load.shift) + np.outer(closed, closed))
     return _Final((*inner, *open_ones), widened, load, rises)
+
+
+def _hidden(wide: LinearFit, narrow: LinearFit, inner: Sequence[tuple[int, str]], opened: int) -> Array:
+    """Return what all values shift with exponents that were left at 1, the last `opened` values, shape (q,).
+
+    An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
+    """
+    shift = np.where(wide.determined, wide.value - narrow.value, 0.0)
+    lost = {e for (e, _), step in zip(inner[len(inner) - opened :], shift[len(shift) - opened :], strict=True)
+            if abs(step) > _FARTHEST}  # fmt: skip
+    if lost:
+        shift[: len(shift) - len(inner)] = 0.0
+    for place, (e, _) in enumerate(inner, len(shift) - len(inner)):
+        if e in lost:
+            shift[place] = 0.0
+    return shift
 
 
 def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
