@@ -157,7 +157,7 @@ def test_parameters_are_listed_with_their_units_and_can_be_set_back() -> None:
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
-        ("friction.joint_2.tau_x", 1.0, "'tau_x' is unknown; accepted there: c0"),
+        ("friction.joint_2.tau_x", 1.0, "'tau_x' is unknown; accepted there: alpha, c0"),
         ("task.speed", 0.1, "'task' is unknown; accepted there: arm, controller, drives, friction"),
         ("controller.feed_forward.coulomb", 0.5, "'controller.feed_forward.coulomb': a value is 0.5; accepted: true"),
         ("friction.joint_2.c0", True, "a value is True; accepted: numbers"),
