@@ -71,9 +71,7 @@ def with_other(base: Sequence[BaseParameter], comparison: InstrumentalComparison
     )
 
 
-def _steady_law(
-    fitted: Sequence[FittedElement], names: Sequence[str], values: Array
-) -> Callable[[Array], Array]:
+def _steady_law(fitted: Sequence[FittedElement], names: Sequence[str], values: Array) -> Callable[[Array], Array]:
     """Return the elements' sliding friction for values of their linear parameters; bristles are left out.
 
     A simulation asks for it at every step: it is read off a table of speeds.

@@ -31,6 +31,7 @@ from rx90_emulator.identification.excitation.prior import described_inertials
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
+from rx90_emulator.identification.excitation.zeros import check_zeros
 from rx90_emulator.identification.identify import check_range
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -94,6 +95,7 @@ def identify_excitation(
     bandwidths = Bandwidths.of(fitted)
     problem = _problem(fitted, source, bandwidths, carried)
     _check_motion(problem, source)
+    zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
     if np.any(problem.payload):
@@ -129,6 +131,7 @@ def identify_excitation(
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
         instruments=closed_loop,
+        zeros=zeros,
         gains=gains,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from rx90_emulator.identification.excitation.consistency import Consistency
-from rx90_emulator.identification.excitation.fit_quality import undetermined
+from rx90_emulator.identification.excitation.fit_quality import (
+    SpeedResiduals,
+    residuals_by_speed,
+    undetermined,
+)
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
 from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
+from rx90_emulator.identification.excitation.zeros import ZeroCheck
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -61,6 +67,7 @@ class ExcitationIdentification:
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
         instruments: least squares against instrumental variables.
+        zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
     """
 
@@ -76,7 +83,13 @@ class ExcitationIdentification:
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
     instruments: InstrumentalComparison
+    zeros: ZeroCheck
     gains: DriveGains | None = None
+
+    @cached_property
+    def speeds(self) -> tuple[SpeedResiduals, ...]:
+        """Return what is left at each speed of the elements."""
+        return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
 
     @property
     def undetermined(self) -> tuple[str, ...]:

@@ -128,7 +128,7 @@ def with_linear(
         names: of the values of the other fit: all linear ones of the selection.
         fit: for the selection's shapes. What is not known of these is added to its covariance.
     """
-    places = [selection.names.index(name) for name in names]
+    places = np.array([selection.names.index(name) for name in names], dtype=np.intp)
     shapes = np.setdiff1d(np.arange(len(selection.names)), places)
     known = selection.fit.covariance
     between = known[np.ix_(shapes, shapes)]
@@ -149,8 +149,7 @@ def with_linear(
         for e, one in enumerate(selection.fitted)
     ]
     elements = [
-        element_estimate(one, _as_before(old), old.sources)
-        for one, old in zip(fitted, selection.elements, strict=True)
+        element_estimate(one, _as_before(old), old.sources) for one, old in zip(fitted, selection.elements, strict=True)
     ]
     other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
     predicted = predicted_torque(other, problem)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
+from typing import Any
 
 from tqdm import tqdm
 
@@ -24,15 +26,16 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
     """
     total = (options.runs + options.validation) * options.steps
     names: list[str] = []
-    with tqdm(total=total, bar_format=_BAR, file=sys.stderr) as bar:
+    with ExitStack() as shown:
+        bars: list[tqdm[Any]] = []
 
         def step(name: str) -> None:
+            if not bars:  # only now: what is refused before the first step needs no bar
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
             if name not in names:  # the search before may have needed fewer steps
                 names.append(name)
-                bar.set_description_str(name, refresh=False)
-                bar.update((len(names) - 1) * options.steps - bar.n)
-            bar.update()
+                bars[0].set_description_str(name, refresh=False)
+                bars[0].update((len(names) - 1) * options.steps - bars[0].n)
+            bars[0].update()
 
-        plan = plan_excitation(setup, options, step)
-        bar.update(total - bar.n)
-    return plan
+        return plan_excitation(setup, options, step)
