@@ -84,6 +84,9 @@ def main(options: argparse.Namespace) -> int:
     what = "the result"
     if options.excitation or _holds_excitation(options):
         confirmed = _excitation(options, robot)
+    elif options.payload is not None or options.prior is not None:
+        name, value = ("prior", options.prior) if options.payload is None else ("payload", options.payload)
+        raise IdentificationError(f"--{name} {value} without excitation runs; accepted: with --excitation BAG ...")
     elif options.friction is not None:
         confirmed, what = _check(options, robot), options.friction
     else:

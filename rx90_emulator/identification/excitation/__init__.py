@@ -6,11 +6,17 @@ problem (the stacked rows) -> least_squares, instruments (values), covariance (t
 
 __all__ = [
     "base_groups",
+    "closed_loop",
     "columns",
+    "coulomb_viscous",
     "elements",
     "filtering",
+    "fit_quality",
+    "gains",
     "identify",
     "least_squares",
+    "payload",
+    "prior",
     "problem",
     "result",
     "standstill",
