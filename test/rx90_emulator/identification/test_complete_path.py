@@ -130,7 +130,7 @@ from rx90_emulator.loop.setup import Setup
 setup, fourth = Setup.load(), np.eye(6)[3]
 robot = setup.robot
 slide, cycle = Motion(np.zeros(6)), Motion(np.zeros(6))
-for speed in np.geomspace(0.041, 1.63, 5):
+for speed in np.geomspace(0.041, 1.0, 5):
     slide.sweep(fourth, speed, 0.5, 6.0)
     slide.sweep(fourth, -speed, 0.5, 6.0)
 cycle.sweep(fourth, 0.05, 0.3, 6.0)
