@@ -23,7 +23,7 @@ Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepB
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
                 check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
                 ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
-                write_excitation, ExcitationIdentification, ExcitationTolerances
+                write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload
 Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
     from rx90_emulator.identification.excitation.identify import identify_excitation
+    from rx90_emulator.identification.excitation.payload import Payload, read_payloads
     from rx90_emulator.identification.excitation.result import ExcitationIdentification
     from rx90_emulator.identification.excitation_job import write_excitation
     from rx90_emulator.identification.experiments.folder import IdentificationBags
@@ -115,6 +116,7 @@ __all__ = [
     "MeasuredTolerances",
     "Normal",
     "PathAccuracy",
+    "Payload",
     "Rates",
     "RobotFiles",
     "RobotOptions",
@@ -154,6 +156,7 @@ __all__ = [
     "plan_line",
     "read_bag",
     "read_joint_states",
+    "read_payloads",
     "read_sweep",
     "record_on_engine",
     "run_line",
@@ -184,6 +187,7 @@ _HOMES = {
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
     "rx90_emulator.identification.excitation.identify": "identify_excitation",
+    "rx90_emulator.identification.excitation.payload": "Payload read_payloads",
     "rx90_emulator.identification.excitation.result": "ExcitationIdentification",
     "rx90_emulator.identification.excitation_job": "write_excitation",
     "rx90_emulator.identification.experiments.folder": "IdentificationBags",

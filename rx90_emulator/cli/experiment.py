@@ -1,18 +1,43 @@
-"""Plan the motions that friction is identified from, and run them on the engine or the nodes."""
+"""Plan the motions that friction or the whole dynamics are identified from, and run them on the engine or the nodes."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
-from rx90_emulator.cli.options import add_node_arguments, add_robot_arguments
+from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments
+from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
 
 _EPILOG = """\
-Bags that are complete stay, whatever ends the run. No motion is checked for collisions. Set-points keep the joints'
-ranges and speed limits, and the expected torque keeps what the URDF allows.
+Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
+with the planes given by --keep-above and --wall. Set-points keep the joints' ranges and speed limits, and the expected
+torque keeps what the URDF allows.
 """
+_OPTIONS = {
+    "criterion": str,
+    "runs": int,
+    "harmonics": int,
+    "period": float,
+    "periods": int,
+    "share": float,
+    "seed": int,
+    "clearance": float,
+    "steps": int,
+}
+_MEANINGS = {
+    "criterion": "condition: condition number of the weighted columns; d: determinant of the information",
+    "runs": "to identify from, of different speeds; one more is for the validation",
+    "harmonics": "of the base frequency in each joint's series",
+    "period": "s, of the base frequency",
+    "periods": "of each run",
+    "share": "of the limits of speed, acceleration and torque that may be used",
+    "seed": "of the random motions that the search begins with; the same seed gives the same plan",
+    "clearance": "m, least distance to the planes",
+    "steps": "of the search, for each run",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
         verb.add_argument("--speeds", type=int, metavar="N",
                           help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
+        _add_excitation(verb)
         add_robot_arguments(verb, *MODEL_FILES, "poses")
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
@@ -37,6 +63,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
     )
     add_node_arguments(run, timeout=60.0)
+
+
+def _add_excitation(verb: argparse.ArgumentParser) -> None:
+    verb.add_argument("--excitation", action="store_true", help="instead: Fourier series of all joints at once, for "
+                      "rx90_identify --excitation")  # fmt: skip
+    group = verb.add_argument_group("with --excitation")
+    for name, kind in _OPTIONS.items():
+        default = getattr(ExcitationOptions, name)
+        choices = [str(one) for one in Criterion] if name == "criterion" else None
+        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{_MEANINGS[name]} ({default})",
+                           metavar=None if choices else kind.__name__[0].upper())  # fmt: skip
+    group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
+                       "over the base's origin, m")  # fmt: skip
+    group.add_argument("--wall", type=FINITE, nargs=4, action="append", metavar=("NX", "NY", "NZ", "D"),
+                       help="a wall: links and tool stay where NX x + NY y + NZ z > D in the base's frame, m; may be "
+                       "repeated")  # fmt: skip
+    group.add_argument("--torque-noise", type=POSITIVE, nargs="+", metavar="NM", help="standard deviation of each "
+                       "joint's torque in 100 independent samples per second, which weighs the joints and tells the "
+                       "expected deviations (1 %% of the URDF's effort)")  # fmt: skip
+
+
+def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None:
+    """Return the options of excitation runs; None without --excitation."""
+    given = {name: getattr(options, name) for name in _OPTIONS if getattr(options, name) is not None}
+    planes = {"keep_above": options.keep_above, "wall": options.wall, "torque_noise": options.torque_noise}
+    if not options.excitation:
+        unused = [*given, *(name for name, value in planes.items() if value is not None)]
+        if unused:
+            raise IdentificationError(f"--{unused[0].replace('_', '-')} without --excitation; accepted: with it")
+        return None
+    if options.group or options.speeds is not None:
+        name = "--group" if options.group else "--speeds"
+        raise IdentificationError(f"{name} with --excitation; accepted: without it, all joints move at once")
+    if "criterion" in given:
+        given["criterion"] = Criterion(given["criterion"])
+    walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]
+    walls += [Wall.through(numbers) for numbers in options.wall or ()]
+    noise = None if options.torque_noise is None else tuple(options.torque_noise)
+    chosen = ExcitationOptions(**given, walls=tuple(walls), torque_noise=noise)
+    return chosen.quick() if options.quick else chosen
 
 
 def main(options: argparse.Namespace) -> None:
@@ -55,9 +121,17 @@ def main(options: argparse.Namespace) -> None:
     )
     from rx90_emulator.loop.setup import Setup
 
+    excitation = _excitation_options(options)
     setup = Setup.load(RobotFiles.of_options(options))
-    plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
-    print(describe(plan, setup), flush=True)
+    if excitation is None:
+        plan = plan_experiments(setup, options.group, quick=options.quick, speeds=options.speeds)
+        print(describe(plan, setup), flush=True)
+    else:
+        from rx90_emulator.identification.experiments.excitation.job import describe_excitation, plan_with_progress
+
+        runs = plan_with_progress(setup, excitation)
+        plan = runs.experiments
+        print(describe_excitation(runs), flush=True)
     if options.verb == "plan":
         return
     if options.engine:

@@ -15,7 +15,7 @@ from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 
 _USAGE = """\
-rx90_identify FOLDER --output FILE [options]
+rx90_identify FOLDER --output FILE [options]          (FOLDER of excitation runs: --output FOLDER)
        rx90_identify --sliding BAG ... [--presliding BAG ...] [--validation BAG ...] --output FILE [options]
        rx90_identify --sliding BAG ... --output FILE --urdf FILE [--topic T] [--joints J ...] [options]
        rx90_identify --excitation BAG ... [--validation BAG ...] --output FOLDER [--urdf FILE] [options]
@@ -48,6 +48,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "which takes some times as long")  # fmt: skip
+    bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
+                      "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
+                      "drive gains (docs/excitation.md)")  # fmt: skip
+    bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
+                      "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
@@ -77,8 +82,11 @@ def main(options: argparse.Namespace) -> int:
     """
     robot = RobotOptions(**{name: getattr(options, name) for name in RobotOptions.__dataclass_fields__})
     what = "the result"
-    if options.excitation:
+    if options.excitation or _holds_excitation(options):
         confirmed = _excitation(options, robot)
+    elif options.payload is not None or options.prior is not None:
+        name, value = ("prior", options.prior) if options.payload is None else ("payload", options.payload)
+        raise IdentificationError(f"--{name} {value} without excitation runs; accepted: with --excitation BAG ...")
     elif options.friction is not None:
         confirmed, what = _check(options, robot), options.friction
     else:
@@ -87,6 +95,20 @@ def main(options: argparse.Namespace) -> int:
         return DONE
     print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
     return VERDICT_NO
+
+
+def _holds_excitation(options: argparse.Namespace) -> bool:
+    """Return whether the folder is one of excitation runs, whose bags then are as if named."""
+    if options.folder is None or options.friction is not None:
+        return False
+    if options.sliding or options.presliding or options.validation:
+        return False  # refused where the bags are put together
+    from rx90_emulator.identification.experiments.folder import read_index
+
+    bags = read_index(options.folder)
+    if bags.excitation:
+        options.folder, options.excitation, options.validation = None, bags.excitation, bags.validation
+    return bool(bags.excitation)
 
 
 def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
@@ -109,7 +131,7 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
     tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
     return run_excitation(
         options.excitation, robot, options.validation, tolerances, options.output,
-        bristles=options.bristles, force=options.force,
+        bristles=options.bristles, payload=options.payload, prior=options.prior, force=options.force,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from rx90_common.base.versions import versions
 from rx90_common.description.robot_files import FILES
 from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation.payload import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.output.excitation.parameters_file import parameters_text
@@ -53,6 +54,8 @@ def run_excitation(
     output: Path,
     *,
     bristles: bool = False,
+    payload: Path | None = None,
+    prior: float | None = None,
     force: bool = False,
 ) -> bool:
     """Identify with a progress bar, write the folder, print a summary, and return whether no validation run disagrees.
@@ -64,14 +67,19 @@ def run_excitation(
         tolerances: of the validation.
         output: folder; checked before anything long begins.
         bristles: whether they are tried.
+        payload: file of known payloads.
+        prior: relative standard deviation of the description's inertials.
         force: whether files that exist are replaced.
 
     Raises:
         Rx90Error: for what cannot be done; nothing has been written then.
     """
     check_folder(output, _FILES, force=force)
-    with steps(len(bags) + 2 * len(validation) + 4) as step:
-        result = identify_excitation(bags, robot, validation, tolerances, bristles=bristles, progress=step)
+    payloads = {} if payload is None else read_payloads(payload)
+    with steps(len(bags) + 2 * len(validation) + 4 + bool(payloads)) as step:
+        result = identify_excitation(
+            bags, robot, validation, tolerances, bristles=bristles, payloads=payloads, prior=prior, progress=step
+        )
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")
     return result.confirmed

@@ -31,6 +31,7 @@ from rx90_emulator.measured.setpoints import SetPoints, path_setpoints, recorded
 
 _HIGHEST = 0.3  # bandwidth of the set-points over the rate of the position loop, at most
 _LATEST = 0.1  # s, by which the simulated motion may be later or earlier
+_TRAVEL = 2e-3  # rad, some times the presliding travel of a joint: who stays within it rests
 _ROUNDS = 4  # of the search for that time
 _DEFAULT_LAYOUT = MeasuredLayout()
 _DEFAULT_TOLERANCES = MeasuredTolerances()
@@ -85,7 +86,6 @@ def compare_measured(
     speed = run.velocity[run.rows][rows]
     lag = _lag(simulated, time, measured[:, 0], speed)
     follows = simulated.at(time + lag)
-    rests = (element_states(run, element_matrix())[rows] == SlidingState.RESTS) @ (element_matrix() != 0.0)
     return MeasuredComparison(
         names=run.names,
         robot=setup.robot.model.name,
@@ -95,7 +95,7 @@ def compare_measured(
         simulated_torque=follows[:, 1],
         position=measured[:, 0],
         simulated_position=follows[:, 0],
-        compared=~rests,
+        compared=_moves(run)[rows],
         lag=lag,
         bandwidths=bandwidths,
         setpoints=setpoints.source,
@@ -147,10 +147,11 @@ class _Simulated:
         filtered = low_pass(values, taps)
         if len(filtered) < 4:
             raise IdentificationError(f"{run.source.path}: too short for a low-pass of {run.bandwidths.torque:.3g} Hz")
-        times = setpoints.start + (len(taps) // 2 + np.arange(len(filtered))) / rate
+        since = (len(taps) // 2 + np.arange(len(filtered))) / rate
         self.saturated = np.asarray(controller.saturated / ticks)
-        self._first, self._last = max(float(times[0]), setpoints.begin), float(times[-1])
-        self._curve: BSpline = make_interp_spline(times, filtered, k=3)
+        self._start = setpoints.start
+        self._first, self._last = max(self._start + float(since[0]), setpoints.begin), self._start + float(since[-1])
+        self._curve: BSpline = make_interp_spline(since, filtered, k=3)
 
     def within(self, time: Array) -> Mask:
         """Return which of the times it covers, however late it is."""
@@ -161,7 +162,7 @@ class _Simulated:
 
     def at(self, time: Array) -> Array:
         """Return position rad and torque Nm at times, shape (k, 2, 6)."""
-        return np.asarray(self._curve(time))
+        return np.asarray(self._curve(time - self._start))
 
 
 def _lag(simulated: _Simulated, time: Array, position: Array, velocity: Array) -> float:
@@ -171,6 +172,13 @@ def _lag(simulated: _Simulated, time: Array, position: Array, velocity: Array) -
         difference = simulated.at(time + lag)[:, 0] - position
         lag = float(np.clip(lag - np.sum(difference * velocity) / power, -_LATEST, _LATEST))
     return lag
+
+
+def _moves(run: FilteredRun) -> Mask:
+    """Return where each joint moves, and with it every motor and friction element that it turns, shape (k, 6)."""
+    matrix = element_matrix()
+    rests = (element_states(run, matrix) == SlidingState.RESTS) @ (matrix != 0.0)
+    return np.asarray(~rests & (np.ptp(run.position, axis=0) > _TRAVEL))
 
 
 def _remarks(record: JointRecord, pieces: tuple[FilteredRun, ...], run: FilteredRun) -> tuple[str, ...]:

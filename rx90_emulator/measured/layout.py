@@ -13,7 +13,7 @@ from rx90_common.bags.reading import BagReader
 from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import BagError, ConfigError, IdentificationError
+from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.description.wrist import coupling_matrix
@@ -69,12 +69,11 @@ def bag_layout(bag: Path, setup: Setup, options: MeasuredLayout) -> BagLayout:
         BagError: if the bag cannot be read, or is another robot's.
         IdentificationError: for options of another size, and a bag without states.
     """
-    try:
-        check_robot(bag, setup.robot.model.name)
-    except BagError as error:
-        raise BagError(f"{error}; {OTHER_ARMS}") from error
+    check_robot(bag, setup.robot.model.name)
     joints = setup.robot.joint_names
     topic = options.topic or _topic(bag)
+    if options.names is None:
+        _check_names(bag, topic, joints)
     motors = topic.strip("/") == MOTOR_STATES
     for name, size in (("names", 6), ("gear", 6), ("torque_constant", 6), ("zero", 6), ("coupling", 36)):
         values = getattr(options, name)
@@ -107,3 +106,15 @@ def _topic(bag: Path) -> str:
         f"{bag}: neither {MOTOR_STATES} nor joint_states; there are {', '.join(sorted(there)) or 'no topics'}; "
         "accepted: --topic"
     )
+
+
+def _check_names(bag: Path, topic: str, joints: Sequence[str]) -> None:
+    """Refuse a bag whose first message names none of this arm's joints or motors: another arm's."""
+    with BagReader(bag) as reader:
+        there = [one for one in reader.topics if one.name == absolute(topic) and one.is_joint_state]
+        first = next(reader.messages(there), None) if there else None
+        names = [str(name) for name in reader.deserialize(first[0], first[2]).name] if first else []
+    if names and not {*names} & {*joints, *MOTOR_NAMES}:
+        raise IdentificationError(
+            f"{bag}: {topic} is of {listed(names)}; accepted: {listed(joints)}, or --names; {OTHER_ARMS}"
+        )

@@ -44,7 +44,7 @@ class MeasuredTolerances:
         position: largest difference of a joint's position, rad.
     """
 
-    torque: float = 0.2
+    torque: float = 0.25
     total_torque: float = 0.1
     position: float = 5e-3
 

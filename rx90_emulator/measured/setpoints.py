@@ -12,7 +12,8 @@ from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError, TrajectoryError
-from rx90_controller.trajectory.limits import JointLimits
+from rx90_common.base.rates import NANOSECONDS
+from rx90_controller.trajectory import JointLimits
 from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.loop.setup import Setup
 
@@ -108,9 +109,10 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array
     if time[0] > run.time[-1] or time[-1] < run.time[0]:
         raise IdentificationError(f"{bag}: {series.topic} and the measured states are of different times")
     if (steps != period_ns).any():
-        curve = BPoly.from_derivatives(time, np.stack([position, velocity], axis=1))
-        time = time[0] + np.arange(int((time[-1] - time[0]) / rates.position_period + 1e-6) + 1) * rates.position_period
-        position, velocity = curve(time), curve(time, 1)
+        since = (series.stamp_ns - series.stamp_ns[0]) / NANOSECONDS
+        curve = BPoly.from_derivatives(since, np.stack([position, velocity], axis=1))
+        even = np.arange(int(since[-1] / rates.position_period + 1e-6) + 1) * rates.position_period
+        position, velocity = curve(even), curve(even, 1)
     acceleration = np.gradient(velocity, rates.position_period, axis=0)
     values = np.ascontiguousarray(np.stack([position, velocity, acceleration], axis=1))
     source = f"{REFERENCE} in the bag"
@@ -123,9 +125,11 @@ def recorded_setpoints(run: FilteredRun, first: Array, setup: Setup, zero: Array
 def path_setpoints(run: FilteredRun, setup: Setup) -> SetPoints:
     """Return the smoothed measured path as set-points, with the velocities and accelerations that belong to it."""
     period = setup.rates.position_period
-    curve = make_interp_spline(run.time, run.position, k=5)
-    count = int((run.time[-1] - run.time[0]) / period + 1e-6) + 1
-    time = np.minimum(run.time[0] + np.arange(count) * period, run.time[-1])
+    # From 0 on: stamps of the wall clock are rounded too much for accelerations.
+    samples = np.arange(len(run.time)) / run.rate
+    curve = make_interp_spline(samples, run.position, k=5)
+    count = int(samples[-1] / period + 1e-6) + 1
+    time = np.minimum(np.arange(count) * period, samples[-1])
     values = np.ascontiguousarray(np.stack([curve(time, nu) for nu in range(3)], axis=1))
     source = f"the measured path below {run.bandwidths.position:.3g} Hz"
     return _with_lead_in(float(run.time[0]), values, setup, source)

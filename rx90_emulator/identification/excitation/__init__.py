@@ -4,4 +4,21 @@ filtering (runs at an even rate, differentiated) -> columns and base_groups (wha
 problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains.
 """
 
-__all__ = ["elements", "filtering", "identify", "least_squares", "problem", "result", "standstill", "torques"]
+__all__ = [
+    "base_groups",
+    "closed_loop",
+    "columns",
+    "coulomb_viscous",
+    "elements",
+    "filtering",
+    "fit_quality",
+    "gains",
+    "identify",
+    "least_squares",
+    "payload",
+    "prior",
+    "problem",
+    "result",
+    "standstill",
+    "torques",
+]

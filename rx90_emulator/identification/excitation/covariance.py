@@ -14,7 +14,7 @@ and McCaffrey 2002, there for clusters); without that, 95 % intervals of random 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import lstsq
@@ -127,19 +127,3 @@ def quadratic_spectral(lag: Array) -> Array:
     angle = 1.2 * math.pi * np.where(lag == 0.0, 1.0, lag)
     value = 3.0 / angle**2 * (np.sin(angle) / angle - np.cos(angle))
     return np.asarray(np.where(lag == 0.0, 1.0, value))
-
-
-def block_bootstrap(estimate: Callable[[Array], Array], block: Index, replicates: int, seed: int = 0) -> Array:
-    """Return the covariance of an estimate over resampled blocks of time, shape (q, q).
-
-    Args:
-        estimate: the values, shape (q,), for how often each row counts, shape (r,).
-        block: number of each row's block, shape (r,); blocks are drawn with replacement.
-        replicates: how often.
-        seed: of the draws.
-    """
-    rng = np.random.default_rng(seed)
-    numbers, member = np.unique(block, return_inverse=True)
-    draws = rng.multinomial(len(numbers), np.full(len(numbers), 1.0 / len(numbers)), replicates)
-    values = np.array([estimate(counts[member].astype(np.float64)) for counts in draws])
-    return np.asarray(np.cov(values, rowvar=False)).reshape(values.shape[1], values.shape[1])

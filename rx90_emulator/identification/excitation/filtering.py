@@ -219,15 +219,17 @@ def _filtered(
     target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
-    curve = make_interp_spline(even, smooth, k=5)
+    # From 0 on: stamps of the wall clock are rounded to 0.2 us, which second derivatives at 5 kHz do not bear.
+    count = np.arange(len(even)) / rate
+    curve = make_interp_spline(count, smooth, k=5)
     inner = slice(edge, len(even) - edge)
     return FilteredRun(
         source=record.bag,
         names=record.names,
         time=even[inner],
         position=smooth[inner],
-        velocity=np.asarray(curve(even[inner], 1)),
-        acceleration=np.asarray(curve(even[inner], 2)),
+        velocity=np.asarray(curve(count[inner], 1)),
+        acceleration=np.asarray(curve(count[inner], 2)),
         torque=torque[inner],
         reference=None if target is None else target[inner],
         bandwidths=bandwidths,
@@ -256,7 +258,8 @@ def _even(time: Array, rate: float) -> Array:
 
 def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     """Return values at even times; those whose stamps are even stay as they are."""
-    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]):
+    rounding = 2.0 * float(np.spacing(np.abs(time[-1])))
+    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]) + rounding:
         return values
     return np.asarray(make_interp_spline(time, values, k=degree)(even))
 

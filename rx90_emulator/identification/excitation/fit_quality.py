@@ -1,4 +1,4 @@
-"""How well a fit explains the torque: against the torque's noise, by speed, and what the runs did not determine."""
+"""How well a fit explains the torque at each speed, and what the runs did not determine."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
+from scipy.stats import t as student
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_emulator.identification.excitation.covariance import time_blocks
-from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.least_squares import LinearFit
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _BINS = 12  # of speed
 _FEWEST = 5  # rows in a bin
+_LEVEL = 0.05  # chance of a false misfit, over all bins together
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,54 +27,29 @@ class SpeedResiduals:
         velocity: mean in each bin, rad/s, shape (k,).
         residual: mean, Nm, shape (k,).
         deviation: of that mean, from the means of blocks of time, Nm, shape (k,); NaN in a bin of one block.
+        blocks: how many of them, shape (k,).
     """
 
     element: str
     velocity: Array
     residual: Array
     deviation: Array
+    blocks: Index
 
 
-def noise_floor(problem: ExcitationProblem) -> Array:
-    """Return the deviation that white noise of the recorded torques leaves in the rows, Nm, shape (n,).
-
-    Its power is the median of the spectrum beyond what the parallel filter lets pass: of the torque alone, no model.
-    """
-    power = [run_floor(run) for run in problem.runs]
-    length = np.array([len(run.rows) for run in problem.runs], dtype=np.float64)
-    return np.asarray(np.sqrt(np.average(power, axis=0, weights=length)))
-
-
-def run_floor(run: FilteredRun) -> Array:
-    """Return the variance of the noise of one run's filtered torque, Nm^2, shape (n,)."""
-    frequency, power = welch(run.torque, run.rate, nperseg=min(len(run.time), max(256, round(run.rate))), axis=0)
-    beyond = frequency > 2.0 * run.bandwidths.torque
-
-    typical = np.median(power[beyond], axis=0)
-    return np.asarray(typical * 0.5 * run.rate * float(np.sum(run.taps**2)))
-
-
-def reduced_chi2(problem: ExcitationProblem, fit: LinearFit) -> Array:
-    """Return mean square residual over the variance of the torque's noise, shape (n,): 1 where the model is complete.
-
-    NaN for a joint without rows.
-    """
-    floor = noise_floor(problem)
-    result = np.full(len(floor), np.nan)
-    for joint in np.unique(problem.joint).tolist():
-        result[joint] = np.mean(fit.residual[problem.joint == joint] ** 2) / max(float(floor[joint]) ** 2, 1e-300)
-    return result
-
-
-def residuals_by_speed(problem: ExcitationProblem, fit: LinearFit) -> tuple[SpeedResiduals, ...]:
+def residuals_by_speed(problem: ExcitationProblem, residual: Array) -> tuple[SpeedResiduals, ...]:
     """Return mean residuals over the speed of each element: what its friction curve does not say.
 
-    The joint is the last on which the element acts.
+    The joint is the last on which the element acts. Reversals are left out.
+
+    Args:
+        problem: r rows.
+        residual: recorded less predicted torque, Nm, shape (r,).
     """
     block = time_blocks(problem)
     result = []
     for e, (name, acts) in enumerate(zip(problem.arm.element_names, problem.arm.element_matrix != 0.0, strict=True)):
-        rows = np.flatnonzero(problem.joint == np.flatnonzero(acts)[-1])
+        rows = np.flatnonzero((problem.joint == np.flatnonzero(acts)[-1]) & ~problem.reversal)
         velocity = problem.velocity[rows, e]
         edges = np.quantile(velocity, np.linspace(0.0, 1.0, _BINS + 1)) if len(rows) else np.zeros(_BINS + 1)
         number = np.clip(np.searchsorted(edges, velocity, "right") - 1, 0, _BINS - 1)
@@ -83,11 +58,30 @@ def residuals_by_speed(problem: ExcitationProblem, fit: LinearFit) -> tuple[Spee
             SpeedResiduals(
                 name,
                 np.array([problem.velocity[some, e].mean() for some in bins]),
-                np.array([fit.residual[some].mean() for some in bins]),
-                np.array([_deviation(fit.residual[some], block[some]) for some in bins]),
+                np.array([residual[some].mean() for some in bins]),
+                np.array([_deviation(residual[some], block[some]) for some in bins]),
+                np.array([len(np.unique(block[some])) for some in bins], dtype=np.intp),
             )
         )
     return tuple(result)
+
+
+def misfits(speeds: Sequence[SpeedResiduals]) -> list[str]:
+    """Return, in words, each element's largest mean residual that is more than chance (5 % over all bins together)."""
+    found = []
+    tests = sum(len(one.residual) for one in speeds)
+    for one in speeds:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.nan_to_num(np.abs(one.residual) / one.deviation, posinf=0.0)
+        limit = np.array([student.ppf(1.0 - 0.5 * _LEVEL / tests, max(k - 1, 1)) for k in one.blocks.tolist()])
+        clear = np.flatnonzero(size > limit)
+        if len(clear):
+            worst = clear[np.argmax(np.abs(one.residual[clear]))]
+            found.append(
+                f"the torque of {one.element} is off by {one.residual[worst]:.3g} +- {one.deviation[worst]:.2g} Nm at "
+                f"{one.velocity[worst]:.3g} rad/s"
+            )
+    return found
 
 
 def _deviation(values: Array, block: Array) -> float:
@@ -95,19 +89,19 @@ def _deviation(values: Array, block: Array) -> float:
     return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else float("nan")
 
 
-def undetermined(problem: ExcitationProblem, names: Sequence[str], columns: Array, fit: LinearFit) -> tuple[str, ...]:
-    """Return the parameters that these runs do not determine, by name.
+def undetermined(problem: ExcitationProblem, fit: LinearFit) -> tuple[str, ...]:
+    """Return the base parameters that these runs do not determine, by name.
 
     One deviation of such a parameter alone would move torques by more than the torques' own RMS: the data would bear
     any value that an arm may have.
 
     Args:
         problem: r rows.
-        names: of q parameters.
-        columns: shape (r, q).
-        fit: of these columns.
+        fit: of the base parameters, and of others behind them.
     """
+    count = len(problem.names)
     size = float(np.sqrt(np.mean(problem.torque**2)))
-    effect = np.where(fit.determined, fit.deviation, 0.0) * np.sqrt(np.mean(columns**2, axis=0))
-    bad = ~fit.determined | ~(effect < size)
-    return tuple(name for name, one in zip(names, bad.tolist(), strict=True) if one)
+    deviation, known = fit.deviation[:count], fit.determined[:count]
+    effect = np.where(known, deviation, 0.0) * np.sqrt(np.mean(problem.regressor**2, axis=0))
+    bad = ~known | ~(effect < size)
+    return tuple(name for name, one in zip(problem.names, bad.tolist(), strict=True) if one)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -35,13 +35,29 @@ class DriveGains:
 
     Attributes:
         factor: true over recorded torque, shape (n,); 1 where it is not told.
-        deviation: of the factors, shape (n,); infinite where it is not told.
+        covariance: of the factors, shape (n, n); infinite on the diagonal where it is not told, 0 beside it.
         fit: of the inertial parameters b, of friction f and of 1 / factor of the motors told: shape (b + f + t,).
     """
 
     factor: Array
-    deviation: Array
+    covariance: Array
     fit: LinearFit
+
+    @property
+    def deviation(self) -> Array:
+        """Return standard deviations of the factors, shape (n,); infinite where it is not told."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def told(self) -> Index:
+        """Return the numbers of the motors whose gain is told."""
+        return np.flatnonzero(np.isfinite(self.deviation))
+
+    def after(self, factor: Array) -> DriveGains:
+        """Return the whole gains, where these are of torques that were multiplied by factors before, shape (n,)."""
+        known = np.isfinite(self.deviation)
+        factor = np.where(known, factor, 1.0)
+        return DriveGains(self.factor * factor, self.covariance * np.outer(factor, factor), self.fit)
 
 
 def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
@@ -59,23 +75,26 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
     parts, loads = _by_motor(problem)
     told = [k for k in range(len(loads)) if np.any(loads[k])]
     while told:
-        factor, deviation, fit = _fitted(problem, friction, parts, loads, told)
-        sure = [k for k in told if deviation[k] < _TOLD]
+        gains = _fitted(problem, friction, parts, loads, told)
+        sure = [k for k in told if gains.deviation[k] < _TOLD]
         if sure == told:
-            return DriveGains(factor, deviation, fit)
+            return gains
         told = sure
     raise IdentificationError(
         f"the payload tells no drive gain to better than {_TOLD:.0%}; accepted: a heavier payload, or faster motion"
     )
 
 
-def with_gains(problem: ExcitationProblem, factor: Array) -> ExcitationProblem:
-    """Return the problem with its recorded torques multiplied by the factors of their motors, shape (n,)."""
-    turns = problem.arm.coupling
-    scale = np.linalg.inv(turns) @ np.diag(factor) @ turns
+def with_gains(problem: ExcitationProblem, gains: DriveGains) -> ExcitationProblem:
+    """Return the problem with its recorded torques multiplied by the factors of their motors, and uncertain as they."""
+    shares = _motor_shares(problem)
+    scale = sum(one * share for one, share in zip(gains.factor.tolist(), shares, strict=True))
     runs = tuple(replace(run, torque=run.torque @ scale) for run in problem.runs)
-    recorded = problem.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
-    return replace(problem, runs=runs, torque=recorded - problem.payload)
+    told = gains.told
+    relative = gains.covariance[np.ix_(told, told)] / np.outer(gains.factor[told], gains.factor[told])
+    rows = problem.rows_of([np.stack([run.torque, *(run.torque @ shares[k] for k in told)], axis=2) for run in runs])
+    uncertain = rows[:, 1:] @ np.linalg.cholesky(relative)
+    return replace(problem, runs=runs, torque=rows[:, 0] - problem.payload, uncertain=uncertain)
 
 
 def _check(problem: ExcitationProblem) -> None:
@@ -89,12 +108,17 @@ def _check(problem: ExcitationProblem) -> None:
         )
 
 
+def _motor_shares(problem: ExcitationProblem) -> list[Array]:
+    """Return for each motor what of joint torques it carries, as joint torques: torque @ share, each shape (n, n)."""
+    turns = problem.arm.coupling
+    inverse = np.linalg.inv(turns)
+    return [np.outer(inverse[:, k], turns[k]) for k in range(len(turns))]
+
+
 def _by_motor(problem: ExcitationProblem) -> tuple[list[Array], list[Array]]:
     """Return the columns of the base and the torque of the payloads that each motor carries, at the rows."""
-    turns, n = problem.arm.coupling, len(problem.arm.names)
-    shares = [np.outer(np.linalg.inv(turns)[:, k], turns[k]) for k in range(n)]  # of joint torques, to joint torques
     parts, loads = [], []
-    for share in shares:
+    for share in _motor_shares(problem):
         columns, load = problem.through(share)
         parts.append(columns)
         loads.append(load)
@@ -103,8 +127,8 @@ def _by_motor(problem: ExcitationProblem) -> tuple[list[Array], list[Array]]:
 
 def _fitted(
     problem: ExcitationProblem, friction: Array, parts: Sequence[Array], loads: Sequence[Array], told: Sequence[int]
-) -> tuple[Array, Array, LinearFit]:
-    """Return factors and deviations of all motors, and the fit."""
+) -> DriveGains:
+    """Return the gains of all motors, those of the motors told free."""
     b, q = problem.regressor.shape[1], problem.regressor.shape[1] + friction.shape[1]
     inverse = np.ones(len(parts))
     recorded = problem.torque + problem.payload
@@ -122,6 +146,7 @@ def _fitted(
         parameters = fit.value[:b]
         if moved < _CONVERGED:
             break
-    factor, deviation = 1.0 / inverse, np.full(len(parts), np.inf)
-    deviation[list(told)] = fit.deviation[q:] * factor[list(told)] ** 2
-    return factor, deviation, fit
+    factor, covariance = 1.0 / inverse, np.diag(np.full(len(parts), np.inf))
+    slope = factor[list(told)] ** 2
+    covariance[np.ix_(told, told)] = fit.covariance[q:, q:] * np.outer(slope, slope)
+    return DriveGains(factor, covariance, fit)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,19 +14,24 @@ from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
-from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_instrumental
+from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_other
 from rx90_emulator.identification.excitation.consistency import make_consistent
 from rx90_emulator.identification.excitation.elements import simulated_elements
-from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
     identify_friction_parts,
+    identify_gains,
     predicted_torque,
 )
+from rx90_emulator.identification.excitation.gains import with_gains
+from rx90_emulator.identification.excitation.payload import Payload, payloads_of
+from rx90_emulator.identification.excitation.prior import described_inertials
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import ExcitationIdentification, base_parameters
 from rx90_emulator.identification.excitation.torques import TorqueValidation, run_torques, trends
+from rx90_emulator.identification.excitation.zeros import check_zeros
 from rx90_emulator.identification.identify import check_range
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -34,6 +40,7 @@ from rx90_emulator.identification.records.record import JointRecord
 
 _RATE = 1000.0  # Hz that records are averaged to at most: far above what an arm's motion holds
 _REFERENCE = "rx90_controller/reference"
+_NO_PAYLOADS: Mapping[str, Payload] = MappingProxyType({})
 _DEFAULT_ROBOT = RobotOptions()
 _DEFAULT_TOLERANCES = ExcitationTolerances()
 
@@ -45,6 +52,8 @@ def identify_excitation(
     tolerances: ExcitationTolerances = _DEFAULT_TOLERANCES,
     *,
     bristles: bool = False,
+    payloads: Mapping[str, Payload] = _NO_PAYLOADS,
+    prior: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
     """Identify the dynamics of an arm from runs in which all joints move, without plateaus of constant velocity.
@@ -57,6 +66,10 @@ def identify_excitation(
         validation: runs to predict, which are not used.
         tolerances: what counts as agreement with them.
         bristles: whether bristles along the motion are tried, too, which takes some times as long.
+        payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
+            with and without one tell the drive gains.
+        prior: relative standard deviation of the description's inertials, where they are to count; by default they do
+            not, but for what no run tells.
         progress: called with the name of each step before it.
 
     Returns:
@@ -69,6 +82,7 @@ def identify_excitation(
     """
     used, unused = [Path(bag) for bag in bags], [Path(bag) for bag in validation]
     _check_bags(used, unused)
+    carried = payloads_of([*used, *unused], payloads)
     if robot.torque_delay:
         raise IdentificationError(
             f"--torque-delay {robot.torque_delay:g} with --excitation; accepted: 0, torques count at their stamps"
@@ -79,19 +93,27 @@ def identify_excitation(
     _check_unused(fitted, unseen)
     progress("filters and equations")
     bandwidths = Bandwidths.of(fitted)
-    problem = ExcitationProblem.of(source.arm, _filtered(fitted, source, bandwidths))
+    problem = _problem(fitted, source, bandwidths, carried)
     _check_motion(problem, source)
+    zeros = check_zeros(problem, source.zero)
+    known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
+    parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
+    if np.any(problem.payload):
+        progress("drive gains")
+        gains = identify_gains(problem, parts)
+        problem = with_gains(problem, gains)
     progress("friction")
-    friction = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
+    friction = identify_friction_parts(problem, parts, known)
     progress("instrumental variables")
-    closed_loop = check_closed_loop(problem, friction)
+    closed_loop, friction = check_closed_loop(problem, friction, known)
     friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     checks = []
     for record in unseen:
         progress(record.source.name)
-        other = ExcitationProblem.of(source.arm, _filtered([record], source, bandwidths))
+        other = _problem([record], source, bandwidths, carried)
+        other = other if gains is None else with_gains(other, gains)
         predicted = predicted_torque(friction, other)
         (identified,) = run_torques(other, predicted)
         (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
@@ -103,12 +125,14 @@ def identify_excitation(
         problem=problem,
         friction=friction,
         elements=simulated_elements(friction.elements, source.fallback),
-        base=with_instrumental(base_parameters(problem, friction, consistency), closed_loop),
+        base=with_other(base_parameters(problem, friction, consistency), closed_loop),
         consistency=consistency,
         torques=torques,
         validations=tuple(checks),
         trends=trends(torques, friction.blocks.length),
         instruments=closed_loop,
+        zeros=zeros,
+        gains=gains,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 
@@ -146,8 +170,14 @@ def _check_unused(fitted: Sequence[JointRecord], unseen: Sequence[JointRecord]) 
             )
 
 
-def _filtered(records: Sequence[JointRecord], robot: RecordedRobot, bandwidths: Bandwidths) -> list[FilteredRun]:
-    return [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot))]
+def _problem(
+    records: Sequence[JointRecord],
+    robot: RecordedRobot,
+    bandwidths: Bandwidths,
+    carried: Mapping[Path, Payload | None],
+) -> ExcitationProblem:
+    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot))]
+    return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
 
 
 def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:

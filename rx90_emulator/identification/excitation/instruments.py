@@ -7,7 +7,8 @@ multiply the equations by the columns of a simulated motion instead, which share
 repeat that with the new values.
 
 The test of Durbin, Wu and Hausman says whether the two differ by more than chance; if not, least squares are taken,
-whose deviations are smaller.
+whose deviations are smaller. They are also taken where no set-points were recorded: a measured path in their place
+keeps some of the noise, and where the model does not fit, the test answers to that as well.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ class InstrumentalComparison:
         rounds: simulations until the values settled; each round's values are valid estimates.
         settled: whether they did.
         controller: of the simulation.
-        biased: whether least squares differ by more than chance, and the instruments carry an answer.
+        biased: whether least squares differ by more than chance, and the instruments carry an answer: they are not
+            weak, and the simulated arm followed recorded set-points, which hold nothing of the loop's noise.
         reason: which of both is taken, and why, one sentence.
     """
 
@@ -108,20 +110,28 @@ def with_instruments(
     differences = _differences(plain, fit)
     p_value = min(1.0, 2.0 * len(differences) * float(norm.sf(np.abs(differences).max())))
     matters = np.abs(fit.value - plain.value) > _MATTERS * plain.deviation
-    biased = strength >= _WEAK and p_value < _LEVEL and bool(matters[np.abs(differences).argmax()])
-    reason = _reason(names, differences, p_value, strength, biased=biased)
+    differs = strength >= _WEAK and p_value < _LEVEL and bool(matters[np.abs(differences).argmax()])
+    biased = differs and controller.recorded
+    reason = _reason(names, differences, p_value, strength, biased=biased, differs=differs)
     return InstrumentalComparison(
         plain, fit, differences, p_value, strength, rounds, settled, controller, biased, reason
     )
 
 
-def _reason(names: tuple[str, ...], differences: Array, p_value: float, strength: float, *, biased: bool) -> str:
+def _reason(
+    names: tuple[str, ...], differences: Array, p_value: float, strength: float, *, biased: bool, differs: bool
+) -> str:
     if strength < _WEAK:
         return f"least squares are taken: the instruments are weak (F = {strength:.2g}; from {_WEAK:g} on they count)"
     worst = int(np.argmax(np.abs(differences)))
     size = f"{abs(differences[worst]):.1f} deviations of the difference (p = {p_value:.2g})"
     if biased:
         return f"instrumental variables are taken: {names[worst]} by least squares is off by {size}"
+    if differs:
+        return (
+            f"least squares are taken: {names[worst]} differs by {size}, but without recorded set-points a model that "
+            "does not fit makes such a difference, too"
+        )
     if p_value < _LEVEL:
         return f"least squares are taken: {names[worst]} differs by {size}, less than a quarter of its own deviation"
     return f"least squares are taken, for instrumental variables agree: {names[worst]} differs most, by {size}"

@@ -8,7 +8,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.excitation.covariance import (
-    block_bootstrap,
     hac,
     influence_by_time,
     outside_residuals,
@@ -106,25 +105,13 @@ def solve(
     covariance = hac(influence)
     if equations.precision is not None:
         covariance += curvature @ equations.precision @ curvature.T
+    # What all rows share is no noise: it moves the values as it moves the torque.
+    shared = solution.inverse @ (weighted.T @ problem.uncertain)
+    covariance += shared @ shared.T
     unknown = np.flatnonzero(~solution.determined)
     covariance[unknown, unknown] = np.inf
     return LinearFit(
         solution.value, covariance, residual, sigma, weights, solution.determined, solution.condition, tuple(influence)
-    )
-
-
-def bootstrap_covariance(
-    problem: ExcitationProblem, columns: Array, fit: LinearFit, replicates: int = 300, seed: int = 0
-) -> Array:
-    """Return the covariance of a fit over resampled blocks of time, shape (q, q), its weights kept: a second opinion.
-
-    Blocks that overlap nothing and are some twenty in number give deviations with an error of their own of a sixth.
-    """
-    target = columns @ fit.value + fit.residual
-    equations = _Equations(columns, columns, target, None)
-    per_row = fit.weights / fit.sigma[problem.joint] ** 2
-    return block_bootstrap(
-        lambda counts: equations.solved(per_row * counts).value, time_blocks(problem), replicates, seed
     )
 
 

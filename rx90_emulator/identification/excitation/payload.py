@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.quoting import listed, quoted
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,3 +55,51 @@ class Payload:
         """Return mass, first moment and inertia about the joint in Pinocchio's order, shape (10,)."""
         body = pin.Inertia(self.mass, np.asarray(self.centre, float), np.asarray(self.inertia, float))
         return np.array(body.toDynamicParameters())
+
+
+def read_payloads(path: Path | str) -> dict[str, Payload]:
+    """Return what runs carried, by the names or paths of their bags.
+
+    The file has an entry for each loaded bag: `mass`, kg, `centre` of mass in the frame of the last link, m, and
+    `inertia` about the centre of mass, kg m^2: ixx, ixy, ixz, iyy, iyz, izz, as a URDF has them.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+        IdentificationError: for a body that cannot be.
+    """
+    file = load_yaml(Path(path))
+    found = {}
+    for name in file:
+        entry = file.section(name)
+        xx, xy, xz, yy, yz, zz = entry.numbers("inertia", 6)
+        inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        mass, centre = entry.number("mass"), entry.numbers("centre", 3)
+        entry.finish()
+        try:
+            found[name] = Payload(mass, centre, inertia)
+        except IdentificationError as error:
+            raise IdentificationError(f"{file.where(name)}: {error}") from None
+    return found
+
+
+def payloads_of(bags: Sequence[Path], payloads: Mapping[str, Payload]) -> dict[Path, Payload | None]:
+    """Return what each bag carried; None for those that are not named.
+
+    Args:
+        bags: of all runs.
+        payloads: by name or path of the bag.
+
+    Raises:
+        IdentificationError: for a name that is that of no bag, or of several.
+    """
+    carried: dict[Path, Payload | None] = dict.fromkeys(bags)
+    for name, body in payloads.items():
+        meant = [bag for bag in bags if name == bag.name or Path(name).resolve() == bag.resolve()]
+        if len(meant) != 1 or carried[meant[0]] is not None:
+            how = "two bags are called so, or it is named twice" if meant else "no such run"
+            raise IdentificationError(
+                f"payload of {quoted(name)}: {how}; accepted: each of {listed(bag.name for bag in bags)} once, by name "
+                "or path"
+            )
+        carried[meant[0]] = body
+    return carried

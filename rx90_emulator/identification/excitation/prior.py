@@ -47,11 +47,13 @@ def described_inertials(columns: StandardColumns, base: BaseGroups, relative: fl
             that are not given, are unknown.
 
     Raises:
-        IdentificationError: for a deviation that is not positive.
+        IdentificationError: for a deviation that is not positive, and for a description without inertials.
     """
     if not 0.0 < relative < math.inf:
         raise IdentificationError(f"relative deviation of the prior: {relative}; accepted: above 0")
     value = columns.values()
+    if not value[: 10 * len(columns.arm.names)].any():
+        raise IdentificationError("a prior from a description without <inertial>; accepted: no --prior, or inertials")
     n = len(columns.arm.names)
     links = value[: 10 * n].reshape(n, 10)
     mass = np.maximum(links[:, 0], 1e-6)

@@ -47,6 +47,8 @@ class ExcitationProblem:
         payload: their torque, filtered, Nm, shape (r,).
         regressor: filtered columns of the b base parameters, shape (r, b).
         reversal: rows at which an element that acts on the joint passes through rest, shape (r,).
+        uncertain: torques by which that of the rows may be off as a whole, such as by an identified drive gain: k of
+            one standard deviation each, independent of each other, Nm, shape (r, k).
     """
 
     arm: RigidArm
@@ -63,6 +65,7 @@ class ExcitationProblem:
     payload: Array
     regressor: Array
     reversal: Mask
+    uncertain: Array
 
     @classmethod
     def of(
@@ -94,8 +97,9 @@ class ExcitationProblem:
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         empty = np.zeros(len(rows["run"]))
         bare = cls(
-            arm, tuple(runs), columns, base, **rows, torque=empty, payloads=carried, payload=empty, regressor=empty
-        )
+            arm, tuple(runs), columns, base, **rows, torque=empty, payloads=carried, payload=empty, regressor=empty,
+            uncertain=np.empty((len(empty), 0)),
+        )  # fmt: skip
         recorded = bare.rows_of([run.torque[:, :, None] for run in runs])[:, 0]
         regressor, payload = bare.through(np.eye(len(arm.names)))
         return replace(bare, torque=recorded - payload, payload=payload, regressor=regressor)

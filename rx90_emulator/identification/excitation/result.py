@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
+from functools import cached_property
 
 from rx90_emulator.identification.excitation.consistency import Consistency
+from rx90_emulator.identification.excitation.fit_quality import (
+    SpeedResiduals,
+    residuals_by_speed,
+    undetermined,
+)
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
+from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
+from rx90_emulator.identification.excitation.zeros import ZeroCheck
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -19,6 +25,7 @@ from rx90_emulator.identification.result.identification import IdentifiedElement
 
 UNITS = {"m": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "k": "Nm", "offset": "Nm"}
 """Units of base parameters by the first word of their names; of all others kg m^2."""
+NOT_DETERMINED = "these runs do not determine it"
 
 
 @dataclass(frozen=True)
@@ -29,9 +36,10 @@ class BaseParameter:
         name: short, such as mzR_2: the R says that others have joined it.
         group: in words, such as "mz_2 + 0.45 m_3".
         unit: SI.
-        estimate: by weighted least squares, together with the friction.
+        estimate: together with the friction, by weighted least squares, or by instrumental variables where these are
+            taken.
         consistent: its value by the physically consistent inertias.
-        instrumental: by instrumental variables; None where there are no instruments.
+        other: by the other one of least squares and instrumental variables; None where they were not compared.
     """
 
     name: str
@@ -39,7 +47,7 @@ class BaseParameter:
     unit: str
     estimate: ParameterEstimate
     consistent: float
-    instrumental: ParameterEstimate | None = None
+    other: ParameterEstimate | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +67,8 @@ class ExcitationIdentification:
         trends: drifts within a run.
         bags: what was read, by use: excitation, validation.
         instruments: least squares against instrumental variables.
+        zeros: which encoder zeros seem wrong.
+        gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
     """
 
     robot: RecordedRobot
@@ -73,6 +83,18 @@ class ExcitationIdentification:
     trends: tuple[Trend, ...]
     bags: tuple[tuple[str, BagSource], ...]
     instruments: InstrumentalComparison
+    zeros: ZeroCheck
+    gains: DriveGains | None = None
+
+    @cached_property
+    def speeds(self) -> tuple[SpeedResiduals, ...]:
+        """Return what is left at each speed of the elements."""
+        return residuals_by_speed(self.problem, self.problem.torque - self.friction.predicted)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Return the names of base parameters that these runs do not determine."""
+        return tuple(one.name for one in self.base if not one.estimate.identifiable)
 
     @property
     def confirmed(self) -> bool:
@@ -90,16 +112,16 @@ def base_parameters(
 ) -> tuple[BaseParameter, ...]:
     """Return the linear parameters but friction with their deviations."""
     count, fit = len(problem.names), friction.fit
-    values, deviations = fit.value[:count].tolist(), fit.deviation[:count].tolist()
+    unknown = undetermined(problem, fit)
+    estimates = [
+        ParameterEstimate.unknown(NOT_DETERMINED) if name in unknown else ParameterEstimate(value, deviation)
+        for name, value, deviation in zip(
+            problem.names, fit.value[:count].tolist(), fit.deviation[:count].tolist(), strict=True
+        )
+    ]
     consistent = consistency.inertias.base.tolist()
-    rows = zip(problem.names, problem.base.groups, values, deviations, consistent, strict=True)
+    rows = zip(problem.names, problem.base.groups, estimates, consistent, strict=True)
     return tuple(
-        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), _estimate(value, spread), near)
-        for name, group, value, spread, near in rows
+        BaseParameter(name, group, UNITS.get(name.split("_")[0].rstrip("R"), "kg m^2"), estimate, near)
+        for name, group, estimate, near in rows
     )
-
-
-def _estimate(value: float, deviation: float) -> ParameterEstimate:
-    if not np.isfinite(deviation):
-        return ParameterEstimate.unknown("these runs do not determine it")
-    return ParameterEstimate(value, deviation)

@@ -15,21 +15,23 @@ INDEX = "experiments.yaml"
 TOPICS = {
     Kind.SLIDING: ("joint_states", "robot_description"),
     Kind.PRESLIDING: ("motor_states", "robot_description"),
+    Kind.EXCITATION: ("motor_states", "rx90_controller/reference", "robot_description"),
     Kind.VALIDATION: ("motor_states", "rx90_controller/reference", "robot_description"),
 }
 """What is recorded: sweeps do not need the base rate, which keeps their bags small.
 
-The validation does: each period of the set-points begins with a jump of torque that grows with the acceleration, and
-samples in step with the set-points always fall on that jump."""
+Excitation runs and the validation do: each period of the set-points begins with a jump of torque that grows with the
+acceleration, and samples in step with the set-points always fall on that jump."""
 
 
 @dataclass(frozen=True)
 class IdentificationBags:
-    """Bags by use: sweeps, micro-oscillations, and runs for the validation."""
+    """Bags by use: sweeps, micro-oscillations, runs for the validation, and excitation runs."""
 
     sliding: tuple[Path, ...]
     presliding: tuple[Path, ...] = ()
     validation: tuple[Path, ...] = ()
+    excitation: tuple[Path, ...] = ()
 
     @classmethod
     def of(
@@ -62,7 +64,8 @@ def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     Raises:
         Rx90Error: if it cannot be written.
     """
-    content = {str(kind): [e.name for e in done if e.kind is kind] for kind in Kind}
+    there = [kind for kind in Kind if kind is not Kind.EXCITATION or any(one.kind is kind for one in done)]
+    content = {str(kind): [e.name for e in done if e.kind is kind] for kind in there}
     write_text(folder / INDEX, yaml_text(content))
 
 
@@ -86,6 +89,8 @@ def read_index(folder: Path) -> IdentificationBags:
     root = load_yaml(folder / INDEX)
     found = {}
     for kind in Kind:
+        if kind is Kind.EXCITATION and str(kind) not in root:
+            continue  # a series of sweeps
         bags = tuple(folder / name for name in root.texts(str(kind)))
         for bag in bags:
             if not bag.exists():

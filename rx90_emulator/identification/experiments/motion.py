@@ -92,6 +92,20 @@ class Motion:
         rest = np.zeros_like(centre)
         self._knots.append((self._time, centre, rest, rest))
 
+    def follow(self, time: Array, position: Array, velocity: Array, acceleration: Array) -> None:
+        """Run through k knots that are known, the last of them at rest.
+
+        Args:
+            time: of the knots from now on, s, increasing, shape (k,).
+            position: rad, shape (k, n).
+            velocity: rad/s, shape (k, n).
+            acceleration: rad/s², shape (k, n).
+        """
+        self._knots += zip((self._time + time).tolist(), position, velocity, acceleration, strict=True)
+        rest = np.zeros_like(self._pose)
+        self._pose, self._time = position[-1].copy(), self._knots[-1][0]
+        self._knots[-1] = (self._time, self._pose, rest, rest)
+
     def points(self, names: Sequence[str]) -> TrajectoryPoints:
         """Return the motion as the points that the controller takes."""
         times, position, velocity, acceleration = zip(*self._knots, strict=True)

@@ -32,6 +32,7 @@ class Kind(str, Enum):
 
     SLIDING = "sliding"
     PRESLIDING = "presliding"
+    EXCITATION = "excitation"
     VALIDATION = "validation"
 
     def __str__(self) -> str:

@@ -1,9 +1,9 @@
 """Whether the encoders' zeros are those of the URDF, by what gravity asks of the joints that slide.
 
 A wrong zero bends the arm in the wrong place. With the URDF's inertials as known within some 20 %, the torques tell:
-quarter turns are tried one joint and two neighbours at a time, and small errors are an extra column, the torque's derivative by the angle.
-An axis along gravity has no such derivative, and a link whose weight is uncertain makes good for a small error; both
-show in the deviation.
+quarter turns are tried one joint and two neighbours at a time, and small errors are an extra column, the torque's
+derivative by the angle. An axis along gravity has no such derivative, and a link whose weight is uncertain makes good
+for a small error; both show in the deviation.
 """
 
 from __future__ import annotations

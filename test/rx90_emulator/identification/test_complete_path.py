@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from processes import Processes, wait_until
 
-from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
@@ -119,81 +118,58 @@ def fresh_motion(setup: Setup) -> Experiment:
 
 ON_NODES = """
 import sys
-from pathlib import Path
-import numpy as np
-from rx90_common.exchange.environment import prepare
-prepare()
-from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.nodes import run_on_nodes
-from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.loop.setup import Setup
-setup, fourth = Setup.load(), np.eye(6)[3]
-robot = setup.robot
-slide, cycle = Motion(np.zeros(6)), Motion(np.zeros(6))
-for speed in np.geomspace(0.041, 1.0, 5):
-    slide.sweep(fourth, speed, 0.5, 6.0)
-    slide.sweep(fourth, -speed, 0.5, 6.0)
-cycle.sweep(fourth, 0.05, 0.3, 6.0)
-cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
-cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
-cycle.move(np.zeros(6), np.ones(6), 5.0)
-plan = [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-        Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)]
-folder = Path(sys.argv[1])
-folder.mkdir()
-run_on_nodes(setup, plan, folder, "rx90_controller", 60.0, print)
-"""
-"""Much less than the command's --quick: one joint, five speeds, one micro-oscillation, 12 s of motion."""
-
-
-@pytest.mark.ros
-def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
-    """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters."""
-    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
-    processes.start("rx90_controller")
-    folder = tmp_path / "series"
-    experiments = processes.start(sys.executable, "-c", ON_NODES, folder)
-    assert experiments.wait(timeout=120.0) == 0
-    output = tmp_path / "friction.yaml"
-    assert run("rx90_identify", [str(folder), "--output", str(output)]) == DONE
-    found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
-    assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
-    assert abs(found.c0 / truth.c0 - 1.0) < 0.05
-
-
-INTERRUPTED = """
-import sys
 import numpy as np
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import job
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 from rx90_emulator.loop.setup import Setup
-robot, plan = Setup.load().robot, []
-for name, duration in (("short", 0.5), ("long", 400.0)):
-    motion = Motion(np.zeros(6))
-    motion.sweep(np.eye(6)[3], 1e-3, duration, 6.0)
-    plan.append(Experiment(name, Kind.SLIDING, motion.points(robot.joint_names), 1))
-job.make_plan = lambda *_: plan
-sys.exit(run("rx90_experiment", ["run", "--nodes", "--output", sys.argv[1]]))
+robot, fourth = Setup.load().robot, np.eye(6)[3]
+cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
+cycle.sweep(fourth, 0.05, 0.3, 6.0)
+cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+cycle.move(np.zeros(6), np.ones(6), 5.0)
+for speed in np.geomspace(0.041, 1.0, 5):
+    slide.sweep(fourth, speed, 0.5, 6.0)
+    slide.sweep(fourth, -speed, 0.5, 6.0)
+long.sweep(fourth, 1e-3, 400.0, 6.0)
+series = ([Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)],
+          [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
+           Experiment("long", Kind.SLIDING, long.points(robot.joint_names), 1)])
+for folder, plan in zip(sys.argv[1:], series, strict=True):
+    job.make_plan = lambda *_: plan
+    code = run("rx90_experiment", ["run", "--nodes", "--output", folder])
+    print("ended with", code, flush=True)
+sys.exit(code)
 """
-"""The command with a plan of half a second and one that lasts until it is stopped."""
+"""The command twice. Much less than --quick: one joint, five speeds, one micro-oscillation, 12 s; and one too long."""
 
 
 @pytest.mark.ros
-def test_an_interrupted_series_keeps_its_complete_bags(processes: Processes, tmp_path: Path) -> None:
-    """Ctrl-C in the second experiment ends with 130, the first in the index, and no recorder left behind."""
+def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
+    """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
+
+    Ctrl-C in an experiment ends with 130, the one before it in the index, and no recorder left behind.
+    """
     processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
     processes.start("rx90_controller")
-    folder = tmp_path / "series"
-    run = processes.start(sys.executable, "-c", INTERRUPTED, folder)
-    wait_until((folder / "long").exists, "the second bag")
-    run.signal(signal.SIGINT)
-    assert run.wait() == 130
-    assert run.lines[-1] == "rx90_experiment: interrupted; complete bags stay"
-    assert [bag.name for bag in read_index(folder).sliding] == ["short"]
-    assert len(read_joint_states(folder / "short", "joint_states").stamp_ns) >= 500
-    assert not [pid for pid, words in running() if str(folder) in words]
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    experiments = processes.start(sys.executable, "-c", ON_NODES, whole, cut)
+    wait_until((cut / "long").exists, "the last bag")
+    assert experiments.wait_for("ended with").string == "ended with 0"
+    experiments.signal(signal.SIGINT)
+    assert experiments.wait() == 130
+    assert experiments.lines[-2:] == ["rx90_experiment: interrupted; complete bags stay", "ended with 130"]
+    assert [bag.name for bag in read_index(whole).presliding] == ["cycle"]
+    assert [bag.name for bag in read_index(cut).sliding] == ["slide"]
+    assert not [pid for pid, words in running() if str(cut) in words]
+    output = tmp_path / "friction.yaml"
+    bags = ["--sliding", cut / "slide", "--presliding", whole / "cycle", "--output", output]
+    assert run("rx90_identify", [str(word) for word in bags]) == DONE
+    found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
+    assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
+    assert abs(found.c0 / truth.c0 - 1.0) < 0.05
 
 
 def running() -> Iterator[tuple[str, str]]:

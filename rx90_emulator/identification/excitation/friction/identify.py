@@ -9,32 +9,39 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.estimates import element_estimate
 from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent
+from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.prior import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.model.estimates import ElementEstimate
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
 _SAME = 1e-6  # share of a constant torque that the regressor may leave, to explain it
 
 
-def identify_friction_parts(problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES) -> FrictionSelection:
+def identify_friction_parts(
+    problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES, prior: Prior | None = None
+) -> FrictionSelection:
     """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
 
     Args:
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
+        prior: of the base parameters, for the values; the parts are chosen by the runs alone.
 
     Returns:
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
     selected = select_parts(problem, parts)
-    inner, final, load = _final(selected, parts)
+    inner, final, load = _final(selected, parts, prior)
     size = problem.regressor.shape[1]
     shapes, linear = list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
@@ -77,7 +84,88 @@ def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -
     return np.asarray(torque)
 
 
-def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, str], ...], LinearFit, LoadDependence]:
+def identify_gains(problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES) -> DriveGains:
+    """Identify drive gains: with Coulomb and viscous friction, then with the friction that predicts best with these.
+
+    Args:
+        problem: with known payloads in some runs.
+        parts: of the friction, to try.
+
+    Raises:
+        IdentificationError: where the payloads tell no gain.
+    """
+    rough = drive_gains(problem, coulomb_viscous(problem)[1])
+    scaled = with_gains(problem, rough)
+    friction = identify_friction_parts(scaled, parts)
+    return drive_gains(scaled, linear_columns(friction, scaled)[1]).after(rough.factor)
+
+
+def linear_columns(selection: FrictionSelection, problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
+    """Return names and columns of the linear friction parameters that a selection has, by its shapes, shape (r, f).
+
+    Args:
+        selection: the shapes.
+        problem: of the same arm, along whose motion the columns are.
+    """
+    names, parts = [], []
+    for one, rows in zip(selection.fitted, element_rows(problem), strict=True):
+        taken = [k for k, name in enumerate(LINEAR) if f"{one.element}.{name}" in selection.names]
+        part = np.zeros((len(problem), len(taken)))
+        part[rows.rows] = rows.columns(one.shape)[0][:, taken]
+        parts.append(part)
+        names += [f"{one.element}.{LINEAR[k]}" for k in taken]
+    return tuple(names), np.hstack(parts)
+
+
+def with_linear(
+    selection: FrictionSelection, problem: ExcitationProblem, names: Sequence[str], fit: LinearFit
+) -> FrictionSelection:
+    """Return a selection with the linear parameters of another fit, the shapes as they are.
+
+    Args:
+        selection: as it was.
+        problem: the rows of both.
+        names: of the values of the other fit: all linear ones of the selection.
+        fit: for the selection's shapes. What is not known of these is added to its covariance.
+    """
+    places = np.array([selection.names.index(name) for name in names], dtype=np.intp)
+    shapes = np.setdiff1d(np.arange(len(selection.names)), places)
+    known = selection.fit.covariance
+    between = known[np.ix_(shapes, shapes)]
+    slope = known[np.ix_(places, shapes)] @ np.linalg.pinv(between)
+    covariance = known.copy()
+    covariance[np.ix_(places, places)] = fit.covariance + slope @ between @ slope.T
+    value = np.zeros(len(selection.names))
+    value[places] = fit.value
+    pairs = [name.rpartition(".") for name in selection.names[len(problem.names) :]]
+    inner = [(problem.arm.element_names.index(element), name) for element, _, name in pairs]
+    values = dict(zip(names, fit.value.tolist(), strict=True))
+    fitted = [
+        replace(
+            one,
+            linear=np.array([values.get(f"{one.element}.{name}", 0.0) for name in LINEAR]),
+            covariance=_block(e, inner, covariance),
+        )
+        for e, one in enumerate(selection.fitted)
+    ]
+    elements = [
+        element_estimate(one, _as_before(old), old.sources) for one, old in zip(fitted, selection.elements, strict=True)
+    ]
+    other = replace(selection, fitted=tuple(fitted), elements=tuple(elements), fit=replace(fit, value=value))
+    predicted = predicted_torque(other, problem)
+    whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
+    return replace(other, fit=whole, predicted=predicted)
+
+
+def _as_before(estimate: ElementEstimate) -> Callable[[Part], str]:
+    """Return why an element does not have a part, as its estimate says."""
+    of = {Part.STRIBECK: "omega_s", Part.BRISTLE: "c0", Part.DAMPING: "c1"}
+    return lambda part: estimate.parameters[of[part]].reason
+
+
+def _final(
+    selected: Selected, parts: Sequence[Part], prior: Prior | None
+) -> tuple[tuple[tuple[int, str], ...], LinearFit, LoadDependence]:
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
@@ -91,11 +179,11 @@ def _final(selected: Selected, parts: Sequence[Part]) -> tuple[tuple[tuple[int, 
         if Part.EXPONENT in parts and Part.EXPONENT not in shape.parts and fit.linear[e, VISCOUS] > 0.0
     )
     columns = tangent(weighted, fit, (*inner, *open_ones))
-    wide = solve(problem, columns)
-    load = load_dependence(weighted, fit, columns, wide)
+    wide = solve(problem, columns, prior=prior)
+    load = load_dependence(weighted, fit, columns, wide, prior)
     final = wide
     if open_ones:
-        narrow = solve(problem, columns[:, : -len(open_ones)])
+        narrow = solve(problem, columns[:, : -len(open_ones)], prior=prior)
         value = np.concatenate([narrow.value, np.zeros(len(open_ones))])
         final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
     widened = replace(final, covariance=final.covariance + np.outer(load.shift, load.shift))

@@ -16,6 +16,7 @@ from rx90_emulator.identification.excitation.friction.law import COULOMB
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
+from rx90_emulator.identification.excitation.prior import Prior
 
 _LEAST = 1e-6  # Nm, of a load that elements' friction is compared with
 _SIGNIFICANT = 2.0  # deviations of the coefficient from 0
@@ -40,7 +41,9 @@ class LoadDependence(NamedTuple):
         return abs(self.value) > _SIGNIFICANT * self.deviation
 
 
-def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array, without: LinearFit) -> LoadDependence:
+def load_dependence(
+    weighted: WeightedProblem, fit: SeparableFit, columns: Array, without: LinearFit, prior: Prior | None = None
+) -> LoadDependence:
     """Test whether friction grows with the load.
 
     Args:
@@ -48,10 +51,11 @@ def load_dependence(weighted: WeightedProblem, fit: SeparableFit, columns: Array
         fit: of the friction.
         columns: of the whole model around the fit, shape (r, q).
         without: fit of these columns.
+        prior: of the first parameters, in that fit.
     """
     problem = weighted.problem
     bare = np.abs(problem.regressor @ without.value[: len(problem.names)])
-    wide = solve(problem, np.column_stack([columns, _load_column(weighted, fit, bare)]))
+    wide = solve(problem, np.column_stack([columns, _load_column(weighted, fit, bare)]), prior=prior)
     value, deviation = float(wide.value[-1]), float(wide.deviation[-1])
     found = LoadDependence(value, deviation, wide.value[:-1] - without.value)
     return found if found.significant else found._replace(shift=np.zeros_like(found.shift))

@@ -16,7 +16,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
-from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
+from rx90_emulator.identification.excitation.friction.law import COULOMB, ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import BlockDivision, ModelRow
 from rx90_emulator.identification.excitation.friction.separable import SeparableFit, best_start, fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
@@ -86,7 +86,10 @@ class _Selection:
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
-        trimmed = self._trimmed(self._without_bounds(everywhere, part), keys)
+        tried = {old for _, old in keys}
+        trimmed = self._trimmed(self._without_bounds(everywhere, tried), keys)
+        # Without the parts that went, others may have come to a bound.
+        trimmed = self._without_bounds(trimmed, tried)
         left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
         kept = bool(left) and trimmed.better_than(before)
         same = trimmed.fit.shapes == everywhere.fit.shapes
@@ -122,19 +125,29 @@ class _Selection:
             shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
         return shapes
 
-    def _without_bounds(self, model: Scored, part: Part) -> Scored:
-        """Take a part from elements on which it lies at a bound of its range, and say so."""
+    def _without_bounds(self, model: Scored, parts: Iterable[Part]) -> Scored:
+        """Take parts from elements on which they lie at a bound of their range, and say so."""
         shapes = list(model.fit.shapes)
-        names = self._problem.arm.element_names
         for e, bound in enumerate(model.fit.at_bound):
-            at = sorted(bound & set(part.shape) - {"delta"})
-            if at and part in shapes[e].parts:
-                value = getattr(shapes[e], at[0])
-                self.refused[e, part] = f"{at[0]} of {names[e]} ends at the bound of its range, {value:.3g}"
-                shapes[e] = shapes[e].without(part)
+            for part in set(parts) & shapes[e].parts:
+                reason = self._at_bound(model.fit, e, part, bound)
+                if reason:
+                    self.refused[e, part] = reason
+                    shapes[e] = shapes[e].without(part)
         if shapes == list(model.fit.shapes):
             return model
-        return self._scored(fit_shapes(self.weighted, shapes))
+        return self._without_bounds(self._scored(fit_shapes(self.weighted, shapes)), parts)
+
+    def _at_bound(self, fit: SeparableFit, element: int, part: Part, bound: frozenset[str]) -> str:
+        """Return why a part of an element is at a bound; empty if it is not."""
+        name = self._problem.arm.element_names[element]
+        at = sorted(bound & set(part.shape) - {"delta"})
+        if at:
+            value = getattr(fit.shapes[element], at[0])
+            return f"{at[0]} of {name} ends at the bound of its range, {value:.3g}"
+        if part is Part.EXPONENT and fit.linear[element, COULOMB] <= 0.0:
+            return f"with it no Coulomb torque of {name} is left"
+        return ""
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.

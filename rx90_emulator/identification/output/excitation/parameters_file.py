@@ -9,6 +9,7 @@ from typing import Any
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import check_numbers, yaml_text
+from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.friction.models import CrossValidation, ModelRow
 from rx90_emulator.identification.excitation.result import BaseParameter, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques
@@ -32,6 +33,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
     """
     friction = result.friction
     bandwidths = result.problem.runs[0].bandwidths
+    other = "least_squares" if result.instruments.biased else "instrumental_variables"
     content = {
         "date": date.isoformat(timespec="seconds"),
         "versions": dict(versions),
@@ -44,7 +46,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             "torque": _rounded(bandwidths.torque),
             "reason": bandwidths.reason,
         },
-        "base_parameters": {one.name: _base(one) for one in result.base},
+        "base_parameters": {one.name: _base(one, other) for one in result.base},
         "friction": {
             name: {parameter: _estimate(estimate) for parameter, estimate in one.estimates.items()}
             for name, one in zip(result.problem.arm.element_names, result.elements, strict=True)
@@ -59,7 +61,11 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
             }
             for one in result.validations
         },
+        "estimator": "instrumental variables" if result.instruments.biased else "least squares",
         "instrumental_variables": result.instruments.reason,
+        **_gains(result),
+        "not_determined": list(result.undetermined),
+        "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
         "remarks": list(friction.remarks),
         "correlation": {"names": list(friction.names), "matrix": _correlation(friction.fit.covariance)},
@@ -79,10 +85,24 @@ def _estimate(estimate: ParameterEstimate) -> dict[str, Any]:
     return {"value": _rounded(estimate.value), "deviation": _rounded(estimate.deviation)}
 
 
-def _base(one: BaseParameter) -> dict[str, Any]:
+def _gains(result: ExcitationIdentification) -> dict[str, Any]:
+    """Return by what recorded torques were multiplied; nothing where it was not identified."""
+    if result.gains is None:
+        return {}
+    factors, deviations = result.gains.factor.tolist(), result.gains.deviation.tolist()
+    content = {
+        name: {"true_over_recorded": _rounded(factor), "deviation": _rounded(deviation)}
+        if math.isfinite(deviation)
+        else {"identifiable": False, "reason": "the payload does not tell it; 1 is taken"}
+        for name, factor, deviation in zip(result.problem.arm.names, factors, deviations, strict=True)
+    }
+    return {"drive_gains": content}
+
+
+def _base(one: BaseParameter, other: str) -> dict[str, Any]:
     content = {"unit": one.unit, "group": one.group, **_estimate(one.estimate), "consistent": _rounded(one.consistent)}
-    if one.instrumental is not None:
-        content["instrumental_variables"] = _estimate(one.instrumental)
+    if one.other is not None:
+        content[other] = _estimate(one.other)
     return content
 
 

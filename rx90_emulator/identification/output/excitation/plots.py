@@ -12,6 +12,7 @@ from scipy.signal import welch
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.drawing import COLOURS, as_svg, make_figure, make_grid
+from rx90_emulator.identification.excitation.fit_quality import SpeedResiduals
 from rx90_emulator.identification.excitation.friction.models import FrictionCurve
 from rx90_emulator.identification.excitation.torques import JointTorque, RunTorques
 
@@ -94,24 +95,20 @@ def _spectrum(joints: Sequence[JointTorque], column: int | None) -> tuple[Array,
     return found[0][0][1:-1], np.sqrt(density[1:-1])
 
 
-def speed_plot(runs: Sequence[RunTorques]) -> str:
-    """Return the residual against the velocity of each joint, in bins, as SVG."""
-    names = runs[0].names
-    figure, axes = make_grid(len(names), 2, 1.9)
-    for number, (panel, name) in enumerate(zip(axes, names, strict=True)):
-        velocity = np.concatenate([run.joints[number].velocity for run in runs])
-        residual = np.concatenate([run.joints[number].residual for run in runs])
-        _label(panel, name)
+def speed_plot(speeds: Sequence[SpeedResiduals]) -> str:
+    """Return the mean residual against the velocity of each element, with 95 % intervals, as SVG."""
+    figure, axes = make_grid(len(speeds), 2, 1.9)
+    for panel, one in zip(axes, speeds, strict=True):
+        _label(panel, one.element)
         panel.xaxis.set_major_locator(MaxNLocator(6))
         panel.axhline(0.0, color=_RESIDUAL, linewidth=0.6)
-        bins = binned(velocity, residual)
-        if len(bins):
-            centre, mean, low, high = bins.T
-            panel.fill_between(centre, low, high, color=_BAND, alpha=0.3, linewidth=0.0, label="80 % of the samples")
-            panel.plot(centre, mean, ".-", color=COLOURS[0], linewidth=0.9, markersize=4, label="mean of a bin")
+        if len(one.velocity):
+            bars = 1.96 * np.nan_to_num(one.deviation)
+            panel.errorbar(one.velocity, one.residual, bars, fmt=".-", color=COLOURS[0], ecolor=_BAND, linewidth=0.9,
+                           markersize=4, label="mean of a bin, 95 %")  # fmt: skip
     _legend(axes)
     for panel in axes[-2:]:
-        panel.set_xlabel("joint velocity, rad/s")
+        panel.set_xlabel("velocity of the element, rad/s")
     return as_svg(figure)
 
 

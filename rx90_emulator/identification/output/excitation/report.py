@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
@@ -10,8 +11,11 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
+from rx90_emulator.identification.excitation.closed_loop import remark
+from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.friction.models import FrictionCurve
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
+from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.output.excitation.plots import (
     binned,
     correlation_plot,
@@ -21,6 +25,7 @@ from rx90_emulator.identification.output.excitation.plots import (
     time_plot,
     torque_plot,
 )
+from rx90_emulator.identification.output.excitation.robot import torque_constants
 from rx90_emulator.identification.output.excitation.summary import friction_columns, lacking
 
 _CLOSE = 0.95  # correlation from which two parameters are named
@@ -57,12 +62,28 @@ def report_page(
         drawn=[(run, torque_plot(run)) for run in (checked[:2] or [longest])],
         curves=curve_plots(curves, _measured(result, curves)),
         spectra=spectra_plot(checked or result.torques),
-        by_speed=speed_plot(result.torques),
+        by_speed=speed_plot(result.speeds),
+        misfits=misfits(result.speeds),
+        closed_loop=remark(result.instruments),
+        other="least squares" if result.instruments.biased else "instruments",
+        gains=gain_rows(result),
         by_time=time_plot(result.torques, result.friction.blocks.length),
         correlation=correlation_plot(result.friction.names, result.friction.fit.covariance),
         close=_close(result.friction.names, result.friction.fit.covariance),
         runs_named=[run.source.path.name for run in checked or result.torques],
     )
+
+
+def gain_rows(result: ExcitationIdentification) -> list[tuple[str, tuple[str, str] | None, str]]:
+    """Return for each motor its name, gain with deviation if it was identified, and the torque constant if it has."""
+    if result.gains is None:
+        return []
+    constants = torque_constants(result)
+    names, count = result.problem.arm.names, len(result.gains.factor)
+    written = [""] * count if constants is None else [f"{value:.4g}" for value in constants.value]
+    pairs = zip(result.gains.factor.tolist(), result.gains.deviation.tolist(), strict=True)
+    found = [ParameterEstimate(*pair).texts() if math.isfinite(pair[1]) else None for pair in pairs]
+    return list(zip(names, found, written, strict=True))
 
 
 def _unit(name: str) -> str:

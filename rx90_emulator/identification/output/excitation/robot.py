@@ -6,6 +6,9 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
+from rx90_common.base.quoting import listed
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.identification.excitation.elements import ASSUMED_BRISTLES
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
@@ -36,6 +39,9 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
             drives["transmission", "gear"] = _given(options.gear, "gear")
             if options.torque_constant is not None:
                 drives["motor", "torque_constant"] = _given(options.torque_constant, "torque-constant")
+    constants = torque_constants(result)
+    if constants is not None:
+        drives["motor", "torque_constant"] = constants
     robot = IdentifiedRobot(
         problem.arm,
         result.consistency.inertias,
@@ -46,6 +52,24 @@ def robot_files(result: ExcitationIdentification, date: datetime) -> tuple[dict[
         drives,
     )
     return robot_texts(robot, urdf, base, date), note
+
+
+def torque_constants(result: ExcitationIdentification) -> Identified | None:
+    """Return the motors' torque constants with identified drive gains; None where nothing tells them.
+
+    Efforts of another robot that are no currents of its motors tell gains, but no constants.
+    """
+    gains, setup, options = result.gains, result.robot.setup, result.options
+    if gains is None or (setup is None and (options.gear is None or options.torque_constant is None)):
+        return None
+    before = options.torque_constant if setup is None else setup.drives.torque_constant
+    values = np.asarray(before, dtype=np.float64) * gains.factor
+    sure = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
+    rest = "" if len(sure) == len(values) else "; the others are as before, for the payload does not tell them"
+    return Identified(
+        [float(f"{value:.6g}") for value in values], "identified",
+        f"torques of {listed(sure)} in runs with and without a known payload{rest}",
+    )  # fmt: skip
 
 
 def _given(values: Sequence[float], option: str) -> Identified:

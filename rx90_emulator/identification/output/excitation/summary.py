@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from rx90_emulator.identification.excitation.closed_loop import remark
+from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import TorqueValidation
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
-_SHOWN_VALUES = "; the values here are by least squares, the others stand in the report"
 _SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "c0", "c1")
 
 
@@ -18,13 +19,39 @@ def excitation_summary(result: ExcitationIdentification) -> str:
     parts = [
         _friction(result),
         *_lacking(result),
+        *undetermined_texts(result),
         *_fits(result),
+        *([f"zeros: {result.zeros.text}"] if result.zeros.text else []),
         f"model: {result.model.name}; {result.model.reason}",
-        f"closed loop: {result.instruments.reason}{_SHOWN_VALUES * result.instruments.biased}",
+        f"closed loop: {remark(result.instruments)}",
+        *gain_texts(result),
+        *(f"misfit: {text}" for text in misfits(result.speeds)),
         *(f"drift: {one.text}" for one in result.trends),
         *(_verdict(check) for check in result.validations),
     ]
     return "\n".join(parts)
+
+
+def gain_texts(result: ExcitationIdentification) -> list[str]:
+    """Return in a line by what the recorded torque of each motor is multiplied, if that was identified."""
+    if result.gains is None:
+        return []
+    gains, names = result.gains, result.problem.arm.names
+    texts = [
+        f"{name} {' +- '.join(ParameterEstimate(value, deviation).texts())}" if math.isfinite(deviation)
+        else f"{name} 1 (the payload does not tell it)"
+        for name, value, deviation in zip(names, gains.factor.tolist(), gains.deviation.tolist(), strict=True)
+    ]  # fmt: skip
+    return [
+        f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
+    ]
+
+
+def undetermined_texts(result: ExcitationIdentification) -> list[str]:
+    """Return in a line which base parameters the runs leave open, if any."""
+    if not result.undetermined:
+        return []
+    return [f"not determined by these runs: {', '.join(result.undetermined)}; the files take them from the description"]
 
 
 def friction_columns(estimates: Mapping[str, ParameterEstimate]) -> dict[str, ParameterEstimate]:

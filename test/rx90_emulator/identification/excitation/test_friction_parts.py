@@ -155,6 +155,14 @@ def test_a_stribeck_rise_is_found_where_there_is_one(arm: RigidArm) -> None:
         assert abs(found[name].value - value) < 3.0 * found[name].deviation, name
 
 
+def test_an_exponent_does_not_take_the_place_of_coulomb_friction(arm: RigidArm) -> None:
+    """A curve that a power alone would fit, from nothing at rest on, keeps a Coulomb torque, which an arm needs."""
+    laws = (lambda v: np.sign(v) * np.maximum(2.3 * np.abs(v) ** 0.3 - 0.3, 0.0), LAWS[1])
+    found = identify_friction_parts(problem_of(arm, record(laws, 1)))
+    assert Part.EXPONENT not in found.parts[0]
+    assert found.elements[0].parameters["tau_c_positive"].value > 0.0
+
+
 def test_asymmetry_is_told_to_be_an_offset(arm: RigidArm) -> None:
     """Of unequal directions the mean comes out, and it is said which offset holds half their difference."""
     laws = (power_law(3.0, 2.0, 1.0, up=0.5), LAWS[1])

@@ -29,11 +29,11 @@ def test_exact_runs_give_back_every_base_parameter(seed: int, joints: int, coupl
     problem = ExcitationProblem.of(
         rigid_arm(arm, tmp_path), runs_of(arm, 400.0, NOTHING, Bandwidths(100.0, 20.0), periods=1)
     )
-    names, columns = all_columns(problem)
+    _, columns = all_columns(problem)
     fit = solve(problem, columns)
     expected = truth(problem, arm)
     assert fit.determined.all()
-    assert undetermined(problem, names, columns, fit) == ()
+    assert undetermined(problem, fit) == ()
     assert fit.value == pytest.approx(expected, abs=2e-3 * float(np.abs(expected).max()))
 
 
@@ -125,7 +125,7 @@ def test_a_prior_holds_what_runs_do_not_tell(tmp_path: Path) -> None:
     problem = ExcitationProblem.of(rigid, [replace(still, torque=torque)])
     columns = problem.regressor
     fit = solve(problem, columns)
-    names = undetermined(problem, problem.names, columns, fit)
+    names = undetermined(problem, fit)
     assert "offset_2" in names
     prior = described_inertials(problem.columns, problem.base, 0.1)
     held = solve(problem, columns, prior=prior)

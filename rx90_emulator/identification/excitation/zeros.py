@@ -1,0 +1,231 @@
+"""Whether the encoders' zeros are those of the URDF: which other zeros would explain the torques clearly better.
+
+A wrong zero bends the arm in the wrong place, and no inertia makes good for it. Logs are off by quarter turns where
+URDF and encoder count from other poses, and by some hundredths of a radian after a bad calibration. Both are looked for
+in the model of rigid body, Coulomb and viscous friction: quarter turns one joint and two neighbours at a time, then
+small errors by their derivatives. A zero that base parameters can make good for (a vertical first axis, the last joint)
+changes no torque, and is never blamed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+
+from rx90_common.base.arrays import Array, Index, Mask
+from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
+from rx90_emulator.identification.excitation.covariance import time_blocks
+from rx90_emulator.identification.excitation.least_squares import solve
+from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+_QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
+_ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
+_TURNED = 3.0  # standard errors by which a change must explain more
+_SURE = 4.0  # deviations from which a small error is one
+_FEWER = 0.005  # share of the squares that a second joint must explain, to be turned with the first
+_GAIN = 0.02  # share of the torque error, at least
+_SMALLEST = 0.01  # rad: elasticity and rounded geometry pass for less
+_LARGEST = 0.3  # rad, of an error that counts as small
+_ROUNDS = 3  # of Gauss and Newton
+_STEP = 1e-4  # rad, of differences
+_APART = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroCheck:
+    """Which zeros would explain the recorded torques better than those given.
+
+    Attributes:
+        names: n joints.
+        zero: that were used, rad, shape (n,).
+        error: of them, rad, shape (n,): 0 where nothing speaks against one.
+        deviation: of small errors, rad, shape (n,); 0 for quarter turns.
+        before: RMS of the torque that the simple model leaves, over that of the torque, all joints together.
+        after: the same with the better zeros.
+    """
+
+    names: tuple[str, ...]
+    zero: Array
+    error: Array
+    deviation: Array
+    before: float
+    after: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words; empty where the zeros are right."""
+        wrong = [
+            f"{name} by {error:.4g}{f' +- {spread:.2g}' if spread else ''} rad"
+            for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
+            if error
+        ]
+        if not wrong:
+            return ""
+        better = np.round(self.zero + self.error, 6) + 0.0
+        return (
+            f"{', '.join(wrong)} seems to be off (torque error of the Coulomb and viscous model {self.before:.1%} -> "
+            f"{self.after:.1%}): try --zero {' '.join(f'{value:.6g}' for value in better.tolist())}"
+        )
+
+
+def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCheck:
+    """Look for zeros that explain the torques of runs clearly better.
+
+    Args:
+        problem: equations with the zeros as they were given.
+        zero: these, recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+    """
+    n = len(problem.arm.names)
+    search = _Search.of(problem)
+    told = search.told(np.zeros(n))
+    quarters = search.turned(told)
+    small, deviation = search.small(quarters, told)
+    shift = quarters + small
+    powers = [
+        float(np.mean(values**2)) for values in (problem.torque, search.residual(np.zeros(n)), search.residual(shift))
+    ]
+    scale = max(powers[0], 1e-300)
+    # Recorded angles lose the zero: joints that stand a further on than assumed have a zero that is a less.
+    error = np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
+    return ZeroCheck(
+        problem.arm.names,
+        np.zeros(n) if zero is None else zero,
+        error,
+        deviation,
+        math.sqrt(powers[1] / scale),
+        math.sqrt(powers[2] / scale),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Fits with other angles; the motion passes the parallel filter in place of each of its columns, which is cheap."""
+
+    problem: ExcitationProblem
+    friction: Array
+    block: Index
+    weight: Array
+    instants: tuple[Array, Array, Array]
+    instant: Index
+    some: Index
+
+    @classmethod
+    def of(cls, problem: ExcitationProblem) -> _Search:
+        starts = np.cumsum([0, *(len(run.rows) for run in problem.runs)])
+        motion = [np.concatenate([run.parallel(getattr(run, name)) for run in problem.runs])
+                  for name in ("position", "velocity", "acceleration")]  # fmt: skip
+        friction = coulomb_viscous(problem)[1]
+        fit = solve(problem, np.hstack([problem.regressor, friction]))
+        # Whole instants are taken, so that no more regressors are computed than rows are compared.
+        instant = starts[problem.run] + problem.place
+        every = max(1, math.ceil(len(problem) / _ROWS))
+        some = np.flatnonzero(instant % every == 0)
+        position, velocity, acceleration = motion
+        return cls(
+            problem, friction, time_blocks(problem), 1.0 / fit.sigma[problem.joint],
+            (position, velocity, acceleration), instant, some,
+        )  # fmt: skip
+
+    def told(self, shift: Array) -> Mask:
+        """Return the joints whose zero the torques tell: no base parameter makes good for its error, shape (n,)."""
+        columns, slopes = self._derivatives(shift)
+        weight = self.weight[:, None]
+        basis = np.linalg.qr(_scaled(columns * weight))[0]
+        left = slopes * weight - basis @ (basis.T @ (slopes * weight))
+        size = np.sum((slopes * weight) ** 2, axis=0)
+        return np.asarray(np.sum(left**2, axis=0) > _APART * np.maximum(size, 1e-300))
+
+    def turned(self, told: Mask) -> Array:
+        """Return the quarter turns of joints that explain clearly more, rad, shape (n,)."""
+        best = np.zeros(len(told))
+        squares = self._squares(best)
+        joints = np.flatnonzero(told).tolist()
+        for _ in joints:
+            one = self._best(best, [(j,) for j in joints])
+            two = self._best(best, [(a, b) for a, b in pairwise(joints) if b == a + 1])
+            shift, less = two if two[1].sum() < one[1].sum() - _FEWER * squares.sum() else one
+            if not _clearly_less(less, squares):
+                break
+            best, squares = shift, less
+        return best
+
+    def small(self, start: Array, told: Mask) -> tuple[Array, Array]:
+        """Return small errors beside quarter turns and their deviations, rad, each shape (n,): 0 where none is sure."""
+        none = np.zeros(len(start))
+        if not told.any():
+            return none, none
+        shift, spread = none.copy(), none.copy()
+        for _ in range(_ROUNDS):
+            columns, slopes = self._derivatives(start + shift)
+            fit = solve(self.problem, np.hstack([columns, slopes[:, told]]))
+            step = fit.value[columns.shape[1] :]
+            shift[told] += step
+            spread[told] = fit.deviation[columns.shape[1] :]
+            sure = np.abs(shift) > np.maximum(_SMALLEST, _SURE * spread)
+            if np.abs(step).max() < 0.1 * _SMALLEST or not sure[told].any():
+                break
+        sure &= told & (np.abs(shift) < _LARGEST)
+        shift, spread = np.where(sure, shift, 0.0), np.where(sure, spread, 0.0)
+        return shift, spread
+
+    def residual(self, shift: Array) -> Array:
+        """Return what rigid body, Coulomb and viscous friction leave of the torque with shifted angles, Nm."""
+        return solve(
+            self.problem, np.hstack([self._regressor(shift, np.arange(len(self.problem))), self.friction])
+        ).residual
+
+    def _regressor(self, shift: Array, rows: Index) -> Array:
+        leading = list(self.problem.base.leading)
+        instants, place = np.unique(self.instant[rows], return_inverse=True)
+        position, velocity, acceleration = (values[instants] for values in self.instants)
+        columns = self.problem.columns.torque(position + shift, velocity, acceleration)[:, :, leading]
+        return np.asarray(columns[place, self.problem.joint[rows]])
+
+    def _squares(self, shift: Array) -> Array:
+        """Return the sum of weighted squared residuals of each block of time."""
+        rows = self.some
+        weight = self.weight[rows]
+        columns = np.hstack([self._regressor(shift, rows), self.friction[rows]]) * weight[:, None]
+        target = (self.problem.torque[rows]) * weight
+        basis = np.linalg.qr(_scaled(columns))[0]
+        left = target - basis @ (basis.T @ target)
+        return np.asarray(np.bincount(self.block[rows], left**2, int(self.block.max()) + 1), dtype=np.float64)
+
+    def _best(self, start: Array, groups: Sequence[tuple[int, ...]]) -> tuple[Array, Array]:
+        """Return the quarter turns of one group of joints that leave least, and the squares they leave."""
+        found = (start, np.full(int(self.block.max()) + 1, math.inf))
+        for group in groups:
+            for turns in product(_QUARTERS, repeat=len(group)):
+                shift = start.copy()
+                shift[list(group)] += turns
+                squares = self._squares(shift)
+                found = (shift, squares) if squares.sum() < found[1].sum() else found
+        return found
+
+    def _derivatives(self, shift: Array) -> tuple[Array, Array]:
+        """Return the columns of the simple model, shape (r, q), and the derivatives by the angles, shape (r, n)."""
+        rows = np.arange(len(self.problem))
+        columns = np.hstack([self._regressor(shift, rows), self.friction])
+        value = solve(self.problem, columns).value[: len(self.problem.names)]
+        slopes = [
+            (self._regressor(shift + step, rows) - self._regressor(shift - step, rows)) @ value / (2.0 * _STEP)
+            for step in np.eye(len(shift)) * _STEP
+        ]
+        return columns, np.column_stack(slopes)
+
+
+def _scaled(columns: Array) -> Array:
+    return np.asarray(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+
+
+def _clearly_less(squares: Array, before: Array) -> bool:
+    """Return whether squares are less than before, block by block, by more than chance and by a share that counts."""
+    gain = before - squares
+    filled = gain[before > 0.0]
+    error = float(np.std(filled, ddof=1)) * math.sqrt(len(filled)) if len(filled) > 1 else math.inf
+    needed = (1.0 - (1.0 - _GAIN) ** 2) * float(before.sum())
+    return float(gain.sum()) > max(_TURNED * error, needed)

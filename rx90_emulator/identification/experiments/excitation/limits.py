@@ -1,0 +1,139 @@
+"""The limits of an arm and of the room around it, as shares that a motion reaches and as what exceeding them costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.description.wrist import coupling_matrix
+from rx90_emulator.identification.experiments.excitation.information import SMOOTH, Motion
+from rx90_emulator.identification.experiments.excitation.workspace import Workspace
+from rx90_emulator.identification.experiments.load import friction_torque
+from rx90_emulator.loop.setup import Setup
+
+_SLACK = 0.02  # rad, to the joints' ranges, as the sweeps keep
+_LENGTH = 0.1  # m too near to a wall that cost as much as a limit exceeded by its whole size
+_MARGIN, _ROOM = 0.02, 0.01  # of a limit, and m to a wall, that a search leaves for what lies between its samples
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSlope:
+    """Derivatives by a motion and its rigid torque, each of shape (m, n)."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """What a run must keep.
+
+    Attributes:
+        setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the motors.
+        workspace: planes.
+        clearance: least distance to them, m.
+        share: of accelerations and torques.
+        speed: share of the speeds.
+    """
+
+    setup: Setup
+    workspace: Workspace
+    clearance: float
+    share: float
+    speed: float
+
+    @property
+    def middle(self) -> Array:
+        """Return the middle of each joint's range, rad, shape (n,)."""
+        return 0.5 * (self.setup.robot.lower + self.setup.robot.upper)
+
+    @property
+    def reach(self) -> Array:
+        """Return how far each joint may go from there, rad, shape (n,)."""
+        return 0.5 * (self.setup.robot.upper - self.setup.robot.lower) - _SLACK
+
+    @cached_property
+    def turns(self) -> Array:
+        """Return the motors' speeds per joints' speeds, gears left out, shape (n, n)."""
+        return coupling_matrix()
+
+    @cached_property
+    def to_motors(self) -> Array:
+        """Return the motors' torques per joint torques, gears left out, shape (n, n)."""
+        return np.asarray(np.linalg.inv(self.turns).T)
+
+    @property
+    def motor_torque(self) -> Array:
+        """Return the motors' peak torques, seen through their gears, Nm, shape (n,)."""
+        drives = self.setup.drives
+        return np.abs(drives.gear) * drives.peak_torque
+
+    def shares(self, motion: Motion, torque: Array) -> dict[str, Array]:
+        """Return signed shares of what is allowed, by name, each of shape (m, n).
+
+        Args:
+            motion: m samples of n joints.
+            torque: with friction, Nm, shape (m, n).
+        """
+        position, velocity, acceleration = motion
+        robot, controller = self.setup.robot, self.setup.controller
+        return {
+            "position": (position - self.middle) / self.reach,
+            "speed": velocity / (self.speed * robot.max_velocity),
+            "motor_speed": velocity @ self.turns.T / (self.speed * robot.max_velocity),
+            "acceleration": acceleration / (self.share * controller.max_acceleration),
+            "torque": torque / (self.share * robot.max_effort),
+            "motor_torque": torque @ self.to_motors.T / (self.share * self.motor_torque),
+        }
+
+    def penalty(self, motion: Motion, rigid: Array) -> tuple[float, MotionSlope]:
+        """Return the sum of squares of what comes too near to the limits, and its derivatives.
+
+        Args:
+            motion: m samples of n joints.
+            rigid: torque without friction, Nm, shape (m, n); friction is smoothed.
+        """
+        robot, controller = self.setup.robot, self.setup.controller
+        friction, by_speed = friction_torque(motion[1], controller, SMOOTH)
+        over = {name: _over(share) for name, share in self.shares(motion, rigid + friction).items()}
+        value = sum(float(np.sum(one**2)) for one in over.values())
+        near, slope = self.nearness(motion[0])
+        speed = over["speed"] + over["motor_speed"] @ self.turns
+        motors = over["motor_torque"] / self.motor_torque @ self.to_motors
+        by_torque = 2.0 * (over["torque"] / robot.max_effort + motors) / self.share
+        by_friction = by_torque @ self.turns.T * by_speed @ self.turns
+        return value + near, MotionSlope(
+            2.0 * over["position"] / self.reach + slope,
+            2.0 * speed / (self.speed * robot.max_velocity) + by_friction,
+            2.0 * over["acceleration"] / (self.share * controller.max_acceleration),
+            by_torque,
+        )
+
+    def nearness(self, position: Array) -> tuple[float, Array]:
+        """Return what it costs to be too near to the walls, and its derivative by the position, shape (m, n)."""
+        value, slope = 0.0, np.zeros_like(position)
+        for distance, by_position in self.workspace.distances(position):
+            missing = np.maximum((self.clearance + _ROOM - distance) / _LENGTH, 0.0)
+            value += float(np.sum(missing**2))
+            slope -= 2.0 / _LENGTH * np.einsum("ms,msn->mn", missing, by_position)
+        return value, slope
+
+    def kept(self, motion: Motion, rigid: Array) -> bool:
+        """Return whether a motion keeps all limits at its samples."""
+        torque = rigid + friction_torque(motion[1], self.setup.controller)[0]
+        within = all(float(np.abs(share).max()) <= 1.0 for share in self.shares(motion, torque).values())
+        return within and self.clear(motion[0])
+
+    def clear(self, position: Array) -> bool:
+        """Return whether positions, rad, shape (m, n), are far enough from the walls."""
+        return all(float(distance.min()) >= self.clearance for distance, _ in self.workspace.distances(position))
+
+
+def _over(share: Array) -> Array:
+    """Return by how much a signed share exceeds 1, less a margin, with its sign."""
+    return np.asarray(np.sign(share) * np.maximum(np.abs(share) - 1.0 + _MARGIN, 0.0))

@@ -1,0 +1,238 @@
+"""Planned excitation runs: within every limit, better than random ones, the same again, recognised when recorded."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.interpolate import BPoly
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import DONE, REFUSED
+from rx90_emulator.cli.frame import run
+from rx90_emulator.identification import excitation_job
+from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, plan_excitation
+from rx90_emulator.identification.experiments.excitation.information import ExcitationColumns
+from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
+from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.excitation.search import RunSearch
+from rx90_emulator.identification.experiments.excitation.workspace import Workspace
+from rx90_emulator.identification.experiments.folder import read_index, write_index
+from rx90_emulator.identification.experiments.plan import Kind
+from rx90_emulator.loop.setup import Setup
+
+TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)
+OPTIONS = ExcitationOptions(
+    runs=1, harmonics=5, period=6.0, periods=2, steps=16, validation=False,
+    walls=(Wall.above(TABLE), Wall.through(WALL)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plan(tx40: Setup) -> ExcitationPlan:
+    """Return a run of the TX40 over a table and beside a wall."""
+    return plan_excitation(tx40, OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def motion(plan: ExcitationPlan) -> tuple[Array, Array, Array]:
+    """Return position, velocity and acceleration of its trajectory, by SciPy's quintics, at 1 kHz."""
+    points = plan.experiments[0].points
+    assert points.velocity is not None
+    assert points.acceleration is not None
+    knots = np.stack([points.position, points.velocity, points.acceleration], axis=1)
+    curve = BPoly.from_derivatives(points.times, knots)
+    time = np.arange(0.0, points.times[-1], 1e-3)
+    return curve(time), curve(time, nu=1), curve(time, nu=2)
+
+
+def test_a_run_keeps_ranges_speeds_and_accelerations(motion: tuple[Array, Array, Array], tx40: Setup) -> None:
+    """The whole trajectory, from home and back, keeps the limits; motor 6, which turns with joints 5 and 6, too."""
+    position, velocity, acceleration = motion
+    assert np.all(position >= tx40.robot.lower)
+    assert np.all(position <= tx40.robot.upper)
+    assert np.all(np.abs(velocity) <= 0.8 * tx40.robot.max_velocity)
+    assert np.all(np.abs(velocity[:, 4] + velocity[:, 5]) <= 0.8 * tx40.robot.max_velocity[5])
+    assert np.all(np.abs(acceleration) <= 0.8 * tx40.controller.max_acceleration)
+    # Some joint comes near to a limit: the motion is not safe by being small.
+    assert np.abs(position / tx40.robot.upper).max() > 0.7
+
+
+def test_a_run_keeps_torques(motion: tuple[Array, Array, Array], tx40: Setup) -> None:
+    """Pinocchio's torque with rotors and friction of every motor keeps joints' efforts and motors' peak torques."""
+    robot, drives, controller = tx40.robot, tx40.drives, tx40.controller
+    turns = np.eye(6)
+    turns[5, 4] = 1.0
+    data = robot.model.createData()
+    for q, v, a in zip(*(one[::20] for one in motion), strict=True):
+        motor = turns @ v
+        friction = np.sign(motor) * (controller.coulomb + controller.viscous * np.abs(motor))
+        rotors = drives.rotor_inertia * (turns @ a) + friction
+        torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ rotors
+        assert np.all(np.abs(torque) <= 0.8 * robot.max_effort)
+        assert np.all(np.abs(np.linalg.solve(turns.T, torque)) <= 0.8 * np.abs(drives.gear) * drives.peak_torque)
+
+
+def test_every_shape_stays_away_from_table_and_wall(
+    plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
+) -> None:
+    """Corners of boxes and rims of cylinders, placed by Pinocchio, keep the clearance; what is reported is their least.
+
+    Base and shoulder do not count for the table, which they cannot come nearer to, nor does the base for the wall.
+    """
+    normal = np.array(WALL[:3]) / np.linalg.norm(WALL[:3])
+    planes = [(np.array([0.0, 0.0, 1.0]), TABLE, 1), (normal, WALL[3] / float(np.linalg.norm(WALL[:3])), 0)]
+    model, data = tx40.robot.model, tx40.robot.model.createData()
+    least = [math.inf, math.inf]
+    for q in motion[0][::100]:
+        pin.framesForwardKinematics(model, data, q)
+        for link in ET.fromstring(tx40.robot.urdf).findall("link"):
+            frame = model.getFrameId(str(link.get("name")), pin.BODY)
+            points = _outline(link) @ data.oMf[frame].rotation.T + data.oMf[frame].translation
+            known = model.frames[frame]
+            # Pinocchio 2 calls it `parent`.
+            joint = known.parentJoint if hasattr(known, "parentJoint") else known.parent
+            for k, (direction, distance, standing) in enumerate(planes):
+                if joint > standing and len(points):
+                    least[k] = min(least[k], float((points @ direction).min()) - distance)
+    reported = [distance for distance, _ in plan.workspace.lowest(motion[0][::100])]
+    assert min(least) >= OPTIONS.clearance
+    assert np.all(np.array(least) - reported < 2e-3)
+    assert np.all(np.array(least) - reported > -1e-9)
+
+
+def _outline(link: ET.Element) -> Array:
+    """Return corners and rims of a link's shapes in its frame, m, shape (k, 3)."""
+    found = [np.zeros((0, 3))]
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    for shape in link.findall("collision"):
+        origin = shape.find("origin")
+        texts = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
+        xyz, rpy = (np.array(text.split(), dtype=np.float64) for text in texts)
+        box, cylinder = shape.find("geometry/box"), shape.find("geometry/cylinder")
+        if box is not None:
+            signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+            points = 0.5 * signs * np.array(box.get("size", "").split(), dtype=np.float64)
+        else:
+            assert cylinder is not None
+            radius, half = float(cylinder.get("radius", "")), 0.5 * float(cylinder.get("length", ""))
+            rim = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+            points = np.vstack([np.column_stack([rim, np.full(len(rim), z)]) for z in (-half, half)])
+        found.append(points @ pin.rpy.rpyToMatrix(rpy).T + xyz)
+    return np.vstack(found)
+
+
+def _search(setup: Setup, kind: Criterion, walls: tuple[Wall, ...] = ()) -> RunSearch:
+    columns = ExcitationColumns.of(setup, 0.01 * setup.robot.max_effort)
+    limits = MotionLimits(setup, Workspace.of(setup.robot, walls), 0.02, 0.8, 0.8)
+    count = len(columns.names)
+    basis = RunSearch.samples(5, 6.0)
+    return RunSearch(columns, limits, np.zeros(6), kind, basis, 12.0, np.zeros((count, count)))
+
+
+@pytest.mark.parametrize(("kind", "factor"), [(Criterion.D, 0.7), (Criterion.CONDITION, 0.6)])
+def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup, kind: Criterion, factor: float) -> None:
+    """Of six random runs scaled into the limits none comes near: the mean deviation or the condition number is smaller.
+
+    By NumPy's determinant and singular values of the densely sampled columns.
+    """
+    search = _search(shipped, kind)
+
+    def figure(series: object) -> float:
+        time = np.arange(0.0, 6.0, 0.02)
+        position, velocity, acceleration = series.at(time)  # type: ignore[attr-defined]
+        standard = search.columns.standard.torque(position, velocity, acceleration)
+        rows = search.columns.rows(standard, velocity).reshape(6 * len(time), -1)
+        if kind is Criterion.D:
+            return float(np.exp(-np.linalg.slogdet(rows.T @ rows)[1] / (2.0 * rows.shape[1])))
+        return float(np.linalg.cond(rows / np.linalg.norm(rows, axis=0)))
+
+    rng = np.random.default_rng(3)
+    best = min(figure(search.within(search.random(rng))) for _ in range(6))
+    assert figure(search.best(np.random.default_rng(4), 16, lambda: None)) < factor * best
+
+
+@pytest.mark.parametrize("kind", list(Criterion))
+def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: Criterion) -> None:
+    """The derivative of what is minimised, limits and walls exceeded, is that of differences."""
+    search = _search(shipped, kind, (Wall.above(0.3),))
+    rng = np.random.default_rng(1)
+    x = 1.4 * search.random(rng).coefficients.ravel()
+    direction = rng.normal(size=x.size)
+    value, slope = search.cost(x)
+    assert value > 10.0  # limits are exceeded
+    difference = (search.cost(x + 1e-6 * direction)[0] - search.cost(x - 1e-6 * direction)[0]) / 2e-6
+    assert slope @ direction == pytest.approx(difference, rel=1e-4)
+
+
+def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) -> None:
+    """Two plans of equal options have the same points, two runs of a plan and two seeds do not."""
+    options = ExcitationOptions(runs=2, harmonics=3, period=3.0, periods=1, steps=1, validation=False)
+    first, again, other = (
+        [one.points.position for one in plan_excitation(tx40, chosen).experiments]
+        for chosen in (options, options, replace(options, seed=1))
+    )
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not any(a.shape == b.shape and np.allclose(a, b) for a in (first[0],) for b in (first[1], other[0]))
+
+
+def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
+    """Friction of elements 5, 6 and 5+6 and both rotors are told apart; by joint 5 alone they are not."""
+    time = np.arange(0.0, OPTIONS.period, 0.02)
+    position, velocity, acceleration = plan.runs[0].series.at(time)
+    names = list(plan.columns.names)
+    wrist = [names.index(f"joint_{one}.{part}") for one in ("5", "6", "5_6") for part in ("tau_c", "c2")]
+    wrist += [names.index("Ia_5"), names.index("Ia_6")]
+
+    def singular(speed: Array, change: Array) -> Array:
+        standard = plan.columns.standard.torque(position, speed, change)
+        rows = plan.columns.rows(standard, speed).reshape(6 * len(time), -1)[:, wrist]
+        values = np.linalg.svd(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-12), compute_uv=False)
+        return np.asarray(values)
+
+    assert singular(velocity, acceleration)[-1] > 0.2
+    alone = np.eye(6)[4]
+    assert singular(velocity * alone, acceleration * alone)[-1] < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--runs", "3"], "--runs without --excitation"),
+        (["--excitation", "--group", "joint_1"], "--group with --excitation"),
+        (["--excitation", "--harmonics", "2"], "harmonics 2; accepted: 3 to 50"),
+        (["--excitation", "--share", "1.5"], "share 1.5; accepted: 0.05 to 1"),
+        (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
+        (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
+        (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
+    ],
+)
+def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Options that do not go together, values beyond their ranges and walls at home are refused in one line."""
+    assert run("rx90_experiment", ["plan", *words]) == REFUSED
+    said = capsys.readouterr().err.strip().splitlines()
+    assert text in said[-1]
+    assert len(said) == 1
+
+
+def test_a_folder_of_excitation_runs_is_identified_as_such(
+    plan: ExcitationPlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`rx90_identify FOLDER` takes runs and validation from the index; one of a series of sweeps names none."""
+    runs = [plan.experiments[0], replace(plan.experiments[0], name="unseen", kind=Kind.VALIDATION)]
+    for one in runs:
+        (tmp_path / one.name).mkdir()
+    seen: list[object] = []
+    monkeypatch.setattr(excitation_job, "run_excitation", lambda *given, **_: seen.append(given) or True)
+    write_index(tmp_path, runs)
+    assert run("rx90_identify", [str(tmp_path), "--output", str(tmp_path / "out")]) == DONE
+    (given,) = seen
+    assert (given[0], given[2]) == ((tmp_path / "excitation_1",), (tmp_path / "unseen",))  # type: ignore[index]
+    write_index(tmp_path, runs[1:])
+    assert "excitation" not in (tmp_path / "experiments.yaml").read_text()
+    assert read_index(tmp_path).excitation == ()
