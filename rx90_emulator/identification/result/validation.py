@@ -15,7 +15,7 @@ from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.result.prediction import TorquePrediction, predict_torque, tip_difference
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.sliding.zeros import ZeroCheck, check_zeros, record_instants
+from rx90_emulator.identification.sliding.zeros import GravityZeros, check_zeros, record_instants
 
 _REFERENCE = "rx90_controller/reference"
 
@@ -42,7 +42,7 @@ class Validation:
     tip_distance: Array
     tolerances: ValidationTolerances
     source: str
-    zeros: ZeroCheck | None = None
+    zeros: GravityZeros | None = None
 
     def _mean(self, values: Array) -> Array:
         compared = self.torque.compared

@@ -26,7 +26,7 @@ from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 from rx90_emulator.identification.sliding.usage import BagUse
-from rx90_emulator.identification.sliding.zeros import Instants, ZeroCheck, check_zeros, known_joints
+from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, known_joints
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
@@ -87,7 +87,7 @@ class SlidingFit:
     plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
-    zeros: ZeroCheck | None = None
+    zeros: GravityZeros | None = None
 
 
 def identify_sliding(

@@ -62,7 +62,7 @@ class Instants:
 
 
 @dataclass(frozen=True, eq=False)
-class ZeroCheck:
+class GravityZeros:
     """What the torques say of the zeros.
 
     Attributes:
@@ -136,7 +136,7 @@ def known_joints(sliding: Mask, elements: Array) -> Mask:
     return np.asarray(~(~sliding @ (elements != 0.0)))
 
 
-def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> ZeroCheck:
+def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> GravityZeros:
     """Look for zeros that explain the torques clearly better.
 
     Args:
@@ -157,7 +157,7 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     better = shift + np.where(sure, small, 0.0)
     usual = math.sqrt(max(search.power, 1e-300))
     # Recorded angles lose the zero: joints that stand a further on than assumed have a zero that is a less.
-    return ZeroCheck(
+    return GravityZeros(
         arm.names,
         np.zeros(n) if zero is None else zero,
         np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in better.tolist()]),
@@ -284,8 +284,8 @@ def _friction(velocity: Array, elements: Array) -> Array:
     inputs = velocity @ elements.T
     fastest = np.maximum(np.abs(inputs).max(axis=0), 1e-9)
     shapes: Sequence[Array] = [
-        1.0 * (inputs > 0.0),
-        1.0 * (inputs < 0.0),
+        (inputs > 0.0).astype(np.float64),
+        (inputs < 0.0).astype(np.float64),
         inputs / fastest,
         *(np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _CURVES),
     ]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.sliding.zeros import Instants, ZeroCheck, check_zeros, record_instants
+from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, record_instants
 
 Array = NDArray[np.float64]
 STRETCHES, EACH = 24, 4
@@ -73,10 +73,10 @@ def test_a_small_error_is_told_with_its_deviation() -> None:
     """The line names joint, size, deviation, and the given zero with the error added."""
     none = np.zeros(2)
     told = np.array([False, True])
-    check = ZeroCheck(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
+    check = GravityZeros(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
     assert "b by 0.1 +- 0.01 rad" in check.text
     assert "try --zero 0 0.6; gravity does not tell the zero of a" in check.text
-    assert ZeroCheck(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
+    assert GravityZeros(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
 
 
 def test_a_run_of_any_motion_tells_as_well(arm: RigidArm) -> None:
