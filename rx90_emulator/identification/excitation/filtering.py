@@ -31,6 +31,7 @@ _SHORTEST = 64  # samples of a stretch whose spectrum is looked at
 _PER_MOTION = 10.0  # bandwidth of the positions over that of the motion, at least: Gautier's rule is 5 to 10
 _HIGHEST = 0.3  # bandwidth of the positions over the sampling rate, at most
 _ROWS = 2.5  # rows per second over the bandwidth of the torque: neighbours' noise is nearly independent
+_MOST_ROWS = 30_000  # of all joints and runs: what more of them tell is not worth the time of their fits
 _GAP = 3.5  # periods without a sample that split a run
 _EVEN = 1e-3  # periods that a stamp may lie off an even grid, to be taken as on it
 _SPLINE_END = 10  # samples in which the error at a quintic spline's end fades
@@ -67,7 +68,9 @@ class Bandwidths:
         which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
         bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
         band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
-        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96).
+        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96). Long runs
+        with hardly any noise would give more rows than a fit needs: then the torque gets what 30,000 rows carry, down
+        to a third of ten times the motion's band.
 
         Raises:
             IdentificationError: if no joint moves.
@@ -84,7 +87,12 @@ class Bandwidths:
             source += f", and {_PER_MOTION:g} times its own band is {wanted:.3g} Hz"
         if position < wanted:
             source += f"; no more than {_HIGHEST:g} of the sampling rate"
-        return cls(position, position / 3.0, f"{source}; the torque gets a third of it")
+        torque = position / 3.0
+        lasting = sum(record.time[-1] - record.time[0] for record in records) * records[0].position.shape[1]
+        carried = max(_MOST_ROWS / (_ROWS * float(lasting)), min(_PER_MOTION * motion / 3.0, torque))
+        if carried < torque:
+            return cls(position, carried, f"{source}; the torque gets what {_MOST_ROWS} rows carry")
+        return cls(position, torque, f"{source}; the torque gets a third of it")
 
 
 def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:

@@ -17,7 +17,7 @@ from rx90_emulator.identification.excitation.prior import Prior
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _ROUNDS = 30
-_CONVERGED = 1e-4  # change of a value in its deviations
+_CONVERGED = 1e-2  # change of a value in its deviations; what is left to change is some three times as much
 _HUBER = 1.345  # deviations beyond which a residual weighs less: 95 % efficient for normal noise
 _UNDETERMINED = 1e-6  # singular value of scaled columns over the largest, below which a direction is unknown
 _SHARE = 1e-6  # of such a direction's square in a parameter, from which on that is not determined

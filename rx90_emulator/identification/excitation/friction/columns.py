@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.law import (
+    COULOMB,
+    DAMPING,
     LINEAR,
+    VISCOUS,
     ElementShape,
     Part,
-    steady_columns,
+    Speeds,
     stribeck_factor,
+    viscous,
 )
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.presliding.bristle_path import deflect_bristle
@@ -42,35 +46,49 @@ class ElementMotion:
         """Return the motion; position in rad and velocity in rad/s, each shape (m,)."""
         return cls(velocity, np.diff(position, prepend=position[:1]) / step, step)
 
-    def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
-        """Return columns and derivatives by the free parameters, with the bristle in place of steady sliding."""
-        columns, slopes = steady_columns(shape, self.velocity)
-        derivatives = {name: slopes[name] for name in shape.free}
+    @cached_property
+    def speeds(self) -> tuple[Speeds, Speeds]:
+        """Return the velocities, and the means over the steps, as shapes use them."""
+        return Speeds(self.velocity), Speeds(self.mean)
+
+    def columns(self, shape: ElementShape) -> dict[int, Array]:
+        """Return what the linear parameters multiply, and derivatives by the free parameters, as far as not all 0.
+
+        Returns:
+            Arrays of shape (m,) by their place: that in LINEAR, three further for each free parameter.
+        """
+        width = len(LINEAR)
+        after = {name: width * (k + 1) for k, name in enumerate(shape.free)}
+        speeds = self.speeds[0]
+        column, by_alpha = viscous(shape, speeds)
+        found = {VISCOUS: column}
+        if "alpha" in after:
+            found[after["alpha"] + VISCOUS] = by_alpha
         if Part.BRISTLE not in shape.parts:
-            return columns, derivatives
-        places = [0, 2]
-        columns[:, places] = self._bristle(shape)
+            factor, slopes = stribeck_factor(shape, speeds)
+            found[COULOMB] = speeds.sign * factor
+            return found | {after[name] + COULOMB: speeds.sign * slopes[name] for name in slopes if name in after}
+        here = self._bristle(shape)
+        found |= here
         for number, name in enumerate(shape.free):
             if name != "alpha":
                 values = shape.values
                 values[number] += _DIFFERENCE
                 moved = self._bristle(shape.with_values(values))
-                derivatives[name][:, places] = (moved - columns[:, places]) / _DIFFERENCE
-        return columns, derivatives
+                found |= {after[name] + k: (moved[k] - here[k]) / _DIFFERENCE for k in here}
+        return found
 
-    def _bristle(self, shape: ElementShape) -> Array:
-        """Return u = c0 z / tau_c, and dz/dt in rad/s where damping is in the model, shape (m, 2).
+    def _bristle(self, shape: ElementShape) -> dict[int, Array]:
+        """Return u = c0 z / tau_c, and dz/dt in rad/s where damping is in the model, each of shape (m,), by place.
 
         The simulation's steps are exact for a velocity that is held; they give means over each step, and the mean of
         the two steps around a sample belongs to its time.
         """
-        path = np.stack([self.mean, stribeck_factor(shape, self.mean)[0], np.ones_like(self.mean)])
+        path = np.stack([self.mean, stribeck_factor(shape, self.speeds[1])[0], np.ones_like(self.mean)])
         result = np.empty((2, len(self.mean)))
         deflect_bristle(path, self.step, shape.stiffness, 0.0, result)
         result[:, :-1] = 0.5 * (result[:, :-1] + result[:, 1:])
-        if Part.DAMPING not in shape.parts:
-            result[1] = 0.0
-        return result.T
+        return {COULOMB: result[0], **({DAMPING: result[1]} if Part.DAMPING in shape.parts else {})}
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,16 +112,16 @@ class ElementRows:
 
     def columns(self, shape: ElementShape) -> tuple[Array, dict[str, Array]]:
         """Return the joint torques per unit of the linear parameters, shape (s, 3), and their derivatives."""
-        filtered = []
-        for run, motion in zip(self.problem.runs, self.motions, strict=True):
-            columns, derivatives = motion.columns(shape)
-            table = np.hstack([columns, *derivatives.values()])
-            used = table.any(axis=0)
-            low = np.zeros((len(run.rows), table.shape[1]))
-            low[:, used] = run.parallel(table[:, used])
-            filtered.append(low)
-        rows = np.concatenate(filtered)[self.place] * self.factor[:, None]
         width = len(LINEAR)
+        low = np.zeros((sum(len(run.rows) for run in self.problem.runs), width * (1 + len(shape.free))))
+        first = 0
+        for run, motion in zip(self.problem.runs, self.motions, strict=True):
+            # Only what is not 0 is filtered, each column in one piece of memory.
+            columns = motion.columns(shape)
+            last = first + len(run.rows)
+            low[first:last, list(columns)] = run.parallel(np.stack(list(columns.values())).T)
+            first = last
+        rows = low[self.place] * self.factor[:, None]
         return rows[:, :width], {n: rows[:, width * (k + 1) : width * (k + 2)] for k, n in enumerate(shape.free)}
 
     @cached_property

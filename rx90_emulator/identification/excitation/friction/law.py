@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,7 @@ class ElementShape:
         omega_s: Stribeck velocity, rad/s.
         delta: Stribeck exponent, 1.
         stiffness: bristle stiffness over Coulomb torque, 1/rad.
+        fixed: names of those that the data do not tell: they stay as they are, though their part is there.
     """
 
     parts: frozenset[Part] = frozenset()
@@ -70,11 +72,12 @@ class ElementShape:
     omega_s: float = math.inf
     delta: float = 1.0
     stiffness: float = math.inf
+    fixed: frozenset[str] = frozenset()
 
     @property
     def free(self) -> tuple[str, ...]:
         """Return the names of the parameters that its parts leave open, in the order of `values`."""
-        return tuple(name for part in Part if part in self.parts for name in part.shape)
+        return tuple(n for part in Part if part in self.parts for n in part.shape if n not in self.fixed)
 
     @property
     def values(self) -> Array:
@@ -90,10 +93,18 @@ class ElementShape:
         """Return the shape without a part; bristle damping goes with the bristle."""
         gone = {part, Part.DAMPING} if part is Part.BRISTLE else {part}
         neutral: dict[str, Any] = {name: getattr(_NEUTRAL, name) for name in part.shape}
-        return replace(self, parts=self.parts - gone, **neutral)
+        return replace(self, parts=self.parts - gone, fixed=self.fixed - set(part.shape), **neutral)
+
+    def opened(self, name: str) -> ElementShape:
+        """Return the shape with a parameter among its free ones, its value as it is."""
+        part = next(part for part in Part if name in part.shape)
+        closed = frozenset() if part in self.parts else frozenset(part.shape)
+        return replace(self, parts=self.parts | {part}, fixed=(self.fixed | closed) - {name})
 
 
 _NEUTRAL = ElementShape()
+_REST = 1e-300  # rad/s
+_LARGEST = math.log(700.0)  # beyond, a Stribeck rise has faded
 
 
 def _written(name: str, value: float) -> float:
@@ -104,27 +115,38 @@ def _read(name: str, value: float) -> float:
     return math.exp(value) if name in _LOGARITHMIC else value
 
 
-def stribeck_factor(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
-    """Return h and its derivatives by rise, ln omega_s and delta, each of the shape of `velocity`, rad/s."""
+@dataclass(frozen=True, eq=False)
+class Speeds:
+    """Velocities, rad/s, shape (m,), and what all shapes make use of."""
+
+    velocity: Array
+
+    @cached_property
+    def sign(self) -> Array:
+        """Return their signs, shape (m,)."""
+        return np.asarray(np.sign(self.velocity))
+
+    @cached_property
+    def logarithm(self) -> Array:
+        """Return the logarithms of their sizes, shape (m,), bounded from below so that rest gives no infinity."""
+        return np.asarray(np.log(np.maximum(np.abs(self.velocity), _REST)))
+
+
+def stribeck_factor(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[str, Array]]:
+    """Return h and its derivatives by rise, ln omega_s and delta where the shape has a Stribeck part, each (m,)."""
     if Part.STRIBECK not in shape.parts:
-        nothing = np.zeros_like(velocity)
-        return nothing + 1.0, dict.fromkeys(Part.STRIBECK.shape, nothing)
-    over = np.abs(velocity) / shape.omega_s
-    ratio = np.minimum(over**shape.delta, 700.0)
+        return np.ones_like(speeds.velocity), {}
+    over = speeds.logarithm - math.log(shape.omega_s)
+    ratio = np.exp(np.minimum(shape.delta * over, _LARGEST))
     decay = np.exp(-ratio)
     slope = shape.rise * decay * ratio
-    with np.errstate(divide="ignore"):
-        logarithm = np.where(over > 0.0, np.log(over), 0.0)
-    return 1.0 + shape.rise * decay, {"rise": decay, "omega_s": slope * shape.delta, "delta": -slope * logarithm}
+    return 1.0 + shape.rise * decay, {"rise": decay, "omega_s": slope * shape.delta, "delta": -slope * over}
 
 
-def viscous(shape: ElementShape, velocity: Array) -> tuple[Array, Array]:
-    """Return |v|^alpha sign(v) and its derivative by alpha, each of the shape of `velocity`, rad/s."""
-    speed = np.abs(velocity)
-    column = np.sign(velocity) * speed**shape.alpha
-    with np.errstate(divide="ignore"):
-        logarithm = np.where(speed > 0.0, np.log(speed), 0.0)
-    return column, column * logarithm
+def viscous(shape: ElementShape, speeds: Speeds) -> tuple[Array, Array]:
+    """Return |v|^alpha sign(v) and its derivative by alpha, each of shape (m,)."""
+    column = speeds.sign * np.exp(shape.alpha * speeds.logarithm)
+    return column, column * speeds.logarithm
 
 
 def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[str, Array]]:
@@ -137,13 +159,11 @@ def steady_columns(shape: ElementShape, velocity: Array) -> tuple[Array, dict[st
     Returns:
         Columns of LINEAR, shape (m, 3), and their derivatives by each other parameter in FITTED.
     """
-    sign = np.sign(velocity)
-    factor, by_stribeck = stribeck_factor(shape, velocity)
-    column, by_alpha = viscous(shape, velocity)
-    nothing = np.zeros_like(velocity)
-    derivatives = {
-        "alpha": np.column_stack([nothing, by_alpha, nothing]),
-        "stiffness": np.zeros((len(velocity), 3)),
-        **{name: np.column_stack([sign * slope, nothing, nothing]) for name, slope in by_stribeck.items()},
-    }
-    return np.column_stack([sign * factor, column, nothing]), derivatives
+    speeds = Speeds(velocity)
+    factor, by_stribeck = stribeck_factor(shape, speeds)
+    column, by_alpha = viscous(shape, speeds)
+    derivatives = {name: np.zeros((len(velocity), 3)) for name in FITTED[len(LINEAR) :]}
+    derivatives["alpha"][:, VISCOUS] = by_alpha
+    for name, slope in by_stribeck.items():
+        derivatives[name][:, COULOMB] = speeds.sign * slope
+    return np.column_stack([speeds.sign * factor, column, np.zeros_like(velocity)]), derivatives
