@@ -5,6 +5,7 @@ Nothing slow is imported before the signals are taken care of, nor before the op
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -70,6 +71,9 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
     keep_exit_code()
     announce_compilation(program)
     check_output()
+    # NumPy reads it when it is imported. Matrices are small here: more threads would wait for each other in a loop, and
+    # take the processor from whatever else runs.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     return run(program, sys.argv[1:] if words is None else words)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
@@ -11,10 +12,11 @@ from importlib import import_module
 
 import pytest
 
+from rx90_common.base.errors import REFUSED
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES
 from rx90_common.process.children import executable
-from rx90_emulator.cli.frame import EXECUTABLES
+from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.cli.options import CommandParser, split_ros_args
 
 
@@ -28,22 +30,49 @@ def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
             yield action
 
 
+HELP = """
+import os
+import sys
+from rx90_emulator.cli import frame
+sys.argv[1:] = ["--help"]
+for name in frame.EXECUTABLES:
+    code = getattr(frame, name)()
+    slow = {"numba", "scipy", "rclpy"} & set(sys.modules)
+    print("end", code, sorted(slow), os.environ["OPENBLAS_NUM_THREADS"], flush=True)
+"""
+
+
+@pytest.mark.parametrize("threads", [None, "3"])
+def test_help_needs_neither_compiler_nor_middleware(threads: str | None) -> None:
+    """Executables print their help, exit codes at its end, without numba, SciPy or rclpy, which take seconds.
+
+    Where the user says nothing else, they have told the linear algebra to take one thread by then.
+    """
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads or ""}
+    if threads is None:
+        del environment["OPENBLAS_NUM_THREADS"]
+    command = [sys.executable, "-c", HELP]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    pages = done.stdout.split(f"end 0 [] {threads or 1}\n")
+    assert pages.pop() == ""
+    for name, text in zip(EXECUTABLES, pages, strict=True):
+        assert text.startswith(f"usage: {name} ")
+        assert "exit status: 0 done" in text
+        assert text.endswith("gone.\n")
+
+
 @pytest.mark.parametrize("name", EXECUTABLES)
-def test_help_needs_neither_compiler_nor_middleware(name: str) -> None:
-    """An executable prints its help, exit codes at its end, without numba, SciPy or rclpy, which take seconds."""
-    program = (
-        f"import sys\nfrom rx90_emulator.cli.frame import {name}\nsys.argv[1:] = ['--help']\n"
-        f"code = {name}()\nprint(code, sorted({{'numba', 'scipy', 'rclpy'}} & set(sys.modules)))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.startswith(f"usage: {name} ")
-    assert "exit status: 0 done" in done.stdout
-    assert done.stdout.endswith("gone.\n0 []\n")
+def test_an_unknown_word_is_wrong_usage(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An option that there is not ends with 2 and says what there is."""
+    assert run(name, ["--nonsense"]) == REFUSED
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith(f"usage: {name} ")
 
 
-@pytest.mark.parametrize("name", [*EXECUTABLES, "rx90_nothing"])
-def test_an_unknown_word_is_wrong_usage(name: str) -> None:
-    """An option that there is not, and an executable that there is not, end with 2 and say what there is."""
+@pytest.mark.parametrize("name", ["rx90_nothing", "rx90_run"])
+def test_wrong_usage_is_the_exit_code(name: str) -> None:
+    """As a process, an option that there is not and an executable that there is not end with 2 as well."""
     done = subprocess.run(executable(name, "--nonsense"), capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("usage: ")
@@ -72,22 +101,20 @@ CALLS_WITH_LONG_NAMES = (
 
 
 @pytest.mark.parametrize("words", CALLS_WITH_LONG_NAMES)
-def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...]) -> None:
+def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
     """A file name longer than the system takes is refused with 2 and a line, by every command."""
-    done = subprocess.run(executable(*words, LONG), capture_output=True, text=True, timeout=60, check=False)
-    told = [line for line in done.stderr.splitlines() if "compiling" not in line]
-    assert (done.returncode, len(told)) == (2, 1), done.stderr
+    code = run(words[0], [*words[1:], LONG])
+    told = capsys.readouterr().err.splitlines()
+    assert (code, len(told)) == (REFUSED, 1), told
     assert told[0].startswith(f"{words[0]}: ")
     assert "File name too long" in told[0]
 
 
-def test_a_folder_is_no_result_of_a_sweep() -> None:
+def test_a_folder_is_no_result_of_a_sweep(capsys: pytest.CaptureFixture[str]) -> None:
     """An empty name, which is the folder one is in, is refused in a line for the result of a sweep."""
-    for words in (("info", ""), ("run", "sweep/reference_1000.yaml", "--output", "")):
-        command = executable("rx90_sweep", *words)
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-        assert done.returncode == 2, done.stderr
-        assert ". is a folder; accepted: a file" in done.stderr
+    for words in (["info", ""], ["run", "sweep/reference_1000.yaml", "--output", ""]):
+        assert run("rx90_sweep", words) == REFUSED
+        assert ". is a folder; accepted: a file" in capsys.readouterr().err
 
 
 def test_arguments_for_ros_end_at_two_dashes() -> None:

@@ -132,11 +132,11 @@ class Scored:
         """Return whether this model predicts better: by blocks, and by runs where there are several.
 
         By blocks the gain must exceed the standard error of the paired differences. One standard error, not two: a part
-        that is there and left out biases all others, a part too much widens their deviations. By runs there must be a
-        gain; of two or three runs a standard error says little.
+        that is there and left out biases all others, a part too much widens their deviations. By runs the loss, if
+        there is one, must lie within that error: few runs say less than many blocks.
         """
         blocks, runs = self.validations(other)
-        return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > 0.0)
+        return blocks.gain > blocks.gain_deviation and (runs is None or runs.gain > -runs.gain_deviation)
 
 
 def _validation(squares: Array, other: Array, rows: Array, relative: float) -> CrossValidation:

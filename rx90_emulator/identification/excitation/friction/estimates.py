@@ -77,6 +77,8 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
     part = _PART_OF.get(name)
     if part is not None and part not in one.shape.parts:
         return refusal(part)
+    if name == "delta" and "delta" in one.shape.fixed:
+        return "not told from the size of the rise; 1 was assumed"
     weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST * value if name in _WEAK else math.inf)
     checks = (
         (not one.linear.any(), "the element does not move"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR,
 from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent
+from rx90_emulator.identification.excitation.friction.undecided import undecided_rises
 from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.prior import Prior
@@ -24,6 +26,7 @@ from rx90_emulator.identification.model.estimates import ElementEstimate
 
 WITHOUT_BRISTLES = (Part.EXPONENT, Part.STRIBECK)
 ALL_PARTS = tuple(Part)
+_FARTHEST = 0.8  # of an exponent from 1
 _SAME = 1e-6  # share of a constant torque that the regressor may leave, to explain it
 
 
@@ -41,7 +44,7 @@ def identify_friction_parts(
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
     selected = select_parts(problem, parts)
-    inner, final, load = _final(selected, parts, prior)
+    inner, final, load, rises = _final(selected, parts, prior)
     size = problem.regressor.shape[1]
     shapes, linear = list(selected.fit.shapes), selected.fit.linear.copy()
     moved = [shape.values for shape in shapes]
@@ -61,7 +64,9 @@ def identify_friction_parts(
         models=selected.rows,
         blocks=selected.blocks,
         fitted=fitted,
-        elements=tuple(element_estimate(one, _refusals(selected, e, parts), sources) for e, one in enumerate(fitted)),
+        elements=tuple(
+            element_estimate(one, _refusals(selected, e, parts, rises.get(e)), sources) for e, one in enumerate(fitted)
+        ),
         fit=final,
         names=(*problem.names, *friction),
         predicted=problem.torque - final.residual,
@@ -82,6 +87,18 @@ def predicted_torque(selection: FrictionSelection, problem: ExcitationProblem) -
     for one, rows in zip(selection.fitted, element_rows(problem), strict=True):
         torque[rows.rows] += rows.columns(one.shape)[0] @ one.linear
     return np.asarray(torque)
+
+
+class _Final(NamedTuple):
+    """The friction's parameters, the fit of the whole model, and what friction may have beside its parts.
+
+    `rises` are value and standard deviation over tau_c of Stribeck rises that may be there, by element.
+    """
+
+    inner: tuple[tuple[int, str], ...]
+    fit: LinearFit
+    load: LoadDependence
+    rises: dict[int, tuple[float, float]]
 
 
 def identify_gains(problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES) -> DriveGains:
@@ -163,13 +180,12 @@ def _as_before(estimate: ElementEstimate) -> Callable[[Part], str]:
     return lambda part: estimate.parameters[of[part]].reason
 
 
-def _final(
-    selected: Selected, parts: Sequence[Part], prior: Prior | None
-) -> tuple[tuple[tuple[int, str], ...], LinearFit, LoadDependence]:
+def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None) -> _Final:
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
-    tau_c and c2 because an exponent was left out. A growth of friction with the load widens it by what it shifts.
+    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise that may be there. What the
+    values shift with these exponents, and with a growth of friction with the load, widens the covariance, too.
     """
     weighted, fit = selected.weighted, selected.fit
     problem, inner = weighted.problem, fit.inner()
@@ -186,8 +202,27 @@ def _final(
         narrow = solve(problem, columns[:, : -len(open_ones)], prior=prior)
         value = np.concatenate([narrow.value, np.zeros(len(open_ones))])
         final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
-    widened = replace(final, covariance=final.covariance + np.outer(load.shift, load.shift))
-    return (*inner, *open_ones), widened, load
+    rises, covariance = undecided_rises(selected, columns, prior)
+    known = final.covariance if covariance is None else covariance
+    closed = _hidden(wide, final, (*inner, *open_ones), len(open_ones))
+    widened = replace(final, covariance=known + np.outer(load.shift, load.shift) + np.outer(closed, closed))
+    return _Final((*inner, *open_ones), widened, load, rises)
+
+
+def _hidden(wide: LinearFit, narrow: LinearFit, inner: Sequence[tuple[int, str]], opened: int) -> Array:
+    """Return what all values shift with exponents that were left at 1, the last `opened` values, shape (q,).
+
+    An exponent that would leave its range is not told by the runs: what it shifts has no meaning.
+    """
+    shift = np.where(wide.determined, wide.value - narrow.value, 0.0)
+    lost = {e for (e, _), step in zip(inner[len(inner) - opened :], shift[len(shift) - opened :], strict=True)
+            if abs(step) > _FARTHEST}  # fmt: skip
+    if lost:
+        shift[: len(shift) - len(inner)] = 0.0
+    for place, (e, _) in enumerate(inner, len(shift) - len(inner)):
+        if e in lost:
+            shift[place] = 0.0
+    return shift
 
 
 def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) -> Array:
@@ -200,13 +235,21 @@ def _block(element: int, inner: Sequence[tuple[int, str]], covariance: Array) ->
     return result
 
 
-def _refusals(selected: Selected, element: int, parts: Sequence[Part]) -> Callable[[Part], str]:
-    """Return the function that says why an element does not have a part."""
+def _refusals(
+    selected: Selected, element: int, parts: Sequence[Part], rise: tuple[float, float] | None
+) -> Callable[[Part], str]:
+    """Return the function that says why an element does not have a part; `rise` is a Stribeck rise it may have."""
     low, high = selected.weighted.elements[element].speed_range
 
     def reason(part: Part) -> str:
         if (element, part) in selected.refused:
             why = selected.refused[element, part]
+            if part is Part.STRIBECK and rise is not None:
+                size, deviation = (100.0 * value for value in rise)
+                why += (
+                    f"; a rise may be there, {size:.0f} % of tau_c with a standard error of {deviation:.0f} %: the "
+                    "deviations of the other parameters contain that"
+                )
             return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {why}"
         if part is Part.DAMPING and part in parts:
             return reason(Part.BRISTLE)

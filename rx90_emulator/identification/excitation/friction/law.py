@@ -63,6 +63,7 @@ class ElementShape:
         omega_s: Stribeck velocity, rad/s.
         delta: Stribeck exponent, 1.
         stiffness: bristle stiffness over Coulomb torque, 1/rad.
+        fixed: names of those that the data do not tell: they stay as they are, though their part is there.
     """
 
     parts: frozenset[Part] = frozenset()
@@ -71,11 +72,12 @@ class ElementShape:
     omega_s: float = math.inf
     delta: float = 1.0
     stiffness: float = math.inf
+    fixed: frozenset[str] = frozenset()
 
     @property
     def free(self) -> tuple[str, ...]:
         """Return the names of the parameters that its parts leave open, in the order of `values`."""
-        return tuple(name for part in Part if part in self.parts for name in part.shape)
+        return tuple(n for part in Part if part in self.parts for n in part.shape if n not in self.fixed)
 
     @property
     def values(self) -> Array:
@@ -91,7 +93,13 @@ class ElementShape:
         """Return the shape without a part; bristle damping goes with the bristle."""
         gone = {part, Part.DAMPING} if part is Part.BRISTLE else {part}
         neutral: dict[str, Any] = {name: getattr(_NEUTRAL, name) for name in part.shape}
-        return replace(self, parts=self.parts - gone, **neutral)
+        return replace(self, parts=self.parts - gone, fixed=self.fixed - set(part.shape), **neutral)
+
+    def opened(self, name: str) -> ElementShape:
+        """Return the shape with a parameter among its free ones, its value as it is."""
+        part = next(part for part in Part if name in part.shape)
+        closed = frozenset() if part in self.parts else frozenset(part.shape)
+        return replace(self, parts=self.parts | {part}, fixed=(self.fixed | closed) - {name})
 
 
 _NEUTRAL = ElementShape()

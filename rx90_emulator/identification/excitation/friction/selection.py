@@ -86,10 +86,9 @@ class _Selection:
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
-        tried = {old for _, old in keys}
-        trimmed = self._trimmed(self._without_bounds(everywhere, tried), keys)
+        trimmed = self._trimmed(self._within_bounds(everywhere, part), keys)
         # Without the parts that went, others may have come to a bound.
-        trimmed = self._without_bounds(trimmed, tried)
+        trimmed = self._within_bounds(trimmed, part)
         left = [e for e, shape in enumerate(trimmed.fit.shapes) if part in shape.parts]
         kept = bool(left) and trimmed.better_than(before)
         same = trimmed.fit.shapes == everywhere.fit.shapes
@@ -108,7 +107,7 @@ class _Selection:
 
     def _reweight(self) -> None:
         self.weighted = _reweighted(self.weighted, self.now.fit)
-        self.now = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
+        self.now = self._within_bounds(self._scored(fit_shapes(self.weighted, self.now.fit.shapes)))
 
     def _scored(self, fit: SeparableFit) -> Scored:
         return Scored.of(self.weighted, fit, self.time)
@@ -122,32 +121,35 @@ class _Selection:
             # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
             with_it = {part, Part.EXPONENT} & self._parts if part is Part.STRIBECK else {part}
             begun = replace(shape, parts=shape.parts | with_it)
-            shapes[e] = best_start(self.weighted, shapes, e, _candidates(self.weighted, begun, e, part))
+            shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
         return shapes
 
-    def _without_bounds(self, model: Scored, parts: Iterable[Part]) -> Scored:
-        """Take parts from elements on which they lie at a bound of their range, and say so."""
-        shapes = list(model.fit.shapes)
-        for e, bound in enumerate(model.fit.at_bound):
-            for part in set(parts) & shapes[e].parts:
-                reason = self._at_bound(model.fit, e, part, bound)
-                if reason:
-                    self.refused[e, part] = reason
-                    shapes[e] = shapes[e].without(part)
-        if shapes == list(model.fit.shapes):
-            return model
-        return self._without_bounds(self._scored(fit_shapes(self.weighted, shapes)), parts)
+    def _within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
+        """Return a model of which no parameter ends at a bound of its range: there it says nothing.
 
-    def _at_bound(self, fit: SeparableFit, element: int, part: Part, bound: frozenset[str]) -> str:
-        """Return why a part of an element is at a bound; empty if it is not."""
-        name = self._problem.arm.element_names[element]
-        at = sorted(bound & set(part.shape) - {"delta"})
-        if at:
-            value = getattr(fit.shapes[element], at[0])
-            return f"{at[0]} of {name} ends at the bound of its range, {value:.3g}"
-        if part is Part.EXPONENT and fit.linear[element, COULOMB] <= 0.0:
-            return f"with it no Coulomb torque of {name} is left"
-        return ""
+        A Stribeck rise is tried again with delta = 1, the exponent that literature gives; then `part`, which is being
+        tried, goes, and else the part that the parameter belongs to.
+        """
+        while any(ended := _ended(model.fit)):
+            shapes = list(model.fit.shapes)
+            for e, bound in enumerate(ended):
+                if bound:
+                    shapes[e] = self._inside(model.fit, e, sorted(bound), part)
+            model = self._scored(fit_shapes(self.weighted, shapes))
+        return model
+
+    def _inside(self, fit: SeparableFit, e: int, bound: Sequence[str], part: Part | None) -> ElementShape:
+        """Return another shape for an element of which these parameters end at a bound."""
+        shape = fit.shapes[e]
+        if Part.STRIBECK in shape.parts and "delta" not in shape.fixed:
+            begun = replace(shape, delta=1.0, fixed=shape.fixed | {"delta"}, alpha=self.now.fit.shapes[e].alpha)
+            return best_start(self.weighted, fit.shapes, e, candidates(self.weighted, begun, e, Part.STRIBECK))
+        tried = part if part in shape.parts else None
+        own = [name for name in bound if tried is None or name in tried.shape]
+        name = (own or bound)[0]
+        gone = tried or next(p for p in Part if name in p.shape)
+        self.refused[e, gone] = _why_ended(fit, e, name, self._problem.arm.element_names[e])
+        return shape.without(gone) if own else self.now.fit.shapes[e]
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -188,18 +190,16 @@ class _Selection:
         return worst[1]
 
     def _add(self, name: str, model: Scored, against: Scored | None, kept: bool, reason: str) -> None:
-        problem = self._problem
-        power = np.bincount(problem.joint, problem.torque**2, len(problem.arm.names))
-        squares = np.bincount(problem.joint, model.residual**2, len(problem.arm.names))
+        relative, relative_all = _relative(self._problem, model.residual)
         by_blocks, by_runs = model.validations(against)
         row = ModelRow(
             name=name,
-            against=self._last_kept() if against is not None else "",
+            against=_last_kept(self.rows) if against is not None else "",
             parts=tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
             parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
             error=model.error,
-            relative=tuple(np.sqrt(squares / np.maximum(power, 1e-300)).tolist()),
-            relative_all=float(np.sqrt(squares.sum() / power.sum())),
+            relative=relative,
+            relative_all=relative_all,
             by_blocks=by_blocks,
             by_runs=by_runs,
             kept=kept,
@@ -207,11 +207,33 @@ class _Selection:
         )
         self.rows.append(row)
 
-    def _last_kept(self) -> str:
-        return next((row.name for row in reversed(self.rows) if row.kept), "")
+
+def _last_kept(rows: Sequence[ModelRow]) -> str:
+    return next((row.name for row in reversed(rows) if row.kept), "")
 
 
-def _candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
+def _relative(problem: ExcitationProblem, residual: Array) -> tuple[tuple[float, ...], float]:
+    """Return RMS residual over RMS torque, of each joint and of all together."""
+    power = np.bincount(problem.joint, problem.torque**2, len(problem.arm.names))
+    squares = np.bincount(problem.joint, residual**2, len(problem.arm.names))
+    each = np.sqrt(squares / np.maximum(power, 1e-300))
+    return tuple(each.tolist()), float(np.sqrt(squares.sum() / power.sum()))
+
+
+def _ended(fit: SeparableFit) -> list[frozenset[str]]:
+    """Return the parameters of each element that end at a bound, or leave no Coulomb torque: an exponent does so."""
+    pairs = zip(fit.shapes, fit.linear[:, COULOMB].tolist(), fit.at_bound, strict=True)
+    swallowed = frozenset({"alpha"})
+    return [b | swallowed if Part.EXPONENT in s.parts and tau_c <= 0.0 else b for s, tau_c, b in pairs]
+
+
+def _why_ended(fit: SeparableFit, e: int, name: str, element: str) -> str:
+    if name in fit.at_bound[e]:
+        return f"{name} of {element} ends at the bound of its range, {round(getattr(fit.shapes[e], name), 6):.3g}"
+    return f"with an exponent no Coulomb torque of {element} is left"
+
+
+def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
     """Return the shapes to start from with a part that an element is given."""
     if part in (Part.EXPONENT, Part.DAMPING):
         return [shape]
@@ -231,7 +253,8 @@ def _verdict(model: Scored, against: Scored) -> str:
         if one is not None:
             before = one.error + one.gain
             share, deviation = 100.0 * one.gain / before, 100.0 * one.gain_deviation / before
-            texts.append(f"by {kind} the error falls by {share:.2f} % with a standard error of {deviation:.2f} %")
+            way = "rises" if share < 0.0 else "falls"
+            texts.append(f"by {kind} the error {way} by {abs(share):.2f} % with a standard error of {deviation:.2f} %")
     return "; ".join(texts)
 
 

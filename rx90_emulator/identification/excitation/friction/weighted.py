@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.friction.columns import ElementRows
-from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape, Part
+from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _RANGES = {"alpha": (0.2, 2.0), "rise": (0.0, 1.5), "delta": (0.5, 2.5)}
@@ -113,11 +113,9 @@ class WeightedProblem:
             shapes: of the elements.
             linear: tau_c, c2, c1 of each, shape (n_el, 3).
             element: whose parameter.
-            name: in LINEAR or a parameter of the shape, as the fit writes it; alpha need not be free.
+            name: in LINEAR or a parameter of the shape, as the fit writes it, which need not be free.
         """
-        shape = shapes[element]
-        if name == "alpha":
-            shape = replace(shape, parts=shape.parts | {Part.EXPONENT})
+        shape = shapes[element] if name in LINEAR else shapes[element].opened(name)
         values = self._columns(element, shape).values
         result = np.zeros(len(self.weight))
         if name in LINEAR:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,10 @@ from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
-from rx90_emulator.identification.excitation.friction.identify import identify_friction_parts, predicted_torque
+from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
+from rx90_emulator.identification.excitation.friction.selection import Selected, _Selection
 from rx90_emulator.identification.excitation.friction.separable import fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -252,8 +254,77 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     blocks, runs = large.validations(small)
     assert runs is None
     rows = np.bincount(time.block)
+    uneven = np.where(np.arange(len(rows)) % 2, 0.9, 1.1) * rows  # left out by runs: a standard error of some percent
+    for loss, accepted in ((0.0, True), (0.002, True), (0.2, False)):
+        worse = replace(large, by_runs=rows * (1.0 + loss))
+        assert worse.better_than(replace(small, by_runs=uneven * rows.sum() / uneven.sum())) is accepted
     assert blocks.error == pytest.approx(np.sqrt(large.by_blocks.sum() / rows.sum()))
     assert blocks.gain == pytest.approx(np.sqrt(small.by_blocks.sum() / rows.sum()) - blocks.error)
     drawn = np.random.default_rng(0).integers(0, len(rows), (2000, len(rows)))
     sums = [np.sqrt(m.by_blocks[drawn].sum(axis=1) / rows[drawn].sum(axis=1)) for m in (small, large)]
     assert np.std(sums[0] - sums[1]) == pytest.approx(blocks.gain_deviation, rel=0.3)
+
+
+RISING = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])
+
+
+@pytest.fixture(scope="module")
+def search(arm: RigidArm) -> _Selection:
+    """Return a search, before any part was tried, along a run whose first element has a Stribeck rise."""
+    return _Selection(problem_of(arm, record(RISING, 9)), (Part.EXPONENT, Part.STRIBECK))
+
+
+@pytest.mark.parametrize("name", ["rise", "delta"])
+def test_a_rise_that_ends_at_a_bound_is_tried_with_delta_1(search: _Selection, name: str) -> None:
+    """The rise that is there comes out, and delta is not said to be known."""
+    begun = ElementShape(frozenset({Part.STRIBECK}), rise=1.5, omega_s=0.01, delta=0.5)
+    fit = fit_shapes(search.weighted, [begun, ElementShape()], ())
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset({name}), frozenset())), search.time)
+    shape = search._within_bounds(ended, Part.STRIBECK).fit.shapes[0]
+    assert Part.STRIBECK in shape.parts
+    assert (shape.delta, shape.fixed) == (1.0, {"delta"})
+    assert shape.rise == pytest.approx(0.5, abs=0.15)
+    assert shape.omega_s == pytest.approx(0.1, rel=0.3)
+
+
+def test_an_exponent_at_a_bound_is_no_result(search: _Selection) -> None:
+    """The part goes, whichever part is being tried, and the reason names the bound."""
+    shapes = [ElementShape(), ElementShape(frozenset({Part.EXPONENT}), alpha=2.0)]
+    fit = fit_shapes(search.weighted, shapes, ())
+    ended = Scored.of(search.weighted, replace(fit, at_bound=(frozenset(), frozenset({"alpha"}))), search.time)
+    assert search._within_bounds(ended, Part.STRIBECK).fit.shapes == (ElementShape(), ElementShape())
+    assert search.refused[1, Part.EXPONENT] == "alpha of two ends at the bound of its range, 2"
+
+
+@pytest.mark.parametrize(("laws", "noise", "open_ones"), [(RISING, 1.5, {0}), (LAWS, 0.0, set())])
+def test_a_rise_that_may_be_there_widens_the_deviations(
+    arm: RigidArm, laws: tuple[Law, Law], noise: float, open_ones: set[int]
+) -> None:
+    """In noise a rise of a half, left out, is free in the covariance; on clean data none is, and nothing widens."""
+    one = record(laws, 10)
+    noisy = replace(one, torque=one.torque + noise * np.random.default_rng(3).normal(size=one.torque.shape))
+    problem = problem_of(arm, noisy)
+    elements = element_rows(problem)
+    weighted = WeightedProblem.of(problem, elements, np.full(len(problem.torque), 1.0 / np.hypot(NOISE, noise)))
+    exponent = ElementShape(frozenset({Part.EXPONENT}), alpha=0.8)
+    fit = fit_shapes(weighted, [exponent, ElementShape()])
+    time = TimeBlocks.of(problem, Linearised.of(weighted, fit).residual)
+    tried = Selected(weighted, fit, (), time.blocks, {(0, Part.STRIBECK): ""})
+    parts, coulomb = (Part.EXPONENT, Part.STRIBECK), len(problem.names)
+    final, without = _final(tried, parts), _final(replace(tried, refused={}), parts)
+    assert set(final.rises) == open_ones
+    factor = final.fit.deviation[coulomb] / without.fit.deviation[coulomb]
+    assert (factor > 1.1) if open_ones else (factor == 1.0)
+    for value, deviation in final.rises.values():
+        assert abs(value - 0.5) < 3.0 * deviation
+
+
+def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: WeightedProblem) -> None:
+    """Where an exponent of 0.7 is left out, the intervals of alpha and tau_c reach the true values."""
+    fit = fit_shapes(weighted, [ElementShape(), ElementShape()])
+    time = TimeBlocks.of(weighted.problem, Linearised.of(weighted, fit).residual)
+    inner, final, *_ = _final(Selected(weighted, fit, (), time.blocks, {}), (Part.EXPONENT,))
+    for key, true in {(0, "alpha"): 0.7, (0, "tau_c"): 3.0}.items():
+        place = len(weighted.problem.names) + inner.index(key)
+        found = 1.0 if key[1] == "alpha" else final.value[place]
+        assert abs(found - true) < 1.96 * final.deviation[place]

@@ -193,6 +193,11 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     _, columns = all_columns(corrected)
     fit = solve(corrected, columns)
     assert np.mean(np.abs(fit.value - truth(true, arm)) < 2.5 * fit.deviation) > 0.9
+    # The gains' own deviations are in those of what scales with them, as where both are fitted at once.
+    sure = solve(replace(corrected, uncertain=corrected.uncertain[:, :0]), columns)
+    together = gains.fit.deviation[: len(expected)]
+    assert np.min(fit.deviation[: len(expected)] / together) > 0.6
+    assert np.min(sure.deviation[: len(expected)] / together) < 0.8
 
 
 @pytest.mark.parametrize(("which", "said"), [((None, None), "no payload is given"), ((1, 1), "the same payload")])
