@@ -176,7 +176,9 @@ def _problem(
     bandwidths: Bandwidths,
     carried: Mapping[Path, Payload | None],
 ) -> ExcitationProblem:
-    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot))]
+    # A torque of this project's plant is that of the tick that ends at its stamp.
+    lead = 0.5 * (robot.plant_period or 0.0)
+    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot), lead)]
     return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
 
 
@@ -188,7 +190,11 @@ def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:
         if all(topic.name != absolute(_REFERENCE) for topic in reader.topics):
             return None
     series = read_joint_states(record.source, _REFERENCE, record.names)
-    if series.position is None or series.time[0] > record.time[0] or series.time[-1] < record.time[-1]:
+    if series.position is None or len(series.time) < 2:
+        return None
+    # Stamps of averaged motor states end between two set-points.
+    step = float(np.median(np.diff(series.time)))
+    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
         return None
     return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
 

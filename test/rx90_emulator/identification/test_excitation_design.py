@@ -137,7 +137,7 @@ def _search(setup: Setup, kind: Criterion, walls: tuple[Wall, ...] = ()) -> RunS
 
 @pytest.mark.parametrize(("kind", "factor"), [(Criterion.D, 0.7), (Criterion.CONDITION, 0.6)])
 def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup, kind: Criterion, factor: float) -> None:
-    """Of three random runs scaled into the limits none comes near: the mean deviation or the condition number is smaller.
+    """Of three random runs scaled into the limits none comes near: mean deviation or condition number is smaller.
 
     By NumPy's determinant and singular values of the densely sampled columns.
     """

@@ -90,10 +90,10 @@ def _friction(result: ExcitationIdentification) -> str:
                if any(name in row and row[name].identifiable for row in rows)]  # fmt: skip
     names = result.problem.arm.element_names
     width = max(9, *(len(name) + 1 for name in names))
-    lines = [f"{'element':<{width}}" + "".join(f"{name:>20}" for name in columns)]
+    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in columns)]
     for name, row in zip(names, rows, strict=True):
         cells = (_cell(row[c]) if c in row and row[c].identifiable else "-" for c in columns)
-        lines.append(f"{name:<{width}}" + "".join(f"{cell:>20}" for cell in cells))
+        lines.append(f"{name:<{width}}" + "".join(f"{cell:>22}" for cell in cells))
     return "\n".join(lines)
 
 
