@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from rx90_emulator.identification.excitation.closed_loop import remark
 from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
@@ -144,14 +142,11 @@ def _fits(result: ExcitationIdentification) -> list[str]:
     for use, run in runs:
         cells = "".join(f"{_percent(v):>{w}}" for v, w in zip(run.share, columns, strict=True))
         lines.append(f"{use + ' ' + run.source.path.name:<{width}}{cells}{_percent(run.total_share):>8}")
-        shown = np.where(run.smoothed, np.nan, run.chi_square)
-        chi = "".join(f"{_number(v):>{w}}" for v, w in zip(shown, columns, strict=True))
+        shown = (">1e4" if k else _number(v) for k, v in zip(run.noiseless, run.chi_square, strict=True))
+        chi = "".join(f"{cell:>{w}}" for cell, w in zip(shown, columns, strict=True))
         lines.append(f"{'  chi^2 over noise':<{width}}{chi}")
-        smoothed = [name for name, there in zip(names, run.smoothed, strict=True) if there]
-        if smoothed:
-            lines.append(
-                f"  no chi^2 of {', '.join(smoothed)}: hardly any noise in the recorded torque (smoothed or computed)"
-            )
+        if run.noiseless.any():
+            lines.append("  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)")
     return lines
 
 
