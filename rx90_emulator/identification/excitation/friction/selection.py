@@ -8,7 +8,7 @@ Earlier parts of an element are judged anew with each later one, which may repla
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,9 @@ from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
+
+STAGES = ("starts", "fit of all elements", "elements without it", "weights")
+"""Of the attempt with each part."""
 
 _STARTS = 5  # Stribeck velocities, and presliding distances, to start from
 _RISE = 0.3  # to start from
@@ -48,11 +51,19 @@ class Selected:
     refused: dict[Key, str]
 
 
-def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
-    """Try parts in the order given and keep those with which the model predicts better."""
+def select_parts(
+    problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
+) -> Selected:
+    """Try parts in the order given and keep those with which the model predicts better.
+
+    `progress` is called with the name of each stage before it: STAGES for each part.
+    """
     search = _Selection(problem, parts)
     for part in parts:
-        search.attempt(part)
+        stages = iter([f"{part.value}: {stage}" for stage in STAGES])
+        search.attempt(part, lambda stages=stages: progress(next(stages)))  # type: ignore[misc]
+        for stage in stages:  # of a part that no element can have
+            progress(stage)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
 
 
@@ -74,18 +85,24 @@ class _Selection:
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
 
-    def attempt(self, part: Part) -> None:
-        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
+    def attempt(self, part: Part, stage: Callable[[], None]) -> None:
+        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
+
+        `stage` is called before each of STAGES.
+        """
+        stage()
         shapes = self._started(part)
         given = [e for e, shape in enumerate(shapes) if part in shape.parts]
         keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
             return
+        stage()
         # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
+        stage()
         trimmed = self._trimmed(self._within_bounds(everywhere, part), keys)
         # Without the parts that went, others may have come to a bound.
         trimmed = self._within_bounds(trimmed, part)
@@ -103,6 +120,7 @@ class _Selection:
                 self.refused |= {(e, part): verdict for e in left}
         if kept:
             self.now = trimmed
+        stage()
         self._reweight()
 
     def _reweight(self) -> None:
