@@ -91,7 +91,7 @@ class _Selection:
         `stage` is called before each of STAGES.
         """
         stage()
-        shapes = self._started(part)
+        shapes = _started(self.weighted, self.now.fit.shapes, part, self._parts)
         given = [e for e, shape in enumerate(shapes) if part in shape.parts]
         keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
@@ -129,18 +129,6 @@ class _Selection:
 
     def _scored(self, fit: SeparableFit) -> Scored:
         return Scored.of(self.weighted, fit, self.time)
-
-    def _started(self, part: Part) -> list[ElementShape]:
-        """Return the shapes with a part on every element that moves, from the best of several starts."""
-        shapes = list(self.now.fit.shapes)
-        for e, shape in enumerate(shapes):
-            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
-                continue
-            # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
-            with_it = {part, Part.EXPONENT} & self._parts if part is Part.STRIBECK else {part}
-            begun = replace(shape, parts=shape.parts | with_it)
-            shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
-        return shapes
 
     def _within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
         """Return a model of which no parameter ends at a bound of its range: there it says nothing.
@@ -261,6 +249,21 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
     if part is Part.STRIBECK:
         return [replace(shape, rise=_RISE, omega_s=value) for value in points]
     return [replace(shape, stiffness=value) for value in points]
+
+
+def _started(
+    weighted: WeightedProblem, now: Sequence[ElementShape], part: Part, parts: frozenset[Part]
+) -> list[ElementShape]:
+    """Return the shapes with a part on every element that moves, from the best of several starts."""
+    shapes = list(now)
+    for e, shape in enumerate(shapes):
+        if not len(weighted.elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+            continue
+        # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
+        with_it = {part, Part.EXPONENT} & parts if part is Part.STRIBECK else {part}
+        begun = replace(shape, parts=shape.parts | with_it)
+        shapes[e] = best_start(weighted, shapes, e, candidates(weighted, begun, e, part))
+    return shapes
 
 
 def _verdict(model: Scored, against: Scored) -> str:
