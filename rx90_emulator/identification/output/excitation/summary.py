@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from rx90_emulator.identification.excitation.closed_loop import remark
 from rx90_emulator.identification.excitation.fit_quality import misfits
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
@@ -33,7 +35,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
 
 
 def gain_texts(result: ExcitationIdentification) -> list[str]:
-    """Return in a line by what the recorded torque of each motor is multiplied, if that was identified."""
+    """Return by what the recorded torque of each motor is multiplied, if that was identified, and what it leaves."""
     if result.gains is None:
         return []
     gains, names = result.gains, result.problem.arm.names
@@ -42,9 +44,16 @@ def gain_texts(result: ExcitationIdentification) -> list[str]:
         else f"{name} 1 (the payload does not tell it)"
         for name, value, deviation in zip(names, gains.factor.tolist(), gains.deviation.tolist(), strict=True)
     ]  # fmt: skip
-    return [
+    lines = [
         f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
     ]
+    kept = [name for k, name in enumerate(names) if k not in gains.told]
+    if kept:
+        lines.append(
+            f"warning: {', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
+        )
+    return lines
 
 
 def undetermined_texts(result: ExcitationIdentification) -> list[str]:
@@ -135,8 +144,14 @@ def _fits(result: ExcitationIdentification) -> list[str]:
     for use, run in runs:
         cells = "".join(f"{_percent(v):>{w}}" for v, w in zip(run.share, columns, strict=True))
         lines.append(f"{use + ' ' + run.source.path.name:<{width}}{cells}{_percent(run.total_share):>8}")
-        chi = "".join(f"{_number(v):>{w}}" for v, w in zip(run.chi_square, columns, strict=True))
+        shown = np.where(run.smoothed, np.nan, run.chi_square)
+        chi = "".join(f"{_number(v):>{w}}" for v, w in zip(shown, columns, strict=True))
         lines.append(f"{'  chi^2 over noise':<{width}}{chi}")
+        smoothed = [name for name, there in zip(names, run.smoothed, strict=True) if there]
+        if smoothed:
+            lines.append(
+                f"  no chi^2 of {', '.join(smoothed)}: hardly any noise in the recorded torque (smoothed or computed)"
+            )
     return lines
 
 

@@ -7,7 +7,7 @@ import os
 import re
 import signal
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -291,6 +291,19 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     assert TorqueValidation(both, both, rx.ExcitationTolerances()).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01)).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01)).passed
+
+
+def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
+    """Where the noise is a hundredth of the difference the summary says so in words, of that joint alone."""
+    result = outcome.result
+    (run, *_) = result.torques
+    assert not run.smoothed.any()
+    smooth = replace(run, noise=np.array([run.rms[0] / 101.0, run.rms[1] / 99.0]))
+    assert smooth.smoothed.tolist() == [True, False]
+    lines = rx.excitation_summary(replace(result, torques=(smooth,), validations=())).splitlines()
+    (at,) = (k for k, line in enumerate(lines) if "chi^2 over noise" in line)
+    assert lines[at].split()[-2:] == ["-", "9.8e+03"]
+    assert "no chi^2 of shoulder: hardly any noise" in lines[at + 1]
 
 
 @pytest.mark.parametrize("steps", [0.0, 20.0])
