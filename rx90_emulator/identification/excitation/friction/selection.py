@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -196,22 +197,24 @@ class _Selection:
         return worst[1]
 
     def _add(self, name: str, model: Scored, against: Scored | None, kept: bool, reason: str) -> None:
-        relative, relative_all = _relative(self._problem, model.residual)
-        by_blocks, by_runs = model.validations(against)
-        row = ModelRow(
-            name=name,
-            against=_last_kept(self.rows) if against is not None else "",
-            parts=tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
-            parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
-            error=model.error,
-            relative=relative,
-            relative_all=relative_all,
-            by_blocks=by_blocks,
-            by_runs=by_runs,
-            kept=kept,
-            reason=reason,
-        )
-        self.rows.append(row)
+        last = _last_kept(self.rows) if against is not None else ""
+        scores = _scores(self.weighted, model, against)
+        self.rows.append(ModelRow(name=name, against=last, kept=kept, reason=reason, **scores))
+
+
+def _scores(weighted: WeightedProblem, model: Scored, against: Scored | None) -> dict[str, Any]:
+    """Return what a row of the table says of a model's size and errors."""
+    relative, relative_all = _relative(weighted.problem, model.residual)
+    by_blocks, by_runs = model.validations(against)
+    return {
+        "parts": tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
+        "parameters": weighted.basis.shape[1] + len(model.fit.inner()),
+        "error": model.error,
+        "relative": relative,
+        "relative_all": relative_all,
+        "by_blocks": by_blocks,
+        "by_runs": by_runs,
+    }
 
 
 def _last_kept(rows: Sequence[ModelRow]) -> str:
