@@ -24,6 +24,7 @@ from rx90_emulator.identification.excitation.friction.identify import (
     identify_friction_parts,
     identify_gains,
     predicted_torque,
+    stages,
 )
 from rx90_emulator.identification.excitation.gains import with_gains
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
@@ -70,7 +71,7 @@ def identify_excitation(
             with and without one tell the drive gains.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
-        progress: called with the name of each step before it.
+        progress: called with the name of each step before it, `count_steps` times.
 
     Returns:
         Base parameters and friction with standard deviations, how well they fit, and a verdict for each validation run.
@@ -100,10 +101,10 @@ def identify_excitation(
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
     if np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts)
+        gains = identify_gains(problem, parts, progress)
         problem = with_gains(problem, gains)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known)
+    friction = identify_friction_parts(problem, parts, known, progress)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
@@ -135,6 +136,12 @@ def identify_excitation(
         gains=gains,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
+
+
+def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
+    """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
+    choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains
+    return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
 
 
 def _check_bags(used: Sequence[Path], unused: Sequence[Path]) -> None:

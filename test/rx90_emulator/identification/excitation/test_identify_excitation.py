@@ -140,6 +140,13 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
 
 
+def test_progress_runs_to_its_end(outcome: Outcome) -> None:
+    """The bar, which tells how long it takes, names the stages of the choice of friction and ends at its last step."""
+    assert "Stribeck rise: elements without it" in outcome.error
+    done, total = re.findall(r"(\d+)/(\d+) \[", outcome.error)[-1]
+    assert done == total
+
+
 def test_instrumental_variables_stand_beside(bench: Bench, outcome: Outcome) -> None:
     """Values by instrumental variables hold the truth, too, and a remark says which of both are taken."""
     found = yaml.safe_load((outcome.folder / "parameters.yaml").read_text(encoding="utf-8"))
