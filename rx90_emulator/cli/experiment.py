@@ -43,7 +43,6 @@ _MEANINGS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verbs and their options."""
     parser.epilog = _EPILOG
-    parser.set_defaults(interrupted="complete bags stay")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="plan|run")
     plan = verbs.add_parser("plan", help="show the experiments, their time and number of runs; moves nothing")
     run = verbs.add_parser("run", help="run the experiments and record a bag of each")
@@ -55,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                           help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
         _add_excitation(verb)
         add_robot_arguments(verb, *MODEL_FILES, "poses")
+    run.set_defaults(interrupted="complete bags stay")
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")

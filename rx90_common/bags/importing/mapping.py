@@ -18,6 +18,7 @@ Columns are numbers from 1 on, or names in the log's header. Of several logs tha
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -27,6 +28,7 @@ from typing import Final, TypeAlias
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain
 
 Column: TypeAlias = int | str
 """Number of a column, from 1 on, or its name."""
@@ -43,6 +45,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 """What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 _MOST_FILES = 100
+_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MOST_COLUMNS = 100_000
 
 
@@ -123,7 +126,7 @@ class LogMapping:
             seconds = SECONDS[section.text("unit", tuple(SECONDS))]
             section.finish()
         else:
-            rate = root.number("rate", 0.0, 1e6, above=True)
+            rate = root.number("rate", 1e-3, 1e6)
         mapping = cls(
             file=path,
             topics=_topics(root.section("topics")),
@@ -142,6 +145,12 @@ def _topics(section: Section) -> dict[str, TopicMapping]:
     topics = {name: _topic(section.section(name)) for name in section}
     if not topics:
         raise ConfigError(f"{section.where('joint_states')} is missing; accepted: one topic or more")
+    for name in topics:
+        if not _TOPIC.fullmatch(name):
+            raise ConfigError(
+                f"{plain(section.where(name))}: accepted: topics as ROS names them, of letters, digits, _ and /, "
+                "no part of which begins with a digit"
+            )
     return topics
 
 

@@ -164,6 +164,12 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("position", "acceleration"), "1,2,3", "joint_states.position is missing; accepted: one or more of position"),
         (("time:", "rate: 5\ntime:"), "1,2,3", "time and rate: both are there; accepted: one of them"),
         (("[a, b]", "[a, a]"), "1,2,3", "joint_states.names is ['a', 'a']; accepted: one name or more, each once"),
+        (
+            ("time: {column: 1, unit: s}", "rate: 1.0e-300"),
+            "1,2,3",
+            "rate is 1e-300; accepted: a number in [0.001, 1e+06]",
+        ),
+        (("joint_states:", '"joint\\n2":'), "1,2,3", "accepted: topics as ROS names them"),
         (("rad", "rad"), "t,qa,qb\n", "log.csv: holds no row of numbers"),
         (("time:", "delimiter: ;\ntime:"), "1,2,3", "log.csv: holds no row of numbers"),
         (
