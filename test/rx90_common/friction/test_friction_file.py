@@ -218,7 +218,7 @@ def elements(draw: st.DrawFn) -> LuGreElement:
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
     ["1e5", "010", "1:30", "yes", "no", "null", "~", "2001-01-01", "0x1F", "0o17", ".inf", "1_0", "<<", "=", "a: b"]
 )
-NUMBERS = st.floats(allow_nan=False) | st.integers(-(10**12), 10**12)
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False) | st.integers(-(10**12), 10**12)
 REMARKS = st.recursive(
     NUMBERS | WORDS | st.booleans() | st.none(), lambda x: st.lists(x) | st.dictionaries(WORDS, x), max_leaves=12
 )

@@ -8,19 +8,20 @@ from jinja2 import UndefinedError
 from rx90_common.base.sources import PACKAGES, ROOT
 from rx90_common.report.page import render_page
 
-REPORTS = {
+TEMPLATES = {
     path.name: path
     for package in PACKAGES
     for path in sorted((ROOT / package).glob("**/templates/*.j2"))
     if path.parents[1] != ROOT / "rx90_common" / "report"
 }
+REPORTS = {name: path for name, path in TEMPLATES.items() if not name.startswith("_")}  # the others are parts of these
 
 
-@pytest.mark.parametrize("name", REPORTS)
+@pytest.mark.parametrize("name", TEMPLATES)
 def test_every_report_stands_in_the_one_frame(name: str) -> None:
-    """A report's template extends the shared page and has neither a head nor a style of its own."""
-    text = REPORTS[name].read_text(encoding="utf-8")
-    assert text.startswith('{% extends "page.html.j2" %}')
+    """A report's template extends the shared page; neither it nor a part of it has a head or a style of its own."""
+    text = TEMPLATES[name].read_text(encoding="utf-8")
+    assert text.startswith('{% extends "page.html.j2" %}') == (name in REPORTS)
     assert not any(tag in text for tag in ("<html", "<head", "<style", 'style="', "<h1"))
 
 
@@ -28,7 +29,7 @@ def test_the_frame_loads_nothing_from_elsewhere() -> None:
     """The page is complete: it refers to no script, sheet, font or image outside its own text."""
     page = render_page("rx90_common.report", "page.html.j2")
     assert page.startswith("<!doctype html>")
-    assert len(REPORTS) == 3
+    assert len(REPORTS) == 6
     assert not any(word in page for word in ("http", "src=", "<link", "@import", "url("))
 
 
