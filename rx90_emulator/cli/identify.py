@@ -84,9 +84,8 @@ def main(options: argparse.Namespace) -> int:
     what = "the result"
     if options.excitation or _holds_excitation(options):
         confirmed = _excitation(options, robot)
-    elif options.payload is not None or options.prior is not None:
-        name, value = ("prior", options.prior) if options.payload is None else ("payload", options.payload)
-        raise IdentificationError(f"--{name} {value} without excitation runs; accepted: with --excitation BAG ...")
+    elif given := _for_excitation_alone(options):
+        raise IdentificationError(f"{given} without excitation runs; accepted: with --excitation BAG ...")
     elif options.friction is not None:
         confirmed, what = _check(options, robot), options.friction
     else:
@@ -95,6 +94,14 @@ def main(options: argparse.Namespace) -> int:
         return DONE
     print(one_line(f"rx90_identify: the validation does not confirm {what}"), file=sys.stderr)
     return VERDICT_NO
+
+
+def _for_excitation_alone(options: argparse.Namespace) -> str:
+    """Return the first option given, with its value, that counts for excitation runs alone; "" for none."""
+    if options.bristles:
+        return "--bristles"
+    given = [(name, getattr(options, name)) for name in ("payload", "prior")]
+    return next((f"--{name} {value}" for name, value in given if value is not None), "")
 
 
 def _holds_excitation(options: argparse.Namespace) -> bool:

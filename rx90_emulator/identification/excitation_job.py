@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rx90_common.base.versions import versions
 from rx90_common.description.robot_files import FILES
-from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation.identify import count_steps, identify_excitation
 from rx90_emulator.identification.excitation.payload import read_payloads
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions
@@ -76,7 +76,8 @@ def run_excitation(
     """
     check_folder(output, _FILES, force=force)
     payloads = {} if payload is None else read_payloads(payload)
-    with steps(len(bags) + 2 * len(validation) + 4 + bool(payloads)) as step:
+    total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))
+    with steps(total) as step:
         result = identify_excitation(
             bags, robot, validation, tolerances, bristles=bristles, payloads=payloads, prior=prior, progress=step
         )

@@ -68,9 +68,9 @@ class Bandwidths:
         which is flat. Below, samples tell of the motion; above, their second derivative is noise. The positions'
         bandwidth is where the power is ten times the floor, in the median of joints that move; at least ten times the
         band that holds 95 % of the velocity's power (Gautier's rule), and at most 0.3 times the sampling rate. The
-        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96). Long runs
-        with hardly any noise would give more rows than a fit needs: then the torque gets what 30,000 rows carry, down
-        to a third of ten times the motion's band.
+        torque gets a third of it: where its low-pass ends, the positions' filter has hardly begun (gain 0.96). Long
+        runs with hardly any noise would give more rows than a fit needs: then the torque gets what 30,000 rows carry,
+        down to a third of ten times the motion's band.
 
         Raises:
             IdentificationError: if no joint moves.
@@ -186,7 +186,7 @@ class FilteredRun:
 
 
 def filter_record(
-    record: JointRecord, bandwidths: Bandwidths, reference: Array | None = None
+    record: JointRecord, bandwidths: Bandwidths, reference: Array | None = None, torque_lead: float = 0.0
 ) -> tuple[FilteredRun, ...]:
     """Return the runs of a record: a gap in the samples ends one and begins the next.
 
@@ -194,6 +194,8 @@ def filter_record(
         record: with any rate and jitter.
         bandwidths: of the filters.
         reference: position set-points at the record's samples, shape (m, n).
+        torque_lead: by how much a torque acted before its stamp, s. Viscous friction makes a torque that is late by d
+            look like a rotor inertia that is too small by c2 d.
 
     Raises:
         IdentificationError: for bandwidths that the sampling rate does not carry, and if no piece is longer than the
@@ -213,17 +215,17 @@ def filter_record(
             f"{record.source}: no stretch of {shortest / rate:.3g} s without a gap, which the filters' edges take; "
             "accepted: longer runs, or higher bandwidths"
         )
-    return tuple(_filtered(record, slice(*piece), bandwidths, edge, reference) for piece in pieces)
+    return tuple(_filtered(record, slice(*piece), bandwidths, edge, reference, torque_lead) for piece in pieces)
 
 
 def _filtered(
-    record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: int, reference: Array | None
+    record: JointRecord, piece: slice, bandwidths: Bandwidths, edge: int, reference: Array | None, torque_lead: float
 ) -> FilteredRun:
     time = record.time[piece]
     rate = _rate(time)
     even = _even(time, rate)
     position = _resampled(time, record.position[piece], even, 5)
-    torque = _resampled(time, record.torque[piece], even, 1)
+    torque = _resampled(time - torque_lead, record.torque[piece], even, 1)
     target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))

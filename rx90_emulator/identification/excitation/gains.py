@@ -27,6 +27,7 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 _ROUNDS = 20
 _CONVERGED = 1e-6
 _TOLD = 0.1  # deviation of a gain, above which the payload does not tell it
+_CERTAIN = 3.0  # deviations below 0: no noise makes a motor push backwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +69,15 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
         friction: columns, shape (r, f).
 
     Raises:
-        IdentificationError: without a known payload, without a run that carries none or another one, or if the payload
-            tells no motor's gain.
+        IdentificationError: without a known payload, without a run that carries none or another one, if the payload
+            tells no motor's gain, or if a gain comes out at 0 or below.
     """
     _check(problem)
     parts, loads = _by_motor(problem)
     told = [k for k in range(len(loads)) if np.any(loads[k])]
     while told:
         gains = _fitted(problem, friction, parts, loads, told)
+        _check_signs(problem, gains, told)
         sure = [k for k in told if gains.deviation[k] < _TOLD]
         if sure == told:
             return gains
@@ -106,6 +108,17 @@ def _check(problem: ExcitationProblem) -> None:
             "all runs carry the same payload, which the last link's own inertia could stand for; accepted: runs with "
             "and without it"
         )
+
+
+def _check_signs(problem: ExcitationProblem, gains: DriveGains, told: Sequence[int]) -> None:
+    """Refuse gains at 0 or below that are told, or that are below 0 for certain: the payload is not the one given."""
+    for k in told:
+        value, deviation = float(gains.factor[k]), float(gains.deviation[k])
+        if value <= 0.0 and (deviation < _TOLD or value + _CERTAIN * deviation < 0.0):
+            raise IdentificationError(
+                f"drive gain of {problem.arm.names[k]}: {value:.3g} +- {deviation:.2g} by this payload; accepted: "
+                "above 0 (is its mass, its centre's direction in the last joint's frame, or the run it is of wrong?)"
+            )
 
 
 def _motor_shares(problem: ExcitationProblem) -> list[Array]:

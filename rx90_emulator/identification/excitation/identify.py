@@ -24,6 +24,7 @@ from rx90_emulator.identification.excitation.friction.identify import (
     identify_friction_parts,
     identify_gains,
     predicted_torque,
+    stages,
 )
 from rx90_emulator.identification.excitation.gains import with_gains
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
@@ -70,7 +71,7 @@ def identify_excitation(
             with and without one tell the drive gains.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
-        progress: called with the name of each step before it.
+        progress: called with the name of each step before it, `count_steps` times.
 
     Returns:
         Base parameters and friction with standard deviations, how well they fit, and a verdict for each validation run.
@@ -100,10 +101,10 @@ def identify_excitation(
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
     if np.any(problem.payload):
         progress("drive gains")
-        gains = identify_gains(problem, parts)
+        gains = identify_gains(problem, parts, progress)
         problem = with_gains(problem, gains)
     progress("friction")
-    friction = identify_friction_parts(problem, parts, known)
+    friction = identify_friction_parts(problem, parts, known, progress)
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
@@ -135,6 +136,12 @@ def identify_excitation(
         gains=gains,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
+
+
+def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
+    """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
+    choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains
+    return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
 
 
 def _check_bags(used: Sequence[Path], unused: Sequence[Path]) -> None:
@@ -176,7 +183,9 @@ def _problem(
     bandwidths: Bandwidths,
     carried: Mapping[Path, Payload | None],
 ) -> ExcitationProblem:
-    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot))]
+    # A torque of this project's plant is that of the tick that ends at its stamp.
+    lead = 0.5 * (robot.plant_period or 0.0)
+    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot), lead)]
     return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
 
 
@@ -188,7 +197,11 @@ def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:
         if all(topic.name != absolute(_REFERENCE) for topic in reader.topics):
             return None
     series = read_joint_states(record.source, _REFERENCE, record.names)
-    if series.position is None or series.time[0] > record.time[0] or series.time[-1] < record.time[-1]:
+    if series.position is None or len(series.time) < 2:
+        return None
+    # Stamps of averaged motor states end between two set-points.
+    step = float(np.median(np.diff(series.time)))
+    if series.time[0] > record.time[0] + step or series.time[-1] < record.time[-1] - step:
         return None
     return np.column_stack([np.interp(record.time, series.time, column) for column in series.position.T])
 

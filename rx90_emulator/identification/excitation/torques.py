@@ -19,6 +19,7 @@ from rx90_emulator.identification.records.record import BagSource
 _DIFFERENCES, _GAIN = 3, 20.0  # the third difference 1, -3, 3, -1 has 20 times the variance of white noise
 _NORMAL = 0.6745  # median of a standard normal's size
 _FEWEST_BLOCKS = 6  # over which a trend is tested
+_MEANINGFUL = 1e4  # chi^2 up to which it tells something
 _LEVEL = 0.01  # chance of a false trend, over all joints and runs together
 
 
@@ -86,6 +87,11 @@ class RunTorques:
         NaN for a joint that stands still or whose torque shows no noise.
         """
         return np.asarray((self.rms / np.where(self.noise > 0.0, self.noise, np.nan)) ** 2)
+
+    @property
+    def noiseless(self) -> Array:
+        """Return whether the noise is below a hundredth of the difference, shape (n,): chi^2 then tells nothing."""
+        return np.asarray((self.rms > 0.0) & (self.noise < self.rms / math.sqrt(_MEANINGFUL)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,6 +76,7 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         bags=result.bags,
         quality=[pair for pair in zip(result.arm.element_names, result.sliding.quality, strict=True) if pair[1]],
         usage=[(use, use.text(result.arm.element_names)) for use in result.sliding.usage],
+        zeros=result.sliding.zeros,
         trends=drift_plots(result),
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,

@@ -35,7 +35,9 @@ def _fit(result: FrictionIdentification) -> list[str]:
     names = result.arm.element_names
     named = zip(names, result.sliding.quality, strict=True)
     quality = [line for name, one in named if one is not None for line in one.lines(name)]
-    return [*quality, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
+    zeros = result.sliding.zeros
+    noticed = [zeros.text] if zeros is not None and zeros.text else []
+    return [*quality, *noticed, *(f"{use.bag.path}: {use.text(names)}" for use in result.sliding.usage)]
 
 
 def check_summary(checks: Sequence[Validation]) -> str:
@@ -49,6 +51,8 @@ def check_summary(checks: Sequence[Validation]) -> str:
             f"{name:<{width}}{rms:>10.3f}{rms_share:>11.2%}{worst:>11.3f}{worst_share:>12.2%}"
             for name, rms, rms_share, worst, worst_share in rows
         ]
+        if check.zeros is not None and check.zeros.text:
+            lines.append(check.zeros.text)
         lines.append(_verdict(check))
     return "\n".join(lines)
 

@@ -110,7 +110,7 @@ def identify_records(
     arm = robot.arm
     fallback = robot.fallback or (None,) * len(arm.element_names)
     progress("sliding regime")
-    slides = identify_sliding(sliding, arm)
+    slides = identify_sliding(sliding, arm, zero=robot.zero)
     progress("presliding regime")
     if presliding:
         # The sliding regime of an element does not depend on its c0 and c1.

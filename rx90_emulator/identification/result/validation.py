@@ -15,6 +15,7 @@ from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.result.prediction import TorquePrediction, predict_torque, tip_difference
 from rx90_emulator.identification.sliding.fit import SlidingFit
+from rx90_emulator.identification.sliding.zeros import GravityZeros, check_zeros, record_instants
 
 _REFERENCE = "rx90_controller/reference"
 
@@ -32,6 +33,7 @@ class Validation:
         tip_distance: of the simulated from the recorded tip, m, shape (k,).
         tolerances: what counts as agreement.
         source: the bag.
+        zeros: what the torques say of the encoders' zeros, where a given friction is held against the bag.
     """
 
     names: tuple[str, ...]
@@ -40,6 +42,7 @@ class Validation:
     tip_distance: Array
     tolerances: ValidationTolerances
     source: str
+    zeros: GravityZeros | None = None
 
     def _mean(self, values: Array) -> Array:
         compared = self.torque.compared
@@ -114,4 +117,6 @@ def validate(
             if robot.zero is not None and reference.position is not None:
                 reference = replace(reference, position=reference.position - robot.zero)
             tip_time, distance = tip_difference(robot.setup, lugre, record, reference)
-    return Validation(record.names, torque, tip_time, distance, tolerances, str(bag))
+    # With sweeps, these have been asked already.
+    zeros = check_zeros(record_instants(record, robot.arm), robot.arm, robot.zero) if sliding is None else None
+    return Validation(record.names, torque, tip_time, distance, tolerances, str(bag), zeros)

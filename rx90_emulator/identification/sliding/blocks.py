@@ -33,6 +33,8 @@ _LONGEST_BLOCK = 0.25  # s
 _LONGEST_TRAVEL = 0.02  # rad in a block: the rigid torque is linear in it but for a negligible rest
 _SHORTEST_BLOCK = 8  # samples
 _LONG_HALF = 1.0  # s
+_AROUND = (0.2, 1.0)  # s before and behind a short stretch, at least and at most, that tell whether it is one
+_NEARLY = 0.15  # of the velocity that it may change by there
 _OUTLIER = 5.0  # standard deviations from a block's median
 _OWN_VELOCITY = 0.75  # of the plateau's velocity that a block's may be off by
 
@@ -164,12 +166,19 @@ class _Cut:
         long = float(record.time[halves[1]] - record.time[halves[0]]) >= _LONG_HALF
         for begin in (start, halves[0])[: 1 + long]:
             kept = slice(begin, rows.stop)
-            if not accelerates(self._binned(kept, size), self._moving(sliding)):
+            if not self._accelerates(kept, size, sliding, long=long):
                 break
         else:
             self._mark(kept, ACCELERATES)
             return
         self._add(kept, sliding, first + len(self._parts))
+
+    def _accelerates(self, kept: slice, size: int, sliding: NDArray[np.bool_], *, long: bool) -> bool:
+        moving = self._moving(sliding)
+        if accelerates(self._binned(kept, size), moving):
+            return True
+        around = kept if long else _around(self._record, self._elements[sliding], kept, size)
+        return around != kept and accelerates(self._binned(around, size), moving)
 
     def _binned(self, rows: slice, size: int) -> Array:
         count = (rows.stop - rows.start) // size
@@ -245,6 +254,29 @@ class _Cut:
         for own in (travel, record.velocity[rows].mean(axis=1) @ elements):
             steady |= (np.abs(own - usual) <= _OWN_VELOCITY * np.abs(usual)).all(axis=1)
         return steady
+
+
+def _around(record: JointRecord, elements: Array, kept: slice, size: int) -> slice:
+    """Return a short stretch with what goes on at nearly its velocity before and behind, if both do.
+
+    Noise cuts a wave into stretches too short to show its curvature; a stretch between two changes of velocity stays
+    as it is.
+    """
+    inputs = record.velocity @ elements.T
+    usual = inputs[kept].mean(axis=0)
+    period = float(record.time[kept.stop - 1] - record.time[kept.start]) / (kept.stop - 1 - kept.start)
+    least, most = (round(seconds / period / size) for seconds in _AROUND)
+    bins = [0, 0]
+    for side, (begin, step) in enumerate(((kept.start - size, -size), (kept.stop, size))):
+        for k in range(most):
+            at = begin + k * step
+            part = inputs[max(at, 0) : at + size]
+            if at < 0 or len(part) < size or (np.abs(part.mean(axis=0) - usual) > _NEARLY * np.abs(usual)).any():
+                break
+            bins[side] += 1
+    if min(bins) < max(1, least):
+        return kept
+    return slice(kept.start - bins[0] * size, kept.stop + bins[1] * size)
 
 
 def _line(time: Array, values: Array, at: Array) -> tuple[Array, Array]:

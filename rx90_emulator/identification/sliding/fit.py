@@ -26,6 +26,7 @@ from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 from rx90_emulator.identification.sliding.usage import BagUse
+from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, known_joints
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
@@ -76,6 +77,7 @@ class SlidingFit:
         plateaus: how many stretches of constant velocity were used.
         usage: what was used of each record, and why the rest was not.
         quality: goodness of fit of each element; None where it could not be identified.
+        zeros: what the torques say of the encoders' zeros.
     """
 
     estimates: tuple[ElementEstimate, ...]
@@ -85,9 +87,12 @@ class SlidingFit:
     plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
+    zeros: GravityZeros | None = None
 
 
-def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = ()) -> SlidingFit:
+def identify_sliding(
+    records: Sequence[JointRecord], arm: RigidArm, required: Sequence[str] = (), zero: Array | None = None
+) -> SlidingFit:
     """Fit tau_c+-, tau_s+-, omega_s, delta, c2 and, where they prefer one, alpha of every element that slides.
 
     Errors of the arm's inertial parameters, such as an unknown payload, are nuisance parameters of the same fit, so
@@ -97,6 +102,7 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         records: sweeps at constant velocity, both directions, several speeds.
         arm: rigid-body model of the same joints.
         required: elements that must have sweeps at enough speeds; others may lack them.
+        zero: of the encoders, that the records are without, rad, shape (n,); by default 0.
 
     Raises:
         IdentificationError: for other joints than the arm's; for no sweep; for too few speeds or a single direction of
@@ -116,8 +122,14 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         if name in lacking:
             where = ", ".join(str(record.source) for record in records)
             raise IdentificationError(f"{where}: {name} {lacking[name]}")
+    zeros = check_zeros(_instants(blocks, arm), arm, zero)
     rows = sliding_rows(blocks, arm)
-    solution = _solution(records, arm, rows, np.array([name not in lacking for name in arm.element_names]))
+    slides = np.array([name not in lacking for name in arm.element_names])
+    try:
+        solution = _solution(records, arm, rows, slides)
+    except IdentificationError as error:
+        # Torques that do not oppose the motion may be the weight of an arm that stands elsewhere.
+        raise IdentificationError("; ".join(filter(None, (str(error), zeros.text)))) from error
     sources = tuple(record.bag for record in records)
     estimates = tuple(
         ElementEstimate.unknown(name, SLIDING, lacking[name], sources)
@@ -140,7 +152,12 @@ def identify_sliding(records: Sequence[JointRecord], arm: RigidArm, required: Se
         for e, curve in enumerate(curves)
     )
     inertial = rows.directions @ solution.nuisance, _inertial_covariance(solution, arm)
-    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage, quality)
+    return SlidingFit(estimates, curves, *inertial, len(np.unique(rows.plateau)), usage, quality, zeros)
+
+
+def _instants(blocks: Blocks, arm: RigidArm) -> Instants:
+    known = known_joints(blocks.sliding, arm.element_matrix)
+    return Instants(blocks.position, blocks.velocity, blocks.acceleration, blocks.torque, known, blocks.plateau)
 
 
 def _solution(

@@ -130,7 +130,7 @@ cycle.sweep(fourth, 0.05, 0.3, 6.0)
 cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
 cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
 cycle.move(np.zeros(6), np.ones(6), 5.0)
-for speed in np.geomspace(0.041, 1.63, 5):
+for speed in np.geomspace(0.041, 1.0, 5):
     slide.sweep(fourth, speed, 0.5, 6.0)
     slide.sweep(fourth, -speed, 0.5, 6.0)
 long.sweep(fourth, 1e-3, 400.0, 6.0)

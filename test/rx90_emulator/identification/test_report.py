@@ -64,5 +64,7 @@ def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> 
     assert [page.count(f"<td>{use}</td>") for use in ("sliding", "presliding", "validation")] == [1, 1, 1]
     assumed = [entry for element in identification["parameters"].values() for entry in element.values()
                if entry["provenance"] == "assumed"]  # fmt: skip
+    if "<th>alpha<br>" not in page:  # no element has an exponent, and the table no column of it
+        assumed = assumed[: -len(identification["parameters"])]
     assert len(re.findall(r'<br><span class="assumed">assumed', page)) == len(assumed) > 0
     assert "omega_d, at which c1 fades" in page

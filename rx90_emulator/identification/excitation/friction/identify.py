@@ -16,7 +16,7 @@ from rx90_emulator.identification.excitation.friction.estimates import element_e
 from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import Selected, select_parts, tangent
+from rx90_emulator.identification.excitation.friction.selection import STAGES, Selected, select_parts, tangent
 from rx90_emulator.identification.excitation.friction.undecided import undecided_rises
 from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
@@ -31,7 +31,10 @@ _SAME = 1e-6  # share of a constant torque that the regressor may leave, to expl
 
 
 def identify_friction_parts(
-    problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES, prior: Prior | None = None
+    problem: ExcitationProblem,
+    parts: Sequence[Part] = WITHOUT_BRISTLES,
+    prior: Prior | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> FrictionSelection:
     """Identify rigid body and friction together, and choose the friction's parts by cross-validation.
 
@@ -39,11 +42,12 @@ def identify_friction_parts(
         problem: the rows.
         parts: to try beside Coulomb and viscous friction, in this order; bristles take several times as long.
         prior: of the base parameters, for the values; the parts are chosen by the runs alone.
+        progress: called with the name of each stage of the choice before it, `stages(parts)` times.
 
     Returns:
         The selection. Parameters that the runs do not tell are unknown, with a reason.
     """
-    selected = select_parts(problem, parts)
+    selected = select_parts(problem, parts, progress)
     inner, final, load, rises = _final(selected, parts, prior)
     size = problem.regressor.shape[1]
     shapes, linear = list(selected.fit.shapes), selected.fit.linear.copy()
@@ -101,19 +105,29 @@ class _Final(NamedTuple):
     rises: dict[int, tuple[float, float]]
 
 
-def identify_gains(problem: ExcitationProblem, parts: Sequence[Part] = WITHOUT_BRISTLES) -> DriveGains:
+def stages(parts: Sequence[Part]) -> int:
+    """Return how many stages of the choice of parts are reported."""
+    return len(parts) * len(STAGES)
+
+
+def identify_gains(
+    problem: ExcitationProblem,
+    parts: Sequence[Part] = WITHOUT_BRISTLES,
+    progress: Callable[[str], None] = lambda _: None,
+) -> DriveGains:
     """Identify drive gains: with Coulomb and viscous friction, then with the friction that predicts best with these.
 
     Args:
         problem: with known payloads in some runs.
         parts: of the friction, to try.
+        progress: as in `identify_friction_parts`.
 
     Raises:
         IdentificationError: where the payloads tell no gain.
     """
     rough = drive_gains(problem, coulomb_viscous(problem)[1])
     scaled = with_gains(problem, rough)
-    friction = identify_friction_parts(scaled, parts)
+    friction = identify_friction_parts(scaled, parts, progress=progress)
     return drive_gains(scaled, linear_columns(friction, scaled)[1]).after(rough.factor)
 
 

@@ -8,8 +8,9 @@ Earlier parts of an element are judged anew with each later one, which may repla
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
+
+STAGES = ("starts", "fit of all elements", "elements without it", "weights")
+"""Of the attempt with each part."""
 
 _STARTS = 5  # Stribeck velocities, and presliding distances, to start from
 _RISE = 0.3  # to start from
@@ -48,11 +52,19 @@ class Selected:
     refused: dict[Key, str]
 
 
-def select_parts(problem: ExcitationProblem, parts: Sequence[Part]) -> Selected:
-    """Try parts in the order given and keep those with which the model predicts better."""
+def select_parts(
+    problem: ExcitationProblem, parts: Sequence[Part], progress: Callable[[str], None] = lambda _: None
+) -> Selected:
+    """Try parts in the order given and keep those with which the model predicts better.
+
+    `progress` is called with the name of each stage before it: STAGES for each part.
+    """
     search = _Selection(problem, parts)
     for part in parts:
-        search.attempt(part)
+        stages = iter([f"{part.value}: {stage}" for stage in STAGES])
+        search.attempt(part, lambda stages=stages: progress(next(stages)))  # type: ignore[misc]
+        for stage in stages:  # of a part that no element can have
+            progress(stage)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
 
 
@@ -74,18 +86,24 @@ class _Selection:
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
 
-    def attempt(self, part: Part) -> None:
-        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better."""
-        shapes = self._started(part)
+    def attempt(self, part: Part, stage: Callable[[], None]) -> None:
+        """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
+
+        `stage` is called before each of STAGES.
+        """
+        stage()
+        shapes = _started(self.weighted, self.now.fit.shapes, part, self._parts)
         given = [e for e, shape in enumerate(shapes) if part in shape.parts]
         keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
             return
+        stage()
         # Weights of the larger model: those of the smaller one play down the rows in which the part shows.
         fit = fit_shapes(self.weighted, shapes)
         self.weighted = _reweighted(self.weighted, fit)
         before = self._scored(fit_shapes(self.weighted, self.now.fit.shapes))
         everywhere = self._scored(fit_shapes(self.weighted, fit.shapes))
+        stage()
         trimmed = self._trimmed(self._within_bounds(everywhere, part), keys)
         # Without the parts that went, others may have come to a bound.
         trimmed = self._within_bounds(trimmed, part)
@@ -103,6 +121,7 @@ class _Selection:
                 self.refused |= {(e, part): verdict for e in left}
         if kept:
             self.now = trimmed
+        stage()
         self._reweight()
 
     def _reweight(self) -> None:
@@ -111,18 +130,6 @@ class _Selection:
 
     def _scored(self, fit: SeparableFit) -> Scored:
         return Scored.of(self.weighted, fit, self.time)
-
-    def _started(self, part: Part) -> list[ElementShape]:
-        """Return the shapes with a part on every element that moves, from the best of several starts."""
-        shapes = list(self.now.fit.shapes)
-        for e, shape in enumerate(shapes):
-            if not len(self._elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
-                continue
-            # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
-            with_it = {part, Part.EXPONENT} & self._parts if part is Part.STRIBECK else {part}
-            begun = replace(shape, parts=shape.parts | with_it)
-            shapes[e] = best_start(self.weighted, shapes, e, candidates(self.weighted, begun, e, part))
-        return shapes
 
     def _within_bounds(self, model: Scored, part: Part | None = None) -> Scored:
         """Return a model of which no parameter ends at a bound of its range: there it says nothing.
@@ -190,22 +197,24 @@ class _Selection:
         return worst[1]
 
     def _add(self, name: str, model: Scored, against: Scored | None, kept: bool, reason: str) -> None:
-        relative, relative_all = _relative(self._problem, model.residual)
-        by_blocks, by_runs = model.validations(against)
-        row = ModelRow(
-            name=name,
-            against=_last_kept(self.rows) if against is not None else "",
-            parts=tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
-            parameters=self.weighted.basis.shape[1] + len(model.fit.inner()),
-            error=model.error,
-            relative=relative,
-            relative_all=relative_all,
-            by_blocks=by_blocks,
-            by_runs=by_runs,
-            kept=kept,
-            reason=reason,
-        )
-        self.rows.append(row)
+        last = _last_kept(self.rows) if against is not None else ""
+        scores = _scores(self.weighted, model, against)
+        self.rows.append(ModelRow(name=name, against=last, kept=kept, reason=reason, **scores))
+
+
+def _scores(weighted: WeightedProblem, model: Scored, against: Scored | None) -> dict[str, Any]:
+    """Return what a row of the table says of a model's size and errors."""
+    relative, relative_all = _relative(weighted.problem, model.residual)
+    by_blocks, by_runs = model.validations(against)
+    return {
+        "parts": tuple(tuple(p.value for p in Part if p in shape.parts) for shape in model.fit.shapes),
+        "parameters": weighted.basis.shape[1] + len(model.fit.inner()),
+        "error": model.error,
+        "relative": relative,
+        "relative_all": relative_all,
+        "by_blocks": by_blocks,
+        "by_runs": by_runs,
+    }
 
 
 def _last_kept(rows: Sequence[ModelRow]) -> str:
@@ -243,6 +252,21 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
     if part is Part.STRIBECK:
         return [replace(shape, rise=_RISE, omega_s=value) for value in points]
     return [replace(shape, stiffness=value) for value in points]
+
+
+def _started(
+    weighted: WeightedProblem, now: Sequence[ElementShape], part: Part, parts: frozenset[Part]
+) -> list[ElementShape]:
+    """Return the shapes with a part on every element that moves, from the best of several starts."""
+    shapes = list(now)
+    for e, shape in enumerate(shapes):
+        if not len(weighted.elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+            continue
+        # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
+        with_it = {part, Part.EXPONENT} & parts if part is Part.STRIBECK else {part}
+        begun = replace(shape, parts=shape.parts | with_it)
+        shapes[e] = best_start(weighted, shapes, e, candidates(weighted, begun, e, part))
+    return shapes
 
 
 def _verdict(model: Scored, against: Scored) -> str:

@@ -33,7 +33,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
 
 
 def gain_texts(result: ExcitationIdentification) -> list[str]:
-    """Return in a line by what the recorded torque of each motor is multiplied, if that was identified."""
+    """Return by what the recorded torque of each motor is multiplied, if that was identified, and what it leaves."""
     if result.gains is None:
         return []
     gains, names = result.gains, result.problem.arm.names
@@ -42,9 +42,16 @@ def gain_texts(result: ExcitationIdentification) -> list[str]:
         else f"{name} 1 (the payload does not tell it)"
         for name, value, deviation in zip(names, gains.factor.tolist(), gains.deviation.tolist(), strict=True)
     ]  # fmt: skip
-    return [
+    lines = [
         f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
     ]
+    kept = [name for k, name in enumerate(names) if k not in gains.told]
+    if kept:
+        lines.append(
+            f"warning: {', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
+        )
+    return lines
 
 
 def undetermined_texts(result: ExcitationIdentification) -> list[str]:
@@ -81,10 +88,10 @@ def _friction(result: ExcitationIdentification) -> str:
                if any(name in row and row[name].identifiable for row in rows)]  # fmt: skip
     names = result.problem.arm.element_names
     width = max(9, *(len(name) + 1 for name in names))
-    lines = [f"{'element':<{width}}" + "".join(f"{name:>20}" for name in columns)]
+    lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in columns)]
     for name, row in zip(names, rows, strict=True):
         cells = (_cell(row[c]) if c in row and row[c].identifiable else "-" for c in columns)
-        lines.append(f"{name:<{width}}" + "".join(f"{cell:>20}" for cell in cells))
+        lines.append(f"{name:<{width}}" + "".join(f"{cell:>22}" for cell in cells))
     return "\n".join(lines)
 
 
@@ -135,8 +142,11 @@ def _fits(result: ExcitationIdentification) -> list[str]:
     for use, run in runs:
         cells = "".join(f"{_percent(v):>{w}}" for v, w in zip(run.share, columns, strict=True))
         lines.append(f"{use + ' ' + run.source.path.name:<{width}}{cells}{_percent(run.total_share):>8}")
-        chi = "".join(f"{_number(v):>{w}}" for v, w in zip(run.chi_square, columns, strict=True))
+        shown = (">1e4" if k else _number(v) for k, v in zip(run.noiseless, run.chi_square, strict=True))
+        chi = "".join(f"{cell:>{w}}" for cell, w in zip(shown, columns, strict=True))
         lines.append(f"{'  chi^2 over noise':<{width}}{chi}")
+        if run.noiseless.any():
+            lines.append("  (>1e4: next to no noise beside the difference, as in smoothed torques; tells nothing)")
     return lines
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +88,20 @@ def test_a_recording_at_rest_is_refused() -> None:
     )  # fmt: skip
     with pytest.raises(IdentificationError, match="no joint moves"):
         Bandwidths.of([quiet])
+
+
+def test_long_quiet_runs_keep_no_more_rows_than_a_fit_needs() -> None:
+    """Of runs without noise the torque's bandwidth falls until some 30,000 rows are left, and the user reads why."""
+    given = [record(500.0, 200.0, noise=1e-8)] * 2
+    chosen = Bandwidths.of(given)
+    rows = sum(run.torque.shape[1] * len(run.rows) for one in given for run in filter_record(one, chosen))
+    assert 25_000 < rows < 33_000
+    assert "30000 rows" in chosen.reason
+
+
+def test_a_torque_that_acted_before_its_stamp_is_put_back() -> None:
+    """A ramp whose values are those of an instant 0.4 ms earlier comes out as that of its own time."""
+    given = record(1000.0, 6.0)
+    late = replace(given, torque=given.torque - 4e-4 * np.array([1.0, -1.0]))
+    (run,) = filter_record(late, Bandwidths(40.0, 20.0), torque_lead=4e-4)
+    assert run.parallel(run.torque)[:, 0] == pytest.approx(run.time[run.rows], abs=1e-6)

@@ -7,7 +7,7 @@ import os
 import re
 import signal
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +138,13 @@ def test_values_are_those_of_the_arm(bench: Bench, outcome: Outcome) -> None:
     names = found["correlation"]["names"]
     assert np.shape(found["correlation"]["matrix"]) == (len(names), len(names))
     assert [bag["use"] for bag in found["bags"]] == ["excitation", "validation", "validation"]
+
+
+def test_progress_runs_to_its_end(outcome: Outcome) -> None:
+    """The bar, which tells how long it takes, names the stages of the choice of friction and ends at its last step."""
+    assert "Stribeck rise: elements without it" in outcome.error
+    done, total = re.findall(r"(\d+)/(\d+) \[", outcome.error)[-1]
+    assert done == total
 
 
 def test_instrumental_variables_stand_beside(bench: Bench, outcome: Outcome) -> None:
@@ -284,6 +291,19 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
     assert TorqueValidation(both, both, rx.ExcitationTolerances()).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(total=0.01)).passed
     assert not TorqueValidation(both, both, rx.ExcitationTolerances(joint=0.01)).passed
+
+
+def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
+    """Where the noise is below a hundredth of the difference the summary says so in words, and gives no number."""
+    result = outcome.result
+    (run, *_) = result.torques
+    assert not run.noiseless.any()
+    smooth = replace(run, noise=np.array([run.rms[0] / 101.0, run.rms[1] / 99.0]))
+    assert smooth.noiseless.tolist() == [True, False]
+    lines = rx.excitation_summary(replace(result, torques=(smooth,), validations=())).splitlines()
+    (at,) = (k for k, line in enumerate(lines) if "chi^2 over noise" in line)
+    assert lines[at].split()[-2:] == [">1e4", "9.8e+03"]
+    assert "next to no noise beside the difference" in lines[at + 1]
 
 
 @pytest.mark.parametrize("steps", [0.0, 20.0])

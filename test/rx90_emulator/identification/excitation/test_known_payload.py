@@ -108,6 +108,13 @@ def test_gains_are_told_by_a_known_payload(
     assert constants is not None
     assert constants.value == pytest.approx([0.2, 0.1] * FACTOR, rel=0.02)
     assert constants.provenance == "identified"
+    gains = results[0].gains
+    assert gains is not None
+    half = replace(gains, covariance=np.diag([gains.covariance[0, 0], np.inf]))
+    assert "elbow keeps the given gain, whose scale may not fit" in rx.excitation_summary(
+        replace(results[0], gains=half)
+    )
+    assert "given gain" not in rx.excitation_summary(results[0])
 
 
 @pytest.mark.parametrize(
@@ -119,6 +126,7 @@ def test_gains_are_told_by_a_known_payload(
         (f"loaded: {BODY}".replace("mass", "weight"), "loaded.mass is missing"),
         (f"loaded: {BODY}".replace("4.0", "-4.0"), "payload of -4.0 kg; accepted: a mass above 0"),
         (f"loaded: {BODY}".replace("0.02]", "0.2]"), "payload's principal moments"),
+        (f"loaded: {BODY}".replace("0.3]", "-0.3]"), "drive gain of elbow: -"),
     ],
 )
 def test_payloads_that_cannot_be_are_refused(
@@ -131,15 +139,13 @@ def test_payloads_that_cannot_be_are_refused(
     assert not (tmp_path / "arm").exists()
 
 
-@pytest.mark.parametrize("option", ["--payload", "--prior"])
+@pytest.mark.parametrize("words", [["--payload", "1"], ["--prior", "0.5"], ["--bristles"]], ids=" ".join)
 def test_options_of_excitation_runs_are_refused_without(
-    scales: Scales, option: str, capsys: pytest.CaptureFixture[str]
+    scales: Scales, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What counts for excitation runs alone is refused with others, not ignored."""
-    assert (
-        run("rx90_identify", ["--sliding", str(scales.folder / "bare"), "--output", "f.yaml", option, "1"]) == REFUSED
-    )
-    assert f"{option} 1" in capsys.readouterr().err.splitlines()[-1]
+    assert run("rx90_identify", ["--sliding", str(scales.folder / "bare"), "--output", "f.yaml", *words]) == REFUSED
+    assert f"{' '.join(words)} without excitation runs" in capsys.readouterr().err.splitlines()[-1]
 
 
 def test_a_prior_stands_in_for_what_runs_do_not_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,302 @@
+"""Whether the encoders' zeros are those of the URDF, by what gravity asks of the joints that slide.
+
+A wrong zero bends the arm in the wrong place. With the URDF's inertials as known within some 20 %, the torques tell:
+quarter turns are tried one joint and two neighbours at a time, and small errors are an extra column, the torque's
+derivative by the angle. An axis along gravity has no such derivative, and a link whose weight is uncertain makes good
+for a small error; both show in the deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array, Mask
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord
+
+_KNOWN = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
+_LEAST_ARM = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _KNOWN
+_QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
+_BETTER = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
+_SURE = 5.0  # standard deviations from which a small error is one
+_SMALLEST = 0.01  # rad: elasticity and rounded geometry pass for less
+_LARGEST = 0.4  # rad: up to which the derivative is good for the torque
+_PRIOR = 1.0  # rad, standard deviation of a zero of which nothing is known
+_UNKNOWN = 0.5  # of it, from which the torques tell nothing of a zero
+_ROUNDS = 3  # of weights, and of Gauss and Newton
+_STEP = 1e-4  # rad, of differences
+_INSTANTS = 400  # that are looked at, at most, evenly taken from all
+_MEAN_TIME = 0.05  # s over which a run is averaged
+_TOGETHER = 1.0  # s within which the errors of a run are taken as one
+_SLIDES = 0.02  # rad/s from which an element slides
+_CURVES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Motion and torque of n joints at m instants.
+
+    Attributes:
+        position: rad, velocity: rad/s, acceleration: rad/s^2, and torque of the drives: Nm, each of shape (m, n).
+        known: joints on which no element acts that sticks or may stick, shape (m, n).
+        block: number of the stretch whose errors hang together, shape (m,).
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    known: Mask
+    block: NDArray[np.int64]
+
+    def some(self) -> Instants:
+        """Return no more of them than are needed."""
+        rows = np.arange(0, len(self.torque), max(1, math.ceil(len(self.torque) / _INSTANTS)))
+        return Instants(**{name: values[rows] for name, values in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class GravityZeros:
+    """What the torques say of the zeros.
+
+    Attributes:
+        names: n joints.
+        zero: that were used, rad, shape (n,).
+        error: of them, rad, shape (n,): 0 where nothing speaks against one.
+        deviation: its standard deviation, rad, shape (n,).
+        told: whether gravity tells an error of the joint's zero at all, shape (n,).
+        before: RMS of the torque that is left, over that of the torque, all joints together.
+        after: the same with the better zeros.
+    """
+
+    names: tuple[str, ...]
+    zero: Array
+    error: Array
+    deviation: Array
+    told: Mask
+    before: float
+    after: float
+
+    @property
+    def text(self) -> str:
+        """Return it in words; empty where nothing speaks against the zeros."""
+        wrong = [
+            f"{name} by {error:.3g} +- {spread:.2g} rad"
+            for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
+            if error
+        ]
+        if not wrong:
+            return ""
+        better = " ".join(f"{value:.4g}" for value in (np.round(self.zero + self.error, 4) + 0.0).tolist())
+        silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
+        rest = f"; gravity does not tell the zero of {', '.join(silent)}" if silent else ""
+        return (
+            f"zeros: {', '.join(wrong)} seems to be off (unexplained torque {self.before:.1%} -> {self.after:.1%}): "
+            f"try --zero {better}{rest}"
+        )
+
+
+def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
+    """Return means over short times of a run of any motion.
+
+    Args:
+        record: the run.
+        arm: of the same joints.
+    """
+    period = float(np.median(np.diff(record.time)))
+    size = max(1, round(_MEAN_TIME / period))
+    count = len(record.time) // size
+
+    def parts(values: Array) -> Array:
+        return values[: count * size].reshape(count, size, -1)
+
+    time = parts(record.time)[:, :, 0].mean(axis=1)
+    velocity = parts(record.velocity).mean(axis=1)
+    inputs = parts(record.velocity @ arm.element_matrix.T)
+    slides = np.abs(inputs).min(axis=1) > _SLIDES
+    slides &= np.abs(np.sign(inputs).sum(axis=1)) == size
+    return Instants(
+        position=parts(record.position).mean(axis=1),
+        velocity=velocity,
+        acceleration=np.gradient(velocity, time, axis=0),
+        torque=parts(record.torque).mean(axis=1),
+        known=known_joints(slides, arm.element_matrix),
+        block=np.floor((time - time[0]) / _TOGETHER).astype(np.int64),
+    )
+
+
+def known_joints(sliding: Mask, elements: Array) -> Mask:
+    """Return the joints on which only elements act that slide, shape (m, n), of which elements slide, (m, n_el)."""
+    return np.asarray(~(~sliding @ (elements != 0.0)))
+
+
+def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> GravityZeros:
+    """Look for zeros that explain the torques clearly better.
+
+    Args:
+        instants: with the zeros as they were given.
+        arm: rigid-body model with the inertials of the URDF.
+        zero: recorded angles where those of the URDF are 0, rad, shape (n,); by default 0.
+    """
+    n = len(arm.names)
+    search = _Search(instants.some(), arm)
+    shift = np.zeros(n)
+    for _ in range(n):
+        turned = search.turned(shift)
+        if turned is None:
+            break
+        shift = turned
+    small, deviation = search.small(shift)
+    sure = (np.abs(small) > np.maximum(_SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
+    better = shift + np.where(sure, small, 0.0)
+    usual = math.sqrt(max(search.power, 1e-300))
+    # Recorded angles lose the zero: joints that stand a further on than assumed have a zero that is a less.
+    return GravityZeros(
+        arm.names,
+        np.zeros(n) if zero is None else zero,
+        np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in better.tolist()]),
+        deviation,
+        deviation < _UNKNOWN * _PRIOR,
+        search.left(np.zeros(n)) / usual,
+        search.left(better) / usual,
+    )
+
+
+class _Search:
+    """Weighted fits of friction, errors of the inertials and of the zeros, with other angles."""
+
+    def __init__(self, instants: Instants, arm: RigidArm) -> None:
+        self._at, self._arm = instants, arm
+        self._seen: dict[bytes, tuple[Array, Array]] = {}
+        self._rows = np.nonzero(instants.known)
+        self._joint = self._rows[1]
+        self._cluster = np.unique(instants.block[self._rows[0]] * len(arm.names) + self._joint, return_inverse=True)[1]
+        self._friction = _friction(instants.velocity, arm.element_matrix)[self._rows]
+        self._known = _uncertainty(arm)
+        torque = instants.torque[self._rows]
+        self.power = float(np.mean(torque**2)) if len(torque) else 0.0
+
+    def left(self, shift: Array) -> float:
+        """Return the RMS of the torque that friction and inertials do not explain, Nm."""
+        residual = self._fit(shift)[1]
+        return float(np.sqrt(np.mean(residual**2))) if len(residual) else 0.0
+
+    def turned(self, start: Array) -> Array | None:
+        """Return the angles with the quarter turn of a joint that explains the torques clearly better; None without."""
+        weight = self._weight(start)
+        one = np.eye(len(start))
+        single = [start + turn * axis for axis in one for turn in _QUARTERS]
+        # Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
+        double = [
+            start + a * first + b * second for first, second in pairwise(one) for a, b in product(_QUARTERS, repeat=2)
+        ]
+        for trials in (single, double):
+            best = min(trials, key=lambda shift: self._fit(shift, weight)[2], default=start)
+            # By the scatter that the better one leaves: with wrong angles all of it passes for noise.
+            sharp = self._weight(best)
+            if self._fit(start, sharp)[2] - self._fit(best, sharp)[2] > _BETTER:
+                return best
+        return None
+
+    def small(self, start: Array) -> tuple[Array, Array]:
+        """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
+        shift, weight = np.zeros(len(start)), self._weight(start)
+        deviation = np.full(len(start), _PRIOR)
+        for _ in range(_ROUNDS):
+            slopes = self._slopes(start + shift, weight)
+            values, residual, _, covariance = self._fit(start + shift, weight, slopes, shift)
+            step = values[-len(start) :]
+            shift = np.clip(shift + step, -1.0, 1.0)
+            deviation = np.sqrt(np.diag(covariance)[-len(start) :])
+            weight = self._weight(start + shift, residual)
+        return shift, deviation
+
+    def _weight(self, shift: Array, residual: Array | None = None) -> Array:
+        """Return the weight of each row by the residuals' scatter and Kish's factor for stretches that err together."""
+        weight = np.ones(len(self._joint))
+        for _ in range(1 if residual is not None else _ROUNDS):
+            left = self._fit(shift, weight)[1] if residual is None else residual
+            sums = np.bincount(self._cluster, left)
+            owner = np.zeros(len(sums), dtype=np.int64)
+            owner[self._cluster] = self._joint
+            squares = np.bincount(self._joint, left**2, len(shift))
+            together = np.bincount(owner, sums**2, len(shift))
+            count = np.bincount(self._joint, minlength=len(shift))
+            power = np.maximum(squares, together) / np.maximum(count, 1)
+            weight = 1.0 / np.sqrt(np.maximum(power, 1e-8 * self.power + 1e-18))[self._joint]
+        return weight
+
+    def _fit(
+        self, shift: Array, weight: Array | None = None, slopes: Array | None = None, error: Array | None = None
+    ) -> tuple[Array, Array, float, Array]:
+        """Return values, residual in Nm, chi squared with the prior's, and covariance."""
+        weight = self._weight(shift) if weight is None else weight
+        target, regressor = self._rigid(shift)
+        zeros = np.zeros((len(target), 0)) if slopes is None else slopes
+        columns = np.hstack([self._friction, regressor, zeros])
+        first, size = self._friction.shape[1], columns.shape[1]
+        prior = np.r_[np.full(first, 1e-6), np.ones(regressor.shape[1]), np.full(zeros.shape[1], 1.0 / _PRIOR)]
+        wanted = np.zeros(size)
+        if error is not None:
+            wanted[-len(error) :] = -error / _PRIOR
+        matrix = np.vstack([columns * weight[:, None], np.diag(prior)])
+        right = np.concatenate([target * weight, wanted])
+        normal = matrix.T @ matrix
+        scale = 1.0 / np.sqrt(np.diag(normal))
+        covariance = scale[:, None] * np.linalg.pinv(scale[:, None] * normal * scale, 1e-13, hermitian=True) * scale
+        values = covariance @ (matrix.T @ right)
+        left = right - matrix @ values
+        return values, target - columns @ values, float(left @ left), covariance
+
+    def _rigid(self, shift: Array) -> tuple[Array, Array]:
+        """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""
+        key = (shift + 0.0).tobytes()
+        if key not in self._seen:
+            at = self._at
+            motion = at.position + shift, at.velocity, at.acceleration
+            target = (at.torque - self._arm.torque(*motion))[self._rows]
+            self._seen[key] = target, (self._arm.regressor(*motion) * self._known)[self._rows]
+        return self._seen[key]
+
+    def _slopes(self, shift: Array, weight: Array) -> Array:
+        """Return the torque's derivatives by the angles, with the inertials that fit, shape (r, n)."""
+        at, first = self._at, self._friction.shape[1]
+        inertial = self._known * self._fit(shift, weight)[0][first:]
+
+        def torque(position: Array) -> Array:
+            motion = position, at.velocity, at.acceleration
+            return np.asarray((self._arm.torque(*motion) + self._arm.regressor(*motion) @ inertial)[self._rows])
+
+        near = at.position + shift
+        return np.column_stack(
+            [(torque(near + step) - torque(near - step)) / (2.0 * _STEP) for step in np.eye(len(shift)) * _STEP]
+        )
+
+
+def _friction(velocity: Array, elements: Array) -> Array:
+    """Return columns that any friction's torque at the joints is nearly made of, shape (m, n, 5 n_el)."""
+    inputs = velocity @ elements.T
+    fastest = np.maximum(np.abs(inputs).max(axis=0), 1e-9)
+    shapes: Sequence[Array] = [
+        (inputs > 0.0).astype(np.float64),
+        (inputs < 0.0).astype(np.float64),
+        inputs / fastest,
+        *(np.sign(inputs) * np.exp(-np.abs(inputs) / (share * fastest)) for share in _CURVES),
+    ]
+    return np.concatenate([shape[:, None, :] * elements.T for shape in shapes], axis=2)
+
+
+def _uncertainty(arm: RigidArm) -> Array:
+    """Return the standard deviations of the URDF's inertial parameters, shape (10 n,), SI units."""
+    parts = []
+    for body in list(arm.model.inertias)[1:]:
+        lever = math.hypot(float(np.linalg.norm(body.lever)), _LEAST_ARM)
+        inertia = float(np.trace(np.asarray(body.inertia))) + body.mass * lever**2
+        parts.append(_KNOWN * np.r_[body.mass, np.full(3, body.mass * lever), np.full(6, inertia)])
+    return np.concatenate(parts)

@@ -1,0 +1,96 @@
+"""Wrong zeros of the encoders, noticed by what gravity asks: in sweeps, and where a friction file is checked."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from foreign_arms import urdf_text
+from numpy.typing import NDArray
+
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, record_instants
+
+Array = NDArray[np.float64]
+STRETCHES, EACH = 24, 4
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> RigidArm:
+    """Return three joints: one along gravity, two across it."""
+    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    text = urdf_text(["base", "shoulder", "elbow"], ["0 0 1", "0 1 0", "0 1 0"], [4.0, 3.0, 2.0])
+    urdf.write_text(text, encoding="utf-8")
+    return RigidArm.from_urdf(urdf)
+
+
+def recorded(arm: RigidArm, error: Array, seed: int, spread: float = 0.1) -> Instants:
+    """Return sweeps at several poses: Pinocchio's torques of links that differ from the URDF's, friction, noise."""
+    rng = np.random.default_rng(seed)
+    model = arm.model.copy()
+    for k in range(1, model.njoints):
+        body = model.inertias[k]
+        off = body.lever + spread * np.linalg.norm(body.lever) * rng.normal(size=3)
+        model.inertias[k] = pin.Inertia(body.mass * (1.0 + spread * rng.normal()), off, body.inertia)
+    start = rng.uniform(-1.5, 1.5, (STRETCHES, 3))
+    velocity = rng.choice([-1.0, 1.0], (STRETCHES, 3)) * 10.0 ** rng.uniform(-2.0, 0.0, (STRETCHES, 3))
+    time = np.linspace(0.0, 0.3, EACH)
+    position = (start[:, None] + velocity[:, None] * time[:, None]).reshape(-1, 3)
+    speed, data = np.repeat(velocity, EACH, axis=0), model.createData()
+    torque = np.array([pin.rnea(model, data, q, v, np.zeros(3)) for q, v in zip(position, speed, strict=True)])
+    torque += np.sign(speed) * (3.0 + np.exp(-np.abs(speed) / 0.05)) + 2.0 * speed
+    torque += 0.05 * rng.normal(size=torque.shape) + np.repeat(0.05 * rng.normal(size=(STRETCHES, 3)), EACH, axis=0)
+    known = np.ones(torque.shape, dtype=np.bool_)
+    return Instants(position + error, speed, 0.0 * speed, torque, known, np.repeat(np.arange(STRETCHES), EACH))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [(0.0, 0.5 * math.pi, 0.0), (0.0, 0.0, math.pi), (0.0, 0.5 * math.pi, -0.5 * math.pi), (0.0, 0.0, -0.5 * math.pi)],
+)
+def test_a_turned_joint_is_told_with_the_zero_to_try(arm: RigidArm, error: tuple[float, ...]) -> None:
+    """Quarter and half turns of a joint, and opposite ones of neighbours, come out with the option that mends them."""
+    found = check_zeros(recorded(arm, np.array(error), 3), arm)
+    away = np.remainder(found.error - error + math.pi, 2.0 * math.pi) - math.pi
+    assert (np.abs(away) < 0.35).all(), found
+    assert (found.error != 0.0).tolist() == [value != 0.0 for value in error]
+    assert "try --zero 0 " in found.text
+    assert "gravity does not tell the zero of base" in found.text
+
+
+def test_right_zeros_give_no_line(arm: RigidArm) -> None:
+    """With links 10 % off and right zeros no alarm is raised in 12 series, nor for an axis along gravity."""
+    checks = [check_zeros(recorded(arm, np.array([1.0, 0.0, 0.0]), seed), arm) for seed in range(12)]
+    assert [check.text for check in checks] == [""] * 12
+    assert not any(check.told[0] for check in checks)
+
+
+def test_a_small_error_is_told_with_its_deviation() -> None:
+    """The line names joint, size, deviation, and the given zero with the error added."""
+    none = np.zeros(2)
+    told = np.array([False, True])
+    check = GravityZeros(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
+    assert "b by 0.1 +- 0.01 rad" in check.text
+    assert "try --zero 0 0.6; gravity does not tell the zero of a" in check.text
+    assert GravityZeros(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
+
+
+def test_a_run_of_any_motion_tells_as_well(arm: RigidArm) -> None:
+    """A run of sines, averaged over short times, tells a shoulder that is turned by a quarter; a right one is right."""
+    time = np.arange(0.0, 12.0, 0.005)
+    wave, phase = np.array([1.3, 0.9, 2.1]), np.array([0.0, 1.0, 2.0])
+    angle = time[:, None] * wave + phase
+    position, velocity, acceleration = np.sin(angle), wave * np.cos(angle), -(wave**2) * np.sin(angle)
+    data, model = arm.model.createData(), arm.model
+    torque = np.array([pin.rnea(model, data, *row) for row in zip(position, velocity, acceleration, strict=True)])
+    torque += 3.0 * np.sign(velocity) + 2.0 * velocity + 0.2 * np.random.default_rng(1).normal(size=torque.shape)
+    for error in (0.0, 0.5 * math.pi):
+        shifted = position + np.array([0.0, error, 0.0])
+        run = JointRecord(arm.names, time, shifted, velocity, torque, Path("run"), "")
+        found = check_zeros(record_instants(run, arm), arm)
+        assert found.error[[0, 2]].tolist() == [0.0, 0.0]
+        assert found.error[1] == pytest.approx(error, abs=0.2)
