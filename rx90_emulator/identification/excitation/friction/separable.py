@@ -20,6 +20,7 @@ from rx90_emulator.identification.excitation.friction.weighted import WeightedPr
 _EVALUATIONS = 40
 _TOLERANCE = 1e-8  # of cost and parameters
 _AT_BOUND = 1e-3  # of the width of the range
+_ROUNDING = 1e-13  # of a column's square over the greatest
 _RANK = 1e-10  # relative: what is less of a Gram matrix is rounding
 
 
@@ -170,10 +171,11 @@ def _places(shape: ElementShape) -> tuple[int, ...]:
 
 def _nonnegative(gram: Array, product: Array) -> Array:
     """Return the x >= 0 that minimises x' gram x / 2 - product' x."""
-    scale = np.sqrt(np.diag(gram))
-    scale[scale == 0.0] = 1.0
+    # Of a column that the regressor explains, as of a joint that turns one way, rounding is left, of either sign.
+    square = np.diag(gram)
+    scale = np.sqrt(np.where(square > _ROUNDING * square.max(initial=0.0), square, 1.0))
     size, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    known = size > _RANK * size[-1]
+    known = size > _RANK * max(size[-1], 0.0)
     root = (vectors[:, known] * np.sqrt(size[known])).T
     target = (vectors[:, known] / np.sqrt(size[known])).T @ (product / scale)
     return np.asarray(nnls(root, target)[0] / scale)

@@ -20,7 +20,7 @@ from rx90_emulator.identification.excitation.friction.identify import _final, id
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import Selected, _Selection
-from rx90_emulator.identification.excitation.friction.separable import fit_shapes
+from rx90_emulator.identification.excitation.friction.separable import _nonnegative, fit_shapes
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -329,3 +329,10 @@ def test_an_exponent_left_at_1_has_the_deviation_of_what_it_hides(weighted: Weig
         place = len(weighted.problem.names) + inner.index(key)
         found = 1.0 if key[1] == "alpha" else final.value[place]
         assert abs(found - true) < 1.96 * final.deviation[place]
+
+
+def test_a_column_of_mere_rounding_gets_no_share() -> None:
+    """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted."""
+    gram = np.array([[4.0, 1e-16], [1e-16, -1e-15]])
+    assert _nonnegative(gram, np.array([2.0, 1e-9])) == pytest.approx([0.5, 0.0])
+    assert _nonnegative(-1e-9 * np.eye(2), np.ones(2)) == pytest.approx([0.0, 0.0])
