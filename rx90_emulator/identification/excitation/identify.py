@@ -17,7 +17,7 @@ from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_other
 from rx90_emulator.identification.excitation.consistency import make_consistent
 from rx90_emulator.identification.excitation.elements import simulated_elements
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
     ALL_PARTS,
     WITHOUT_BRISTLES,
@@ -183,19 +183,24 @@ def _problem(
     bandwidths: Bandwidths,
     carried: Mapping[Path, Payload | None],
 ) -> ExcitationProblem:
-    # A torque of this project's plant is that of the tick that ends at its stamp.
-    lead = 0.5 * (robot.plant_period or 0.0)
-    runs = [run for record in records for run in filter_record(record, bandwidths, _setpoints(record, robot), lead)]
+    runs: list[FilteredRun] = []
+    for record in records:
+        # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
+        lead = 0.5 * (robot.plant_period or 0.0) if _is_simulated(record) else 0.0
+        runs += filter_record(record, bandwidths, _setpoints(record, robot), lead)
     return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
+
+
+def _is_simulated(record: JointRecord) -> bool:
+    """Return whether a bag holds set-points of this project's controller, which real arms do not have."""
+    with BagReader(record.source) as reader:
+        return any(topic.name == absolute(_REFERENCE) for topic in reader.topics)
 
 
 def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:
     """Return the set-points of this project's controller at the record's times, shape (m, n), if there are any."""
-    if robot.setup is None:
+    if robot.setup is None or not _is_simulated(record):
         return None
-    with BagReader(record.source) as reader:
-        if all(topic.name != absolute(_REFERENCE) for topic in reader.topics):
-            return None
     series = read_joint_states(record.source, _REFERENCE, record.names)
     if series.position is None or len(series.time) < 2:
         return None

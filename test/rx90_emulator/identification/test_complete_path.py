@@ -130,9 +130,9 @@ cycle.sweep(fourth, 0.05, 0.3, 6.0)
 cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
 cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
 cycle.move(np.zeros(6), np.ones(6), 5.0)
-for speed in np.geomspace(0.041, 1.0, 5):
-    slide.sweep(fourth, speed, 0.5, 6.0)
-    slide.sweep(fourth, -speed, 0.5, 6.0)
+for speed in np.geomspace(0.041, 1.6, 5):
+    slide.sweep(fourth, speed, 0.7, 6.0)
+    slide.sweep(fourth, -speed, 0.7, 6.0)
 long.sweep(fourth, 1e-3, 400.0, 6.0)
 series = ([Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)],
           [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
@@ -143,7 +143,7 @@ for folder, plan in zip(sys.argv[1:], series, strict=True):
     print("ended with", code, flush=True)
 sys.exit(code)
 """
-"""The command twice. Much less than --quick: one joint, five speeds, one micro-oscillation, 12 s; and one too long."""
+"""The command twice. Much less than --quick: one joint, five speeds, one micro-oscillation, 14 s; and one too long."""
 
 
 @pytest.mark.ros
