@@ -73,10 +73,15 @@ class Bandwidths:
         down to a third of ten times the motion's band.
 
         Raises:
-            IdentificationError: if no joint moves.
+            IdentificationError: if no joint moves, or the runs are too short.
         """
         found = [pair for record in records for pair in _crossings(record)]
         if not found:
+            longest = max(stop - start for record in records for start, stop in _pieces(record.time))
+            if longest < _SHORTEST:
+                raise IdentificationError(
+                    f"{records[0].source}: {longest} samples without a gap; accepted: {_SHORTEST} or more in a run"
+                )
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         crossing, motion = (float(np.median(column)) for column in zip(*found, strict=True))
         rate = min(_rate(record.time) for record in records)

@@ -89,7 +89,8 @@ def _jackknife(slope: Array, left: Array, band: NDArray[np.int64], covariance: A
         leverage, directions = np.linalg.eigh(part.T @ part)
         pull = directions.T @ (part.T @ left[band == number])
         change = root @ (directions @ (pull / (1.0 - np.minimum(leverage, _LARGEST_LEVERAGE))))
-        total += change**2
+        with np.errstate(over="ignore"):  # what becomes infinite is not identifiable
+            total += change**2
     return np.asarray(total * (len(numbers) - 1) / max(len(numbers), 1))
 
 

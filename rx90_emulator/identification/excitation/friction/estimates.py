@@ -81,7 +81,7 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
         return "not told from the size of the rise; 1 was assumed"
     weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST * value if name in _WEAK else math.inf)
     checks = (
-        (not one.linear.any(), "the element does not move"),
+        (not one.linear.any(), "the element does not move, or at one velocity alone"),
         (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),
         (name in ("c2", "alpha") and one.linear[VISCOUS] <= 0.0, "no viscous friction shows: the best value is 0"),
         (not math.isfinite(value) or not math.isfinite(deviation), "the runs do not determine it"),

@@ -228,7 +228,7 @@ def test_an_interrupt_leaves_nothing(
         (["nowhere"], "nowhere: no such bag"),
         (["still"], "no joint moves in any run; accepted"),
         (["half"], "elbow at rest in all runs; accepted: runs in which all joints move, or --fallback"),
-        (["short"], "accepted"),
+        (["short"], "samples without a gap; accepted"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(
