@@ -176,6 +176,8 @@ def _nonnegative(gram: Array, product: Array) -> Array:
     scale = np.sqrt(np.where(square > _ROUNDING * square.max(initial=0.0), square, 1.0))
     size, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     known = size > _RANK * max(size[-1], 0.0)
+    if not known.any():
+        return np.zeros(len(product))
     root = (vectors[:, known] * np.sqrt(size[known])).T
     target = (vectors[:, known] / np.sqrt(size[known])).T @ (product / scale)
     return np.asarray(nnls(root, target)[0] / scale)
