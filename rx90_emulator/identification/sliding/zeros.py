@@ -15,6 +15,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -249,7 +250,7 @@ class _Search:
         right = np.concatenate([target * weight, wanted])
         normal = matrix.T @ matrix
         scale = 1.0 / np.sqrt(np.diag(normal))
-        covariance = scale[:, None] * np.linalg.pinv(scale[:, None] * normal * scale, 1e-13, hermitian=True) * scale
+        covariance = scale[:, None] * pinvh(scale[:, None] * normal * scale, rtol=1e-13) * scale
         values = covariance @ (matrix.T @ right)
         left = right - matrix @ values
         return values, target - columns @ values, float(left @ left), covariance
