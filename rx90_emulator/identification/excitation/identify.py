@@ -185,9 +185,11 @@ def _problem(
 ) -> ExcitationProblem:
     runs: list[FilteredRun] = []
     for record in records:
+        if robot.plant_period is None or not _is_simulated(record):
+            runs += filter_record(record, bandwidths)
+            continue
         # A torque of this project's plant is that of the tick that ends at its stamp; a real arm's is not.
-        lead = 0.5 * (robot.plant_period or 0.0) if _is_simulated(record) else 0.0
-        runs += filter_record(record, bandwidths, _setpoints(record, robot), lead)
+        runs += filter_record(record, bandwidths, _setpoints(record), 0.5 * robot.plant_period)
     return ExcitationProblem.of(robot.arm, runs, payloads=[carried[run.source.path] for run in runs])
 
 
@@ -197,10 +199,8 @@ def _is_simulated(record: JointRecord) -> bool:
         return any(topic.name == absolute(_REFERENCE) for topic in reader.topics)
 
 
-def _setpoints(record: JointRecord, robot: RecordedRobot) -> Array | None:
-    """Return the set-points of this project's controller at the record's times, shape (m, n), if there are any."""
-    if robot.setup is None or not _is_simulated(record):
-        return None
+def _setpoints(record: JointRecord) -> Array | None:
+    """Return a simulated bag's set-points at the record's times, shape (m, n); None where they do not cover it."""
     series = read_joint_states(record.source, _REFERENCE, record.names)
     if series.position is None or len(series.time) < 2:
         return None

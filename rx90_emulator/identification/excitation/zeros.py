@@ -21,17 +21,15 @@ from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_visc
 from rx90_emulator.identification.excitation.covariance import time_blocks
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, encoder_error
 
-_QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
 _ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
 _TURNED = 3.0  # standard errors by which a change must explain more
 _SURE = 4.0  # deviations from which a small error is one
 _FEWER = 0.005  # share of the squares that a second joint must explain, to be turned with the first
 _GAIN = 0.02  # share of the torque error, at least
-_SMALLEST = 0.01  # rad: elasticity and rounded geometry pass for less
 _LARGEST = 0.3  # rad, of an error that counts as small
 _ROUNDS = 3  # of Gauss and Newton
-_STEP = 1e-4  # rad, of differences
 _APART = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
 
 
@@ -89,12 +87,10 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
         float(np.mean(values**2)) for values in (problem.torque, search.residual(np.zeros(n)), search.residual(shift))
     ]
     scale = max(powers[0], 1e-300)
-    # Recorded angles lose the zero: joints that stand a further on than assumed have a zero that is a less.
-    error = np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in shift.tolist()])
     return ZeroCheck(
         problem.arm.names,
         np.zeros(n) if zero is None else zero,
-        error,
+        encoder_error(shift),
         deviation,
         math.sqrt(powers[1] / scale),
         math.sqrt(powers[2] / scale),
@@ -165,8 +161,8 @@ class _Search:
             step = fit.value[columns.shape[1] :]
             shift[told] += step
             spread[told] = fit.deviation[columns.shape[1] :]
-            sure = np.abs(shift) > np.maximum(_SMALLEST, _SURE * spread)
-            if np.abs(step).max() < 0.1 * _SMALLEST or not sure[told].any():
+            sure = np.abs(shift) > np.maximum(SMALLEST, _SURE * spread)
+            if np.abs(step).max() < 0.1 * SMALLEST or not sure[told].any():
                 break
         sure &= told & (np.abs(shift) < _LARGEST)
         shift, spread = np.where(sure, shift, 0.0), np.where(sure, spread, 0.0)
@@ -199,7 +195,7 @@ class _Search:
         """Return the quarter turns of one group of joints that leave least, and the squares they leave."""
         found = (start, np.full(int(self.block.max()) + 1, math.inf))
         for group in groups:
-            for turns in product(_QUARTERS, repeat=len(group)):
+            for turns in product(QUARTERS, repeat=len(group)):
                 shift = start.copy()
                 shift[list(group)] += turns
                 squares = self._squares(shift)
@@ -212,8 +208,8 @@ class _Search:
         columns = np.hstack([self._regressor(shift, rows), self.friction])
         value = solve(self.problem, columns).value[: len(self.problem.names)]
         slopes = [
-            (self._regressor(shift + step, rows) - self._regressor(shift - step, rows)) @ value / (2.0 * _STEP)
-            for step in np.eye(len(shift)) * _STEP
+            (self._regressor(shift + step, rows) - self._regressor(shift - step, rows)) @ value / (2.0 * STEP)
+            for step in np.eye(len(shift)) * STEP
         ]
         return columns, np.column_stack(slopes)
 

@@ -19,19 +19,17 @@ from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, encoder_error
 from rx90_emulator.identification.records.record import JointRecord
 
 _KNOWN = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
 _LEAST_ARM = 0.05  # m: distance of a link's centre of mass that is not known better than this, times _KNOWN
-_QUARTERS = (-0.5 * math.pi, 0.5 * math.pi, math.pi)
 _BETTER = 36.0  # by which a quarter turn must lower chi squared: six standard deviations
 _SURE = 5.0  # standard deviations from which a small error is one
-_SMALLEST = 0.01  # rad: elasticity and rounded geometry pass for less
 _LARGEST = 0.4  # rad: up to which the derivative is good for the torque
 _PRIOR = 1.0  # rad, standard deviation of a zero of which nothing is known
 _UNKNOWN = 0.5  # of it, from which the torques tell nothing of a zero
 _ROUNDS = 3  # of weights, and of Gauss and Newton
-_STEP = 1e-4  # rad, of differences
 _INSTANTS = 400  # that are looked at, at most, evenly taken from all
 _MEAN_TIME = 0.05  # s over which a run is averaged
 _TOGETHER = 1.0  # s within which the errors of a run are taken as one
@@ -154,14 +152,13 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
             break
         shift = turned
     small, deviation = search.small(shift)
-    sure = (np.abs(small) > np.maximum(_SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
+    sure = (np.abs(small) > np.maximum(SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
     better = shift + np.where(sure, small, 0.0)
     usual = math.sqrt(max(search.power, 1e-300))
-    # Recorded angles lose the zero: joints that stand a further on than assumed have a zero that is a less.
     return GravityZeros(
         arm.names,
         np.zeros(n) if zero is None else zero,
-        np.array([math.remainder(-value, 2.0 * math.pi) if value else 0.0 for value in better.tolist()]),
+        encoder_error(better),
         deviation,
         deviation < _UNKNOWN * _PRIOR,
         search.left(np.zeros(n)) / usual,
@@ -192,10 +189,10 @@ class _Search:
         """Return the angles with the quarter turn of a joint that explains the torques clearly better; None without."""
         weight = self._weight(start)
         one = np.eye(len(start))
-        single = [start + turn * axis for axis in one for turn in _QUARTERS]
+        single = [start + turn * axis for axis in one for turn in QUARTERS]
         # Opposite turns of neighbours leave the rest of the arm where it is: either alone may be no better.
         double = [
-            start + a * first + b * second for first, second in pairwise(one) for a, b in product(_QUARTERS, repeat=2)
+            start + a * first + b * second for first, second in pairwise(one) for a, b in product(QUARTERS, repeat=2)
         ]
         for trials in (single, double):
             best = min(trials, key=lambda shift: self._fit(shift, weight)[2], default=start)
@@ -276,7 +273,7 @@ class _Search:
 
         near = at.position + shift
         return np.column_stack(
-            [(torque(near + step) - torque(near - step)) / (2.0 * _STEP) for step in np.eye(len(shift)) * _STEP]
+            [(torque(near + step) - torque(near - step)) / (2.0 * STEP) for step in np.eye(len(shift)) * STEP]
         )
 
 
