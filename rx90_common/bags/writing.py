@@ -216,8 +216,7 @@ class BagWriter:
         # What is refused before anything is written is the user's to mend: another folder, another name.
         failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
         half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
-        kind = BagWriteError if failed else BagError
-        return kind(f"{plain(self._named)}: cannot be written ({reason}){half}")
+        return (BagWriteError if failed else BagError)(f"{plain(self._named)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)

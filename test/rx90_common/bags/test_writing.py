@@ -147,7 +147,7 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
 
 
 def test_a_bag_has_its_name_when_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a bag is written nothing is there under its name, so that a kill leaves none; an interrupt leaves nothing."""
+    """While a bag is written nothing has its name, so that a kill leaves none; an interrupt leaves nothing."""
     path, seen = tmp_path / "new" / "bag", []
     whole = BagWriter.write_many
 
