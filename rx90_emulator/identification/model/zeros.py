@@ -58,7 +58,7 @@ class ZeroCheck:
         rest = f"; the torques do not tell the zero of {', '.join(silent)}" if silent else ""
         return (
             f"zeros: {', '.join(wrong)} {'seem' if len(wrong) > 1 else 'seems'} to be off (unexplained torque "
-            f"{self.before:.1%} -> {self.after:.1%}), or a payload or spring is not in the model: "
+            f"{self.before:.1%} -> {self.after:.1%}), or the model lacks a payload or a spring: "
             f"try --zero {' '.join(f'{value:.6g}' for value in better)}{rest}"
         )
 

@@ -114,14 +114,17 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     sure = (np.abs(small) > np.maximum(SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
     better = shift + np.where(sure, small, 0.0)
     usual = math.sqrt(max(search.power, 1e-300))
+    before, after = search.left(np.zeros(n)), search.left(better)
+    if after >= before:  # the zeros only spare the inertials an error, as that of a heavy payload
+        better, after = np.zeros(n), before
     return ZeroCheck(
         arm.names,
         np.zeros(n) if zero is None else zero,
         encoder_error(better),
         deviation,
         deviation < _UNKNOWN * _PRIOR,
-        search.left(np.zeros(n)) / usual,
-        search.left(better) / usual,
+        before / usual,
+        after / usual,
     )
 
 
