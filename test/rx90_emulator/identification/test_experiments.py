@@ -185,7 +185,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A series is never written into a folder that is there."""
     assert run("rx90_experiment", ["run", "--engine", "--output", str(tmp_path)]) == REFUSED
-    assert "accepted: a folder that can be made" in capsys.readouterr().err
+    assert "exists; accepted: a new name" in capsys.readouterr().err
 
 
 def test_kinds_have_topics() -> None:
