@@ -76,8 +76,7 @@ class RunSearch:
         Raises:
             IdentificationError: if it cannot be made small enough for the limits.
         """
-        starts = [self._shrunk(self.random(rng), self.basis, _RAMP).coefficients.ravel() for _ in range(_STARTS)]
-        first = min(starts, key=lambda x: self.cost(x)[0])
+        first = min(self._starts(rng), key=lambda x: self.cost(x)[0])
 
         def progress(xk: Array) -> None:  # noqa: ARG001 - SciPy's name for it
             step()
@@ -93,6 +92,22 @@ class RunSearch:
             )
             first = found.x
         return self.within(self._series(first))
+
+    def _starts(self, rng: np.random.Generator) -> list[Array]:
+        """Return the coefficients of the random motions that can be made small enough, one of them at least.
+
+        Raises:
+            IdentificationError: if none can.
+        """
+        starts, refusal = [], None
+        for _ in range(_STARTS):
+            try:
+                starts.append(self._shrunk(self.random(rng), self.basis, _RAMP).coefficients.ravel())
+            except IdentificationError as error:
+                refusal = error
+        if refusal is not None and not starts:
+            raise refusal
+        return starts
 
     def random(self, rng: np.random.Generator) -> FourierSeries:
         """Return a random motion that keeps ranges, speeds and accelerations, but for those of coupled motors."""
@@ -155,9 +170,11 @@ class RunSearch:
         while not self._keeps(series.shrunk(low), basis, way):
             low, high = _SHRINK * low, low
             if low < _SMALLEST:
+                motion = basis.motion(series.shrunk(low).coefficients)
+                worst = self.limits.worst(motion, self.columns.arm.torque(*motion))
                 raise IdentificationError(
-                    "no motion was found that keeps the limits; accepted: walls farther away, less --clearance, "
-                    "another --seed"
+                    f"no motion was found that keeps the limits; even of a small one {worst}; accepted: walls farther "
+                    "away, less --clearance, more --share, another --seed"
                 )
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
