@@ -44,16 +44,6 @@ class IdentificationBags:
         return cls(*(tuple(Path(bag) for bag in bags) for bags in (sliding, presliding, validation)))
 
 
-def check_folder_is_new(folder: Path) -> None:
-    """Look whether a series may have a folder.
-
-    Raises:
-        IdentificationError: if it exists.
-    """
-    if folder.exists():
-        raise IdentificationError(f"--output {folder}: File exists; accepted: a folder that can be made")
-
-
 def make_folder(folder: Path) -> None:
     """Make the folder of a series.
 

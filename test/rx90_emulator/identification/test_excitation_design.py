@@ -22,7 +22,7 @@ from rx90_emulator.identification.experiments.excitation.design import Excitatio
 from rx90_emulator.identification.experiments.excitation.information import ExcitationColumns
 from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
-from rx90_emulator.identification.experiments.excitation.search import RunSearch
+from rx90_emulator.identification.experiments.excitation.search import RunSearch, random_starts
 from rx90_emulator.identification.experiments.excitation.series import FourierSeries
 from rx90_emulator.identification.experiments.excitation.table import describe_excitation
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
@@ -225,7 +225,7 @@ def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:
     Over a table at the height of the elbow none can, and the refusal says what comes near.
     """
     search = _search(shipped, Criterion.D, (Wall.through((1.0, 0.0, 0.0, -0.4)),))
-    found = search._starts(np.random.default_rng((0, 0)))
+    found = random_starts(search, np.random.default_rng((0, 0)))
     assert 1 < len(found) < 12
     assert all(search.limits.clear(search.basis.motion(x.reshape(6, -1))[0]) for x in found)
     high = _search(shipped, Criterion.D, (Wall.above(1.0),))

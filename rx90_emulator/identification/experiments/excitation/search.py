@@ -76,7 +76,7 @@ class RunSearch:
         Raises:
             IdentificationError: if it cannot be made small enough for the limits.
         """
-        first = min(self._starts(rng), key=lambda x: self.cost(x)[0])
+        first = min(random_starts(self, rng), key=lambda x: self.cost(x)[0])
 
         def progress(xk: Array) -> None:  # noqa: ARG001 - SciPy's name for it
             step()
@@ -92,22 +92,6 @@ class RunSearch:
             )
             first = found.x
         return self.within(self._series(first))
-
-    def _starts(self, rng: np.random.Generator) -> list[Array]:
-        """Return the coefficients of the random motions that can be made small enough, one of them at least.
-
-        Raises:
-            IdentificationError: if none can.
-        """
-        starts, refusal = [], None
-        for _ in range(_STARTS):
-            try:
-                starts.append(self._shrunk(self.random(rng), self.basis, _RAMP).coefficients.ravel())
-            except IdentificationError as error:
-                refusal = error
-        if refusal is not None and not starts:
-            raise refusal
-        return starts
 
     def random(self, rng: np.random.Generator) -> FourierSeries:
         """Return a random motion that keeps ranges, speeds and accelerations, but for those of coupled motors."""
@@ -160,9 +144,9 @@ class RunSearch:
             IdentificationError: if it does not even where it is small.
         """
         fine = self.basis.at(np.arange(0.0, series.period, _FINE))
-        return self._shrunk(series, fine, _FINE_RAMP)
+        return self.shrunk(series, fine, _FINE_RAMP)
 
-    def _shrunk(self, series: FourierSeries, basis: SeriesBasis, way: Array) -> FourierSeries:
+    def shrunk(self, series: FourierSeries, basis: SeriesBasis, way: Array) -> FourierSeries:
         """Return the motion, shrunk until it keeps the limits at a basis' samples and on parts of the way to it."""
         if self._keeps(series, basis, way):
             return series
@@ -197,3 +181,20 @@ class RunSearch:
         way = self.home + _RAMP[:, None] * (coefficients @ begin - self.home)
         value, slope = self.limits.nearness(way)
         return value, np.outer(_RAMP @ slope, begin)
+
+
+def random_starts(search: RunSearch, rng: np.random.Generator) -> list[Array]:
+    """Return the coefficients, shape (n c,), of the random motions that can be made small enough, one or more.
+
+    Raises:
+        IdentificationError: if none can.
+    """
+    starts, refusal = [], None
+    for _ in range(_STARTS):
+        try:
+            starts.append(search.shrunk(search.random(rng), search.basis, _RAMP).coefficients.ravel())
+        except IdentificationError as error:
+            refusal = error
+    if refusal is not None and not starts:
+        raise refusal
+    return starts
