@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
-import sys
+import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -14,9 +15,10 @@ import numpy as np
 import pytest
 from processes import Processes, wait_until
 
-from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.experiments import job as experiments_job
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
@@ -116,54 +118,53 @@ def fresh_motion(setup: Setup) -> Experiment:
     return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
 
 
-ON_NODES = """
-import sys
-import numpy as np
-from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments import job
-from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.loop.setup import Setup
-robot, fourth = Setup.load().robot, np.eye(6)[3]
-cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
-cycle.sweep(fourth, 0.05, 0.3, 6.0)
-cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
-cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
-cycle.move(np.zeros(6), np.ones(6), 5.0)
-for speed in np.geomspace(0.041, 1.6, 5):
-    slide.sweep(fourth, speed, 0.7, 6.0)
-    slide.sweep(fourth, -speed, 0.7, 6.0)
-long.sweep(fourth, 1e-3, 400.0, 6.0)
-series = ([Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)],
-          [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-           Experiment("long", Kind.SLIDING, long.points(robot.joint_names), 1)])
-for folder, plan in zip(sys.argv[1:], series, strict=True):
-    job.make_plan = lambda *_: plan
-    code = run("rx90_experiment", ["run", "--nodes", "--output", folder])
-    print("ended with", code, flush=True)
-sys.exit(code)
-"""
-"""The command twice. Much less than --quick: one joint, five speeds, one micro-oscillation, 14 s; and one too long."""
+def short_series(setup: Setup) -> tuple[list[Experiment], list[Experiment]]:
+    """Return a whole series and one that is too long to end; much less than --quick: joint 4, five speeds, 14 s."""
+    names, fourth = setup.robot.joint_names, np.eye(6)[3]
+    cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
+    cycle.sweep(fourth, 0.05, 0.3, 6.0)
+    cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+    cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+    cycle.move(np.zeros(6), np.ones(6), 5.0)
+    for speed in np.geomspace(0.041, 1.6, 5):
+        slide.sweep(fourth, speed, 0.7, 6.0)
+        slide.sweep(fourth, -speed, 0.7, 6.0)
+    long.sweep(fourth, 1e-3, 400.0, 6.0)
+    whole = [Experiment("cycle", Kind.PRESLIDING, cycle.points(names), 2)]
+    cut = [
+        Experiment("slide", Kind.SLIDING, slide.points(names), 10),
+        Experiment("long", Kind.SLIDING, long.points(names), 1),
+    ]
+    return whole, cut
 
 
 @pytest.mark.ros
-def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
+def test_experiments_run_on_the_real_nodes(
+    processes: Processes,
+    shipped: Setup,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
 
     Ctrl-C in an experiment ends with 130, the one before it in the index, and no recorder left behind.
     """
-    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
-    processes.start("rx90_controller")
+    fast = ("--ros-args", "-p", "real_time_factor:=0.0")
+    nodes = [processes.start("rx90_sim", *fast), processes.start("rx90_controller")]
     whole, cut = tmp_path / "whole", tmp_path / "cut"
-    experiments = processes.start(sys.executable, "-c", ON_NODES, whole, cut)
-    wait_until((cut / "long").exists, "the last bag")
-    assert experiments.wait_for("ended with").string == "ended with 0"
-    experiments.signal(signal.SIGINT)
-    assert experiments.wait() == 130
-    assert experiments.lines[-2:] == ["rx90_experiment: interrupted; complete bags stay", "ended with 130"]
+    interrupt = threading.Thread(target=interrupt_once, args=[cut / "long"])
+    interrupt.start()
+    for folder, series, code in zip((whole, cut), short_series(shipped), (DONE, INTERRUPTED), strict=True):
+        monkeypatch.setattr(experiments_job, "make_plan", lambda *_, plan=series: plan)
+        assert run("rx90_experiment", ["run", "--nodes", "--output", str(folder)]) == code
+    interrupt.join()
+    for node in nodes:  # they would go on as fast as they can
+        node.signal(signal.SIGINT)
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
     assert [bag.name for bag in read_index(whole).presliding] == ["cycle"]
     assert [bag.name for bag in read_index(cut).sliding] == ["slide"]
-    assert not [pid for pid, words in running() if str(cut) in words]
+    assert not [file for file in open_files() if str(whole) in file or str(cut) in file]
     output = tmp_path / "friction.yaml"
     bags = ["--sliding", cut / "slide", "--presliding", whole / "cycle", "--output", output]
     assert run("rx90_identify", [str(word) for word in bags]) == DONE
@@ -172,8 +173,14 @@ def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup,
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
 
 
-def running() -> Iterator[tuple[str, str]]:
-    """Yield id and command line of every process."""
-    for process in Path("/proc").glob("[0-9]*"):
+def interrupt_once(bag: Path) -> None:
+    """Send this process a Ctrl-C as soon as a bag is there."""
+    wait_until(bag.exists, "the last bag")
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def open_files() -> Iterator[str]:
+    """Yield the path of every file that a process has open."""
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            yield process.name, (process / "cmdline").read_text(encoding="utf-8", errors="replace")
+            yield str(link.readlink())
