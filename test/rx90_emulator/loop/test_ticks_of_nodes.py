@@ -69,7 +69,7 @@ def test_everything_is_compiled_before_the_first_tick() -> None:
     assert (run.stdout, run.stderr) == ("[]\n", "")
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> None:
     """Whatever comes between two ticks, commands and set-points are those of a controller that samples each tick."""
@@ -83,7 +83,7 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
         what = data.draw(st.sampled_from(["run", "run", "accept", "skip", "reset"]))
         count = data.draw(st.integers(1, 400))
         if what == "accept":
-            start = several.position_tick + data.draw(st.integers(0, 150))
+            start = several.position_tick + data.draw(st.integers(0, 60))
             to = several.trajectory.setpoints(several.position_tick)[0, 0] + 1e-4 * count
             points = TrajectoryPoints.create(NAMES, NAMES, [0.1 + 1e-3 * count], [to], [REST], [REST])
             for each in both:
