@@ -23,7 +23,7 @@ RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
 
 
 @pytest.fixture
-def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - the test is on a domain of its own
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - a domain of its own
     """Give a client on a domain of its own."""
     with closing(Client()) as started:
         yield started

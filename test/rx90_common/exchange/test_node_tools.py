@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
@@ -11,7 +13,20 @@ from rx90_common.exchange import node_tools
 
 
 @pytest.mark.ros
-def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001 - the test is on a domain of its own
+def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001 - a domain of its own
+    """The files that a node takes from a robot folder are those of the folder, whether they are there or not."""
+    (tmp_path / "drives.yaml").touch()
+    client = Client()
+    try:
+        client.node._parameter_overrides["robot"] = node_tools.Parameter("robot", value=str(tmp_path))
+        files = node_tools.declare_robot_files(client.node, "urdf", "drives", "tool")
+        assert (files.urdf, files.drives, files.tool) == (tmp_path / "robot.urdf", tmp_path / "drives.yaml", None)
+    finally:
+        client.close()
+
+
+@pytest.mark.ros
+def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001 - a domain of its own
     """A subscriber that asks for more than is offered does not keep the others waiting."""
     client = Client()
     try:

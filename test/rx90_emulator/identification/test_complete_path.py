@@ -6,7 +6,7 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,16 +15,20 @@ import numpy as np
 import pytest
 from processes import Processes, wait_until
 
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import job as experiments_job
 from rx90_emulator.identification.experiments.engine import run_on_engine
+from rx90_emulator.identification.experiments.excitation.design import plan_excitation
+from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.job import write_identification
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
@@ -118,8 +122,8 @@ def fresh_motion(setup: Setup) -> Experiment:
     return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
 
 
-def short_series(setup: Setup) -> tuple[list[Experiment], list[Experiment]]:
-    """Return a whole series and one that is too long to end; much less than --quick: joint 4, five speeds, 14 s."""
+def short_series(setup: Setup) -> list[Experiment]:
+    """Return sweeps of one joint, much less than --quick: joint 4, five speeds, 14 s; and one that is too long."""
     names, fourth = setup.robot.joint_names, np.eye(6)[3]
     cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
     cycle.sweep(fourth, 0.05, 0.3, 6.0)
@@ -130,12 +134,14 @@ def short_series(setup: Setup) -> tuple[list[Experiment], list[Experiment]]:
         slide.sweep(fourth, speed, 0.7, 6.0)
         slide.sweep(fourth, -speed, 0.7, 6.0)
     long.sweep(fourth, 1e-3, 400.0, 6.0)
-    whole = [Experiment("cycle", Kind.PRESLIDING, cycle.points(names), 2)]
-    cut = [
+    return [
+        Experiment("cycle", Kind.PRESLIDING, cycle.points(names), 2),
         Experiment("slide", Kind.SLIDING, slide.points(names), 10),
         Experiment("long", Kind.SLIDING, long.points(names), 1),
     ]
-    return whole, cut
+
+
+EXCITATION = ExcitationOptions(runs=1, harmonics=3, period=1.0, periods=1, steps=2, validation=False)
 
 
 @pytest.mark.ros
@@ -148,29 +154,51 @@ def test_experiments_run_on_the_real_nodes(
 ) -> None:
     """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
 
-    Ctrl-C in an experiment ends with 130, the one before it in the index, and no recorder left behind.
+    A planned excitation run has the set-points and torques of the engine, to the bit. Ctrl-C in an experiment ends
+    with 130, the one before it in the index, and no recorder left behind.
     """
-    fast = ("--ros-args", "-p", "real_time_factor:=0.0")
-    nodes = [processes.start("rx90_sim", *fast), processes.start("rx90_controller")]
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
+    planned, cut = tmp_path / "planned", tmp_path / "cut"
+    words = ["--excitation", "--output", str(planned)]
+    for name in ("runs", "harmonics", "period", "periods", "steps"):
+        words += [f"--{name}", str(getattr(EXCITATION, name))]
+    assert run("rx90_experiment", ["run", "--nodes", *words]) == DONE
+    monkeypatch.setattr(experiments_job, "make_plan", lambda *_: short_series(shipped))
     interrupt = threading.Thread(target=interrupt_once, args=[cut / "long"])
     interrupt.start()
-    for folder, series, code in zip((whole, cut), short_series(shipped), (DONE, INTERRUPTED), strict=True):
-        monkeypatch.setattr(experiments_job, "make_plan", lambda *_, plan=series: plan)
-        assert run("rx90_experiment", ["run", "--nodes", "--output", str(folder)]) == code
+    assert run("rx90_experiment", ["run", "--nodes", "--output", str(cut)]) == INTERRUPTED
     interrupt.join()
-    for node in nodes:  # they would go on as fast as they can
-        node.signal(signal.SIGINT)
+    cell.signal(signal.SIGINT)  # it would go on as fast as it can
     assert capsys.readouterr().err.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
-    assert [bag.name for bag in read_index(whole).presliding] == ["cycle"]
-    assert [bag.name for bag in read_index(cut).sliding] == ["slide"]
-    assert not [file for file in open_files() if str(whole) in file or str(cut) in file]
+    done = read_index(cut)
+    assert [bag.name for bag in (*done.presliding, *done.sliding)] == ["cycle", "slide"]
+    assert not [file for file in open_files() if str(cut) in file]
+    check_against_the_engine(read_index(planned).excitation, shipped)
     output = tmp_path / "friction.yaml"
-    bags = ["--sliding", cut / "slide", "--presliding", whole / "cycle", "--output", output]
+    bags = ["--sliding", cut / "slide", "--presliding", cut / "cycle", "--output", output]
     assert run("rx90_identify", [str(word) for word in bags]) == DONE
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+
+
+def check_against_the_engine(bags: Sequence[Path], setup: Setup) -> None:
+    """Hold the first run on new nodes against the closed loop along the same plan, which begins when the bag's does."""
+    (run,) = plan_excitation(setup, EXCITATION).experiments
+    (bag,) = bags
+    names = ("motor_states", "rx90_controller/reference")
+    _, reference = recorded = [read_joint_states(bag, name) for name in names]
+    assert reference.position is not None
+    still = int(np.flatnonzero((reference.position != run.points.position[0]).any(axis=1))[0]) - 1
+    begin, end = (reference.stamp_ns[row] / 1e9 for row in (still, -1))
+    assert end - begin > run.points.times[-1]
+    engine = simulate(setup, run.points, duration=end + 1e-3, start_time=begin, record_fast=True).series
+    for name, found in zip(names, recorded, strict=True):
+        there = np.flatnonzero(found.stamp_ns <= reference.stamp_ns[-1])
+        rows = np.searchsorted(engine[name].stamp_ns, found.stamp_ns[there])
+        for quantity in ("stamp_ns", "position", "velocity", "effort"):
+            expected = getattr(engine[name], quantity)
+            assert np.array_equal(expected[rows], getattr(found, quantity)[there]), (name, quantity)
 
 
 def interrupt_once(bag: Path) -> None:
