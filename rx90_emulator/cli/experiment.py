@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
-from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments
-from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
+from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments, new_folder
+from rx90_emulator.identification.experiments.excitation.options import QUICK, Criterion, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
@@ -58,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")
-    run.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="folder for the bags; must not exist")
+    run.add_argument(
+        "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
+    )
     run.add_argument(
         "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
     )
@@ -96,13 +97,15 @@ def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None
     if options.group or options.speeds is not None:
         name = "--group" if options.group else "--speeds"
         raise IdentificationError(f"{name} with --excitation; accepted: without it, all joints move at once")
+    if options.clearance is not None and options.keep_above is None and not options.wall:
+        raise IdentificationError(f"--clearance {options.clearance} without --keep-above or --wall; accepted: with one")
     if "criterion" in given:
         given["criterion"] = Criterion(given["criterion"])
     walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]
     walls += [Wall.through(numbers) for numbers in options.wall or ()]
     noise = None if options.torque_noise is None else tuple(options.torque_noise)
-    chosen = ExcitationOptions(**given, walls=tuple(walls), torque_noise=noise)
-    return chosen.quick() if options.quick else chosen
+    quick = QUICK if options.quick else {}
+    return ExcitationOptions(**{**quick, **given}, walls=tuple(walls), torque_noise=noise)
 
 
 def main(options: argparse.Namespace) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.errors import ConfigError, check_place
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, MODEL_FILES, shipped_robots
 
 _EXIT_CODES = """
@@ -16,11 +19,19 @@ exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder
 is no (bags differ, messages lost, not confirmed); 2 refused, nothing was written; 3 could not be carried out (nodes
 gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 """
+_NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose help, also that of each verb, ends with what the exit codes mean."""
+    """A parser whose help, also that of each verb, ends with what the exit codes mean.
+
+    A word such as -1e-3 is a number; argparse alone takes it for an option, and says that the number is missing.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._negative_number_matcher = _NEGATIVE
 
     def format_help(self) -> str:
         """Return the help."""
@@ -69,6 +80,43 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
 FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
+
+
+def place(text: str) -> Path:
+    """Return what is to be written, as a type for argparse: refused before any work is done for it.
+
+    Raises:
+        ConfigError: where the folder that it is to stand in is missing.
+        Rx90Error: where that does not take it.
+    """
+    path = Path(text)
+    if not path.absolute().parent.exists():
+        raise ConfigError(f"{plain(path)}: the folder {plain(path.parent)} does not exist; accepted: one that does")
+    check_place(path)
+    return path
+
+
+def new_file(text: str) -> Path:
+    """Return the file that is to be made, as a type for argparse; refused where something is there, or as `place`."""
+    _check_new(text)
+    return place(text)
+
+
+def new_folder(text: str) -> Path:
+    """Return the folder that is to be made, as a type for argparse; folders above it are made, too.
+
+    Raises:
+        ConfigError: where something is there.
+        Rx90Error: where its place does not take one.
+    """
+    _check_new(text)
+    check_place(Path(text))
+    return Path(text)
+
+
+def _check_new(text: str) -> None:
+    if os.path.lexists(text):
+        raise ConfigError(f"{plain(text)} exists; accepted: a new name")
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -110,6 +112,65 @@ def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], caps
     assert "File name too long" in told[0]
 
 
+WRITTEN = {
+    "--output": {
+        "friction_ramp": [],
+        "rx90_bag": ["record"],
+        "rx90_demo": [],
+        "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
+        "rx90_identify": ["nowhere"],
+        "rx90_line": ["--task", "nowhere"],
+        "rx90_run": ["--task", "nowhere"],
+        "rx90_sweep": ["run", "nowhere"],
+    },
+    "--report": {"rx90_identify": ["nowhere"], "rx90_compare_measured": ["nowhere"]},
+    "--arrays": {"rx90_run": ["--task", "nowhere"]},
+    "bag": {"rx90_bag": ["import", "--mapping", "nowhere", "nowhere"]},
+}
+"""By what is written, the commands that write it, with inputs that there are not."""
+
+
+def test_what_is_written_is_looked_at_before_anything_else(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each command refuses an output that cannot be written before it looks at its inputs, and no command is left out.
+
+    Nobody writes below /proc, not even root.
+    """
+    for option, commands in WRITTEN.items():
+        for name, words in commands.items():
+            assert run(name, [*words, *([option] if option.startswith("-") else []), "/proc/x"]) == REFUSED
+            error = capsys.readouterr().err.splitlines()
+            assert error[-1].startswith(f"{name}: /proc/x: cannot be written ("), error
+    writers = set()
+    for name, module in EXECUTABLES.items():
+        parser = CommandParser(prog=name)
+        import_module(module).add_arguments(parser)
+        found = {flag for action in actions(parser) for flag in action.option_strings}
+        writers |= {(option, name) for option in ("--output", "--report", "--arrays") if option in found}
+    assert writers == {(option, name) for option, names in WRITTEN.items() for name in names if option != "bag"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["rx90_run", "--output", "there"], "there exists; accepted: a new name"),
+        (["rx90_run", "--arrays", "there"], "there exists; accepted: a new name"),
+        (["rx90_bag", "import", "log.csv", "there", "--mapping", "m.yaml"], "there exists; accepted: a new name"),
+        (["rx90_experiment", "run", "--engine", "--output", "there"], "there exists; accepted: a new name"),
+        (["rx90_run", "--arrays", "none/a.npz"], "none/a.npz: the folder none does not exist; accepted: one that does"),
+        (["rx90_line", "--output", "none/a"], "none/a: the folder none does not exist; accepted: one that does"),
+    ],
+)
+def test_what_is_there_and_folders_that_are_not_are_refused(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What must be new is refused where something is there, a link without an end too; so is a file without folder."""
+    (tmp_path / "there").symlink_to("nowhere")
+    monkeypatch.chdir(tmp_path)
+    assert run(words[0], words[1:]) == REFUSED
+    assert capsys.readouterr().err == f"{words[0]}: {said}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
 def test_a_folder_is_no_result_of_a_sweep(capsys: pytest.CaptureFixture[str]) -> None:
     """An empty name, which is the folder one is in, is refused in a line for the result of a sweep."""
     for words in (["info", ""], ["run", "sweep/reference_1000.yaml", "--output", ""]):
@@ -121,6 +182,18 @@ def test_arguments_for_ros_end_at_two_dashes() -> None:
     """What stands between --ros-args and -- is for ROS, all else for the command."""
     words = ["a", "--ros-args", "-r", "x:=y", "--", "b", "--ros-args", "-p", "c:=1"]
     assert split_ros_args(words) == (["a", "b"], ["--ros-args", "-r", "x:=y", "--ros-args", "-p", "c:=1"])
+
+
+def test_negative_numbers_with_exponents_are_no_options() -> None:
+    """A verb's option takes -1e-3 and -inf, as it takes -0.001, for its type to judge; what is no number is none."""
+    parser = CommandParser()
+    verb = parser.add_subparsers().add_parser("plan")
+    verb.add_argument("--wall", nargs=4, type=float)
+    given = verb.parse_args(["--wall", "-1e-3", "-.5E+1", "-2.e3", "-inf"]).wall
+    assert given == [-0.001, -5.0, -2000.0, -math.inf]
+    for word in ("-1e", "-e3", "-x1e3"):
+        with pytest.raises(SystemExit):
+            verb.parse_args(["--wall", "1", "1", "1", word])
 
 
 def test_an_option_means_the_same_everywhere() -> None:

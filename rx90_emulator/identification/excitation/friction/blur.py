@@ -8,7 +8,7 @@ is of the size of what the first blur has shifted.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,18 +61,26 @@ def _torque(fit: SeparableFit, elements: Sequence[ElementRows]) -> Array:
 
 def _narrower(run: FilteredRun) -> FilteredRun:
     sections = butter(4, _NARROWER * run.bandwidths.position, fs=run.rate, output="sos")
-    position, velocity = (sosfiltfilt(sections, values, axis=0) for values in (run.position, run.velocity))
-    return replace(run, position=position, velocity=velocity)
+    return _changed(run, lambda values: np.asarray(sosfiltfilt(sections, values, axis=0)))
 
 
 def _averaged(run: FilteredRun) -> FilteredRun:
-    position, velocity = (uniform_filter1d(values, _SAMPLES, axis=0) for values in (run.position, run.velocity))
-    return replace(run, position=position, velocity=velocity)
+    return _changed(run, lambda values: np.asarray(uniform_filter1d(values, _SAMPLES, axis=0)))
 
 
 def _halved(run: FilteredRun) -> FilteredRun:
-    position, velocity = run.position.copy(), run.velocity.copy()
-    for values in (position, velocity):
-        between = values[1:-1:2]
-        between[:] = 0.5 * (values[:-2:2] + values[2::2])
-    return replace(run, position=position, velocity=velocity)
+    return _changed(run, _every_second)
+
+
+def _every_second(values: Array) -> Array:
+    """Return values whose every second one is the mean of its neighbours, shape (m, n)."""
+    result = values.copy()
+    between = result[1:-1:2]
+    between[:] = 0.5 * (result[:-2:2] + result[2::2])
+    return result
+
+
+def _changed(run: FilteredRun, change: Callable[[Array], Array]) -> FilteredRun:
+    """Return a run with other positions and velocities; stamps of the torque are as far apart as samples."""
+    stamps = None if run.stamps is None else replace(run.stamps, velocity=change(run.stamps.velocity))
+    return replace(run, position=change(run.position), velocity=change(run.velocity), stamps=stamps)

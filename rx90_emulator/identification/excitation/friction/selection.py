@@ -74,7 +74,7 @@ def select_parts(
     search = _Selection(problem, parts)
     for part in attempts(parts):
         stages = iter([f"{part.value}: {stage}" for stage in STAGES])
-        if part in parts or search.wants_bristles:
+        if part in parts or _wants_bristles(problem, search.now):
             search.attempt(part, lambda stages=stages: progress(next(stages)))  # type: ignore[misc]
         for stage in stages:  # of a part that no element can have
             progress(stage)
@@ -104,19 +104,6 @@ class _Selection:
         self.time = TimeBlocks.of(problem, Linearised.of(self.weighted, fit).residual)
         self.now = self._scored(fit)
         self._add("Coulomb + viscous", self.now, None, True, "what the others are compared with")
-
-    @property
-    def wants_bristles(self) -> bool:
-        """Return whether a rise shows, or reversals of a joint fit worse than its other rows."""
-        if any(Part.STRIBECK in shape.parts for shape in self.now.fit.shapes):
-            return True
-        problem, squares = self._problem, self.now.residual**2
-        for joint in range(len(problem.arm.names)):
-            own, turns = problem.joint == joint, problem.reversal
-            at, other = squares[own & turns], squares[own & ~turns]
-            if len(at) and len(other) and np.mean(at) > _WORSE**2 * np.mean(other):
-                return True
-        return False
 
     def attempt(self, part: Part, stage: Callable[[], None]) -> None:
         """Give a part to all elements, take it from those that do not need it, and keep it where it predicts better.
@@ -238,6 +225,19 @@ class _Selection:
         last = _last_kept(self.rows) if against is not None else ""
         scores = _scores(self.weighted, model, against)
         self.rows.append(ModelRow(name=name, against=last, kept=kept, reason=reason, **scores))
+
+
+def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
+    """Return whether a model has a Stribeck rise, or fits reversals of a joint worse than its other rows."""
+    if any(Part.STRIBECK in shape.parts for shape in model.fit.shapes):
+        return True
+    squares, turns = model.residual**2, problem.reversal
+    for joint in range(len(problem.arm.names)):
+        own = problem.joint == joint
+        at, other = squares[own & turns], squares[own & ~turns]
+        if len(at) and len(other) and np.mean(at) > _WORSE**2 * np.mean(other):
+            return True
+    return False
 
 
 def _scores(weighted: WeightedProblem, model: Scored, against: Scored | None) -> dict[str, Any]:
