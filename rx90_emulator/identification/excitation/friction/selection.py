@@ -291,7 +291,7 @@ def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, par
         return [replace(shape, rise=_RISE, omega_s=value) for value in points]
     rising = [shape]
     if Part.STRIBECK in shape.parts and not shape.rise:
-        rising = candidates(weighted, shape, element, Part.STRIBECK)
+        rising = candidates(weighted, shape, element, Part.STRIBECK)[1::2]
     return [replace(one, stiffness=value) for value in points for one in rising]
 
 
