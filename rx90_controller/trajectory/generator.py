@@ -26,6 +26,13 @@ class Schedule(NamedTuple):
     miss: float
 
 
+class Progress(NamedTuple):
+    """How far a trajectory is: time on its path from its begin, negative before, and that of its last point, s."""
+
+    time: float
+    last: float
+
+
 class End(NamedTuple):
     """The position tick in which a motion has come to its end, and whether it was a stop."""
 
@@ -160,6 +167,66 @@ class TrajectoryGenerator:
         begin = self._begin(now, start)
         position, velocity, _ = self._current.setpoints(begin, 1)[0]
         return self._follow(begin, stop(position, velocity, self.limits.acceleration), stopping=True)
+
+    def set_speed_scaling(self, factor: float, now: int) -> None:
+        """Follow trajectories at `factor` of their speed, in [0, 1], from position tick `now` on; 0 holds on the path.
+
+        Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
+        What waits behind a running motion comes later by as much as that one is slowed down; what waits at rest keeps
+        its start. Stops are not slowed down. It stays over `reset`.
+
+        Raises:
+            TrajectoryError: if the factor is not a number in [0, 1].
+        """
+        raise NotImplementedError
+
+    def speed_scaling(self, tick: int) -> float:
+        """Return the speed along the path at a position tick, as a share of the trajectory's own.
+
+        At rest it is what `set_speed_scaling` was given, 1 in the beginning.
+        """
+        raise NotImplementedError
+
+    def halt(self, now: int) -> Schedule:
+        """Come to rest on the path, within the accelerations, from position tick `now` on, and hold.
+
+        Where the path leaves so little room that this would take more than three times as long as `stop`, it is
+        `stop`. What waits for its start is dropped. Return when the stop begins and ends.
+        """
+        raise NotImplementedError
+
+    def join(self, points: TrajectoryPoints, now: int, start: int | None, *, anywhere: bool) -> Schedule:
+        """Take a trajectory from where the path then is, without a jump; return when it runs.
+
+        As `accept`, but points that are not later than its begin are left out: those in the past, and one at the begin
+        itself, which must be within the start tolerance unless `anywhere`. Joints that the points do not name hold, or
+        with `anywhere` go on along the running trajectory.
+
+        Args:
+            points: the checked points.
+            now: the first position tick that may still be changed.
+            start: its start tick, None for `now`; may lie in the past.
+            anywhere: whether points may be left out that the arm is not near to.
+
+        Raises:
+            PastError: if all its points lie in the past.
+            TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
+        """
+        raise NotImplementedError
+
+    def state(self, tick: float) -> Array:
+        """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, 6).
+
+        In the past as far as the running trajectory goes back, in the future as it is with the present scaling.
+
+        Raises:
+            TrajectoryError: for a time before the begin of what is kept.
+        """
+        raise NotImplementedError
+
+    def progress(self, tick: int) -> Progress:
+        """Return how far the trajectory that was taken last is at a position tick."""
+        raise NotImplementedError
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
