@@ -11,12 +11,12 @@ from rx90_controller.trajectory import Schedule, TrajectoryGenerator
 class GoalRunner:
     """Runs goals, one at a time, and says what becomes of them; counts position ticks and reads no clock.
 
-    How it is to be used, all calls between ticks (under the lock of `ServoLoop`) except `check_goal`, which comes before:
+    All calls come between ticks (under the lock of `ServoLoop`), except `check_goal`, which comes before:
 
-    - `check_goal(message, ...)` in the executor's thread; then `offer`, which takes the goal or raises `GoalError`. The
-      events that it returns (the goal before was pre-empted) are to be delivered.
-    - `step` in every position tick, after the measured states of the tick have come and before `CS7B.step`: it may begin
-      a stop from this tick on. It returns the end of the goal, or None.
+    - `check_goal(message, ...)` in the executor's thread; then `offer`, which takes the goal or raises `GoalError`.
+      The events that it returns (the goal before was pre-empted) are to be delivered.
+    - `step` in every position tick, after the measured states of the tick have come and before `CS7B.step`: it may
+      begin a stop from this tick on. It returns the end of the goal, or None.
     - `cancel` for a cancel request of the active goal: CANCELED at once, the arm stops along the path and holds.
     - `drop` when the controller stops to follow (brakes, disabled, fault, reset, deactivated, no states): ABORTED with
       INVALID_GOAL and the reason; the set-points are the caller's affair (`CS7B.reset`).

@@ -11,7 +11,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.points import joint_order
+from rx90_controller.trajectory.points import check_joints
 
 _LEAST_POINT = 4 * len(POINT_FIELDS) + 8  # bytes: four empty sequences and a time
 
@@ -33,8 +33,12 @@ def check_trajectory_bytes(raw: bytes) -> None:
         reader.duration(f"points[{i}].time_from_start")
 
 
-def points_from_message(robot_joints: Sequence[str], message: Any) -> TrajectoryPoints:
+def points_from_message(
+    robot_joints: Sequence[str], message: Any, *, partial: bool = False, moving_end: bool = False
+) -> TrajectoryPoints:
     """Return the points of a JointTrajectory in the robot's joint order.
+
+    `partial` and `moving_end` are those of `TrajectoryPoints.create`.
 
     Raises:
         TrajectoryError: naming joint, index of the point and reason.
@@ -49,6 +53,8 @@ def points_from_message(robot_joints: Sequence[str], message: Any) -> Trajectory
         [point.positions for point in message.points],
         [point.velocities for point in message.points],
         [point.accelerations for point in message.points],
+        partial=partial,
+        moving_end=moving_end,
     )
 
 
@@ -58,7 +64,7 @@ def check_joint_names(robot_joints: Sequence[str], message: Any) -> None:
     Raises:
         TrajectoryError: naming the joint that does not fit.
     """
-    joint_order(robot_joints, list(message.joint_names))
+    check_joints(robot_joints, list(message.joint_names))
 
 
 def start_tick(message: Any, position_hz: int) -> int | None:
