@@ -6,8 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import message_time_ns
+from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.tolerances import Tolerances
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_controller.trajectory.message import points_from_message, start_tick
+from rx90_controller.trajectory.points import check_joints
+
+_NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,33 @@ def check_goal(
 
     Needs no state of the controller and may run in any thread; what depends on it is checked by `GoalRunner.offer`.
 
+    Args:
+        message: the goal.
+        robot_joints: names of the six joints.
+        defaults: tolerances where the goal has none of its own.
+        options: what else is accepted.
+        position_hz: rate of the position loop, Hz.
+
     Raises:
         GoalError: INVALID_JOINTS for names that are empty, unknown, repeated or missing, in the trajectory or in
             tolerances; else INVALID_GOAL.
     """
-    raise NotImplementedError
+    trajectory = message.trajectory
+    if message.multi_dof_trajectory.joint_names or message.multi_dof_trajectory.points:
+        raise GoalError(ResultCode.INVALID_GOAL, "multi_dof_trajectory is given; accepted: an empty one")
+    for name in _NOT_SERVED:
+        if getattr(message, name):
+            raise GoalError(ResultCode.INVALID_GOAL, f"{name} of {len(getattr(message, name))} joints; accepted: none")
+    partial = options.allow_partial_joints_goal
+    try:
+        check_joints(robot_joints, list(trajectory.joint_names), partial=partial)
+    except TrajectoryError as error:
+        raise GoalError(ResultCode.INVALID_JOINTS, str(error)) from error
+    goal_time = message_time_ns(message.goal_time_tolerance) / NANOSECONDS
+    tolerances = defaults.of_goal(message.path_tolerance, message.goal_tolerance, goal_time)
+    moving_end = options.allow_nonzero_velocity_at_trajectory_end
+    try:
+        points = points_from_message(robot_joints, trajectory, partial=partial, moving_end=moving_end)
+    except TrajectoryError as error:
+        raise GoalError(ResultCode.INVALID_GOAL, str(error)) from error
+    return Goal(points, tolerances, start_tick(trajectory, position_hz))

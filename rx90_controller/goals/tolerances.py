@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+from rx90_controller.goals.results import GoalError, ResultCode
+
+QUANTITIES = (("position", "rad"), ("velocity", "rad/s"), ("acceleration", "rad/s^2"))
+"""The rows of tolerances and errors, with their units."""
+_ERASED = -1.0
 
 
 @dataclass(frozen=True)
@@ -46,9 +56,16 @@ class Tolerances:
             goal: `constraints.<joint>.goal`, rad, of the position at the goal; 0 or absent for none.
 
         Raises:
-            ConfigError: for a negative or infinite number, or an unknown joint.
+            ConfigError: for a number that is negative or not finite, or an unknown joint.
         """
-        raise NotImplementedError
+        path, at_goal = np.full((3, 6), np.inf), np.full((3, 6), np.inf)
+        at_goal[1] = _parameter("stopped_velocity_tolerance", stopped_velocity_tolerance)
+        for key, table, given in (("trajectory", path, trajectory), ("goal", at_goal, goal)):
+            for joint, value in (given or {}).items():
+                if joint not in names:
+                    raise ConfigError(f"constraints of unknown joint {quoted(joint)}; accepted: {', '.join(names)}")
+                table[0, list(names).index(joint)] = _parameter(f"{joint}.{key}", value)
+        return cls(tuple(names), path, at_goal, _parameter("goal_time", goal_time))
 
     def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> Tolerances:
         """Return these with those of a goal in their place: 0 keeps the default, -1 erases it.
@@ -62,4 +79,47 @@ class Tolerances:
             GoalError: INVALID_JOINTS for an unknown or repeated joint, INVALID_GOAL for another negative number or one
                 that is not finite.
         """
-        raise NotImplementedError
+        return Tolerances(
+            self.names,
+            self._table("path_tolerance", path, self.path),
+            self._table("goal_tolerance", goal, self.goal),
+            _resolved("goal_time_tolerance", "s", goal_time, self.goal_time),
+        )
+
+    def _table(self, what: str, given: Sequence[Any], defaults: Array) -> Array:
+        table, seen = defaults.copy(), set()
+        for tolerance in given:
+            name = str(tolerance.name)
+            if name not in self.names or name in seen:
+                reason = "stands twice" if name in seen else "is unknown"
+                raise GoalError(
+                    ResultCode.INVALID_JOINTS,
+                    f"{what}: joint {quoted(name)} {reason}; accepted: {', '.join(self.names)}, each at most once",
+                )
+            seen.add(name)
+            joint = self.names.index(name)
+            for row, (quantity, unit) in enumerate(QUANTITIES):
+                value = float(getattr(tolerance, quantity))
+                table[row, joint] = _resolved(f"{what}: {quantity} of {name}", unit, value, table[row, joint])
+        return table
+
+
+def _parameter(key: str, value: float) -> float:
+    """Return a default tolerance; infinite for 0."""
+    if not 0.0 <= value < math.inf:
+        raise ConfigError(f"constraints.{key} is {value}; accepted: a finite number >= 0, 0 for no limit")
+    return value or math.inf
+
+
+def _resolved(what: str, unit: str, value: float, default: float) -> float:
+    """Return what a goal's tolerance stands for."""
+    if value == 0.0:
+        return default
+    if value == _ERASED:
+        return math.inf
+    if not 0.0 < value < math.inf:
+        raise GoalError(
+            ResultCode.INVALID_GOAL,
+            f"{what} is {value:g} {unit}; accepted: a finite number > 0, 0 for the default, -1 for none",
+        )
+    return value

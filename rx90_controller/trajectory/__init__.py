@@ -2,6 +2,16 @@
 
 from rx90_controller.trajectory.generator import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory.motions import Progress
 from rx90_controller.trajectory.points import TrajectoryPoints
 
-__all__ = ["JointLimits", "PastError", "Schedule", "TrajectoryGenerator", "TrajectoryPoints", "message", "spline"]
+__all__ = [
+    "JointLimits",
+    "PastError",
+    "Progress",
+    "Schedule",
+    "TrajectoryGenerator",
+    "TrajectoryPoints",
+    "message",
+    "spline",
+]

@@ -75,6 +75,19 @@ def start_tick(message: Any, position_hz: int) -> int | None:
     return int(-(-nanoseconds * position_hz // NANOSECONDS))
 
 
+def check_horizon(start: int | None, now: int, horizon: float, period: float) -> None:
+    """Check that a start tick, None for now, is not further ahead than a horizon, s; the period is in s.
+
+    Raises:
+        TrajectoryError: naming the start, the present time and what is accepted.
+    """
+    if start is not None and (start - now) * period > horizon:
+        raise TrajectoryError(
+            f"start time {start * period:.3f} s, the controller's time is {now * period:.3f} s; accepted: 0 for now, "
+            f"or simulated time within {horizon:g} s"
+        )
+
+
 def _seconds(duration: Any) -> float:
     # One division: the nearest number to the whole nanoseconds, as the planner has it.
     return message_time_ns(duration) / NANOSECONDS

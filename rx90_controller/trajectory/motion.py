@@ -86,6 +86,8 @@ class Motion:
 
     def at(self, tick: int) -> tuple[float, float]:
         """Return the time on the path at a tick, s, and its rate."""
+        if not self.laws:
+            return (tick - self.start) * self.period, 1.0
         times, rates, _ = self._times(np.array([float(tick)]))
         return float(times[0]), float(rates[0])
 

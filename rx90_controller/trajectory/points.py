@@ -124,7 +124,7 @@ def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, par
         if name not in joint_names and not partial:
             raise TrajectoryError(f"joint {quoted(name)} is missing; accepted: all of {', '.join(robot_joints)}")
     if not joint_names:
-        raise TrajectoryError(f"no joints; accepted: some of {', '.join(robot_joints)}")
+        raise TrajectoryError(f"no joints; accepted: {', '.join(robot_joints)}")
 
 
 def _check_times(times: Sequence[float]) -> None:
