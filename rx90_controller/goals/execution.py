@@ -9,7 +9,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_controller.goals.results import ResultCode
-from rx90_controller.goals.tolerances import QUANTITIES, Tolerances
+from rx90_controller.goals.tolerances import QUANTITIES, GoalTolerances
 from rx90_controller.trajectory import Progress
 
 
@@ -68,7 +68,7 @@ class Execution:
         feedback: how it went in the last step; None before the first.
     """
 
-    def __init__(self, tolerances: Tolerances, period: float) -> None:
+    def __init__(self, tolerances: GoalTolerances, period: float) -> None:
         """Wait for the start of a goal with these tolerances; `period` is that of the position loop, s."""
         self.phase = Phase.WAITING
         self.feedback: Feedback | None = None

@@ -10,10 +10,9 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_controller.goals.results import GoalError, ResultCode
-from rx90_controller.goals.tolerances import Tolerances
+from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.message import points_from_message, start_tick
-from rx90_controller.trajectory.points import check_joints
+from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
 
 _NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
 
@@ -47,12 +46,12 @@ class Goal:
     """
 
     points: TrajectoryPoints
-    tolerances: Tolerances
+    tolerances: GoalTolerances
     start: int | None
 
 
 def check_goal(
-    message: Any, robot_joints: Sequence[str], defaults: Tolerances, options: GoalOptions, position_hz: int
+    message: Any, robot_joints: Sequence[str], defaults: GoalTolerances, options: GoalOptions, position_hz: int
 ) -> Goal:
     """Check a control_msgs/action/FollowJointTrajectory goal, or anything with its attributes.
 
@@ -77,7 +76,7 @@ def check_goal(
             raise GoalError(ResultCode.INVALID_GOAL, f"{name} of {len(getattr(message, name))} joints; accepted: none")
     partial = options.allow_partial_joints_goal
     try:
-        check_joints(robot_joints, list(trajectory.joint_names), partial=partial)
+        check_joint_names(robot_joints, trajectory, partial=partial)
     except TrajectoryError as error:
         raise GoalError(ResultCode.INVALID_JOINTS, str(error)) from error
     goal_time = message_time_ns(message.goal_time_tolerance) / NANOSECONDS

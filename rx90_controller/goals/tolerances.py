@@ -20,8 +20,8 @@ _ERASED = -1.0
 
 
 @dataclass(frozen=True)
-class Tolerances:
-    """Tolerances of six joints; infinite where there is none.
+class GoalTolerances:
+    """GoalTolerances of six joints; infinite where there is none.
 
     Attributes:
         names: of the joints.
@@ -44,7 +44,7 @@ class Tolerances:
         stopped_velocity_tolerance: float = 0.01,
         trajectory: Mapping[str, float] | None = None,
         goal: Mapping[str, float] | None = None,
-    ) -> Tolerances:
+    ) -> GoalTolerances:
         """Return the tolerances that joint_trajectory_controller's parameters `constraints.*` stand for.
 
         Args:
@@ -67,7 +67,7 @@ class Tolerances:
                 table[0, list(names).index(joint)] = _parameter(f"{joint}.{key}", value)
         return cls(tuple(names), path, at_goal, _parameter("goal_time", goal_time))
 
-    def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> Tolerances:
+    def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
         """Return these with those of a goal in their place: 0 keeps the default, -1 erases it.
 
         Args:
@@ -79,7 +79,7 @@ class Tolerances:
             GoalError: INVALID_JOINTS for an unknown or repeated joint, INVALID_GOAL for another negative number or one
                 that is not finite.
         """
-        return Tolerances(
+        return GoalTolerances(
             self.names,
             self._table("path_tolerance", path, self.path),
             self._table("goal_tolerance", goal, self.goal),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.checking import check_spline
 from rx90_controller.trajectory.joining import braked, check_near, connect, merged, remainder
-from rx90_controller.trajectory.motion import Motion, Path
+from rx90_controller.trajectory.motion import FollowedPath, Path
 from rx90_controller.trajectory.motions import Motions
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop
@@ -43,8 +42,7 @@ class TrajectoryGenerator(Motions):
 
     def refined(self, ratio: int) -> TrajectoryGenerator:
         """Return a generator of the same motions, at full speed, whose ticks are `ratio` times as frequent."""
-        finer = copy(self)
-        finer.period = self.period / ratio
+        finer = TrajectoryGenerator(self.limits, self.period / ratio, self._current.path.spline.final)
         finer._current = self._current.refined(ratio)
         finer._next = self._next and self._next.refined(ratio)
         return finer
@@ -162,6 +160,6 @@ class TrajectoryGenerator(Motions):
         check_spline(spline, self.period, points, limits, allowed)
         return self._run(base, Path.of(spline, last), now, begin, rate=self.factor if rests else None)
 
-    def _run(self, base: Motion, path: Path, now: int, begin: int, *, rate: float | None = None) -> Schedule:
+    def _run(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> Schedule:
         self._follow(base, path, now, begin, rate=rate)
-        return Schedule(begin, Motion(begin, path, self.period).end, path.spline.miss)
+        return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.miss)

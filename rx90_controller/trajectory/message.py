@@ -58,13 +58,13 @@ def points_from_message(
     )
 
 
-def check_joint_names(robot_joints: Sequence[str], message: Any) -> None:
-    """Check that a JointTrajectory names the robot's joints, each once, in any order.
+def check_joint_names(robot_joints: Sequence[str], message: Any, *, partial: bool = False) -> None:
+    """Check that a JointTrajectory names the robot's joints, each once, in any order; all of them unless `partial`.
 
     Raises:
         TrajectoryError: naming the joint that does not fit.
     """
-    check_joints(robot_joints, list(message.joint_names))
+    check_joints(robot_joints, list(message.joint_names), partial=partial)
 
 
 def start_tick(message: Any, position_hz: int) -> int | None:

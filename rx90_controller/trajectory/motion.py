@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_controller.trajectory.joining import joined
 from rx90_controller.trajectory.path_time import PathTime
 from rx90_controller.trajectory.spline import Spline, interpolate, resting
 
@@ -37,7 +38,7 @@ class Path(NamedTuple):
 
 
 @dataclass
-class Motion:
+class FollowedPath:
     """A path that is followed from a position tick on.
 
     Attributes:
@@ -48,7 +49,7 @@ class Motion:
         announced: whether its end has been told.
         laws: how the time on the path runs, each from its tick on; at full speed before the first.
         before: the path without the trajectory that has been joined to it for later, if that is so.
-        since: the first tick for which `laws` are complete.
+        oldest: the first tick for which `laws` are complete; None for `start`.
     """
 
     start: int
@@ -58,10 +59,12 @@ class Motion:
     announced: bool = False
     laws: list[PathTime] = field(default_factory=list)
     before: Path | None = None
-    since: int = field(init=False)
+    oldest: int | None = None
 
-    def __post_init__(self) -> None:
-        self.since = self.start
+    @property
+    def since(self) -> int:
+        """Return the first tick for which its past is known."""
+        return self.start if self.oldest is None else self.oldest
 
     @property
     def end(self) -> int:
@@ -127,14 +130,14 @@ class Motion:
         times = np.arange(count + 1, dtype=np.float64) * self.period
         return interpolate(times, states[:, 0], states[:, 1], states[:, 2])
 
-    def refined(self, ratio: int) -> Motion:
+    def refined(self, ratio: int) -> FollowedPath:
         """Return it at full speed, on ticks that are `ratio` times as frequent."""
-        return replace(self, start=self.start * ratio, period=self.period / ratio, laws=[])
+        return replace(self, start=self.start * ratio, period=self.period / ratio, laws=[], oldest=None)
 
     def delay(self, count: int) -> None:
         """Shift it by `count` ticks."""
         self.start += count
-        self.since += count
+        self.oldest = None if self.oldest is None else self.oldest + count
         for law in self.laws:
             law.tick += count
 
@@ -156,14 +159,17 @@ class Motion:
                 PathTime(self.path.spline, limit, self.period, tick=begin, time=time, rate=rate, wanted=wanted)
             )
         if len(self.laws) > _KEPT:
-            self.since = self.laws[1].tick
+            self.oldest = self.laws[1].tick
             del self.laws[0]
 
-    def on(self, path: Path, before: Path | None = None) -> Motion:
+    def on(self, path: Path, before: Path | None = None) -> FollowedPath:
         """Return it on another path, whose past is the same."""
-        motion = replace(self, path=path, before=before, announced=False, laws=list(self.laws))
-        motion.since = self.since
-        return motion
+        return replace(self, path=path, before=before, announced=False, laws=list(self.laws))
+
+    def over_to(self, path: Path, tick: int) -> FollowedPath:
+        """Return it going over to another path where it will, by its present rate, be at a tick."""
+        at = self.at(tick)[0]
+        return self.on(Path(joined(self.path.spline, at, path.spline), at, at + path.last, path.stop), self.path)
 
     def _times(self, ticks: Array) -> tuple[Array, Array, Array]:
         """Return times on the path, s, rates, and changes of the rates, 1/s, at n ticks, shape (n,) each."""

@@ -8,9 +8,8 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.joining import joined
 from rx90_controller.trajectory.limits import JointLimits
-from rx90_controller.trajectory.motion import Motion, Path
+from rx90_controller.trajectory.motion import FollowedPath, Path
 from rx90_controller.trajectory.spline import resting
 
 
@@ -33,7 +32,7 @@ class Motions:
 
     Attributes:
         revision: changes whenever set-points that were sampled in advance may be out of date.
-        factor: what `set_speed_scaling` was given, 1 in the beginning.
+        factor: what `set_speed_scaling` was given last, 1 in the beginning.
     """
 
     def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
@@ -47,8 +46,8 @@ class Motions:
     def reset(self, hold: Array) -> None:
         """Drop every trajectory and hold a position, rad, shape (6,)."""
         rest = Path.of(resting(np.array(hold, dtype=np.float64)))
-        self._current = Motion(0, rest, self.period, announced=True)
-        self._next: Motion | None = None
+        self._current = FollowedPath(0, rest, self.period, announced=True)
+        self._next: FollowedPath | None = None
         self.revision += 1
 
     def delay(self, count: int, now: int) -> None:
@@ -99,7 +98,7 @@ class Motions:
         Raises:
             TrajectoryError: for a time before that.
         """
-        motion = self._current if self._next is None or tick < self._next.start else self._next
+        motion = self._effective(tick)
         if not tick >= motion.since:
             raise TrajectoryError(
                 f"time {tick * self.period:.6g} s; accepted: from {motion.since * self.period:.6g} s on, where the "
@@ -111,8 +110,7 @@ class Motions:
     def progress(self, tick: int) -> Progress:
         """Return how far the trajectory that was taken last is at a position tick."""
         motion = self._next or self._current
-        path = motion.path
-        return Progress(motion.at(tick)[0] - path.begin, path.last - path.begin)
+        return Progress(motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin)
 
     def speed_scaling(self, tick: int) -> float:
         """Return the speed along the path at a position tick, as a share of the trajectory's own; at rest `factor`."""
@@ -137,14 +135,14 @@ class Motions:
         acceleration = self.limits.acceleration
         if motion.runs(now) and not motion.fixed:
             if waiting is not None and motion is not waiting:
-                motion = self._current = self._behind(motion, waiting.start, waiting.path)
-                self._next = None
+                self._current, self._next = motion.over_to(waiting.path, waiting.start), None
+                motion = self._current
             motion.go_at(factor, acceleration, now)
         elif waiting is not None and motion is not waiting:
             waiting.go_at(factor, acceleration, waiting.start, 1.0 if motion.runs(waiting.start) else factor)
         self.revision += 1
 
-    def _effective(self, tick: int) -> Motion:
+    def _effective(self, tick: float) -> FollowedPath:
         """Return the motion whose set-point a tick gets."""
         return self._current if self._next is None or tick < self._next.start else self._next
 
@@ -153,7 +151,7 @@ class Motions:
         if self._next is not None and self._next.start < tick:
             self._current, self._next = self._next, None
 
-    def _base(self, now: int) -> Motion:
+    def _base(self, now: int) -> FollowedPath:
         """Return the running motion without what waits for its start."""
         motion = self._current
         if motion.before is None or motion.at(now)[0] >= motion.path.begin:
@@ -162,26 +160,19 @@ class Motions:
         base.go_at(self.factor, self.limits.acceleration, now)
         return base
 
-    def _behind(self, motion: Motion, begin: int, path: Path) -> Motion:
-        """Return a motion that goes over to another path where it will, by its present rate, be at a tick."""
-        at = motion.at(begin)[0]
-        spline = joined(motion.path.spline, at, path.spline)
-        return motion.on(Path(spline, at, at + path.last, path.stop), before=motion.path)
-
-    def _follow(self, base: Motion, path: Path, now: int, begin: int, *, rate: float | None = None) -> None:
+    def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> None:
         """Follow a path from a tick on, in place of what waits behind `base`, the running motion.
 
         Its rate there is that of the running motion, or `factor` at rest, unless it is given.
         """
         self.revision += 1
-        acceleration = self.limits.acceleration
-        runs = base.runs(now) and not base.fixed
-        if runs and begin > now and (base.laws or self.factor != 1.0):
+        acceleration, scaled = self.limits.acceleration, base.laws or self.factor != 1.0
+        if scaled and begin > now and base.runs(now) and not base.fixed:
             # Where the running motion will be at that tick changes with the scaling: both become one path.
-            self._current, self._next = self._behind(base, begin, path), None
+            self._current, self._next = base.over_to(path, begin), None
             self._current.go_at(self.factor, acceleration, now)
             return
-        self._current, self._next = base, Motion(begin, path, self.period, fixed=path.stop)
+        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=path.stop)
         if not path.stop:
-            running = base.at(begin)[1] if base.runs(begin) else self.factor
-            self._next.go_at(self.factor, acceleration, begin, running if rate is None else rate)
+            rate = base.at(begin)[1] if rate is None and base.runs(begin) else rate
+            self._next.go_at(self.factor, acceleration, begin, self.factor if rate is None else rate)
