@@ -130,6 +130,8 @@ class Motions:
         if not 0.0 <= factor <= 1.0:
             raise TrajectoryError(f"speed scaling {factor:g}; accepted: a number in [0, 1]")
         self._promote(now)
+        if factor == self.factor:
+            return
         self.factor = factor
         motion, waiting = self._effective(now), self._next
         acceleration = self.limits.acceleration
