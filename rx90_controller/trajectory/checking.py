@@ -89,7 +89,8 @@ def _check_between(spline: Spline, points: TrajectoryPoints, limits: JointLimits
         if len(beyond):
             row, joint = beyond[0]
             time, most = spline.times[row] + inside[row, joint], limits.acceleration[joint]
-            point = points.first + min(int(np.searchsorted(points.times, time)), len(points.times) - 1)
+            middle = 0.5 * (spline.times[row] + spline.times[row + 1])
+            point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
             raise TrajectoryError(
                 f"point {point}: {limits.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on the "
                 f"way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"

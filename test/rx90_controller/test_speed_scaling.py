@@ -29,7 +29,9 @@ CURVE = CubicHermiteSpline(TIMES, WAY, SPEED)
 
 def points(times: Array, position: Array, velocity: Array) -> TrajectoryPoints:
     """Return checked points in the robot's joint order, of cubic splines."""
-    return TrajectoryPoints.create(NAMES, NAMES, times.tolist(), position.tolist(), velocity.tolist(), [[]] * len(times))
+    return TrajectoryPoints.create(
+        NAMES, NAMES, times.tolist(), position.tolist(), velocity.tolist(), [[]] * len(times)
+    )
 
 
 @pytest.fixture
@@ -142,7 +144,9 @@ def test_the_change_of_speed_is_as_quick_as_the_accelerations_allow() -> None:
     # Cruising at 2 rad/s from 0.5 s on; joint 1 may change that by 18 rad/s^2, within 0.111 s.
     cruise = np.array([-0.75 * way, -0.5 * way, 0.5 * way, 0.75 * way])
     generator.reset(cruise[0])
-    generator.accept(points(np.array([0.0, 0.5, 1.5, 2.0]), cruise, np.array([ZERO, velocity, velocity, ZERO])), 0, None)
+    generator.accept(
+        points(np.array([0.0, 0.5, 1.5, 2.0]), cruise, np.array([ZERO, velocity, velocity, ZERO])), 0, None
+    )
     generator.set_speed_scaling(0.0, 700)
     got = generator.setpoints(700, 150)
     rest = int(np.argmax(np.all(got[:, 1] == 0.0, axis=1)))
