@@ -164,7 +164,7 @@ class FollowedPath:
 
     def on(self, path: Path, before: Path | None = None) -> FollowedPath:
         """Return it on another path, whose past is the same."""
-        return replace(self, path=path, before=before, announced=False, laws=list(self.laws))
+        return replace(self, path=path, before=before, laws=list(self.laws))
 
     def over_to(self, path: Path, tick: int) -> FollowedPath:
         """Return it going over to another path where it will, by its present rate, be at a tick."""

@@ -145,6 +145,46 @@ def test_a_replacement_is_continuous_at_any_speed(at: int, factor: float, ahead:
     assert np.all(got[-1][-1] == [HOME + 0.2, ZERO, ZERO])
 
 
+REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
+    """However trajectories, scalings, stops and delays follow each other: taken within the limits, or refused."""
+    rng = np.random.default_rng(seed)
+    generator, tick, got = TrajectoryGenerator(LIMITS, PERIOD, HOME), 1, []
+    got.append(generator.setpoints(0))
+    for _ in range(rng.integers(4, 12)):
+        what, count = rng.choice(REQUESTS), int(rng.integers(1, 400))
+        start = None if rng.random() < 0.5 else tick + int(rng.integers(-100, 500))
+        names = rng.permutation(NAMES)[: rng.integers(1, 7)].tolist()
+        n, m = int(rng.integers(1, 4)), len(names)
+        times = np.cumsum(rng.uniform(0.15, 1.2, n)).tolist()
+        rates = list(0.5 * rng.uniform(-1.0, 1.0, (n, m)) * rng.integers(0, 2))
+        try:
+            some = points(times, list(rng.uniform(-0.4, 0.4, (n, m))), rates, names, moving_end=True)
+            if what == "join":
+                generator.join(some, tick, start, anywhere=bool(rng.random() < 0.5))
+            elif what == "accept":
+                generator.accept(some, tick, start)
+            elif what == "scale":
+                generator.set_speed_scaling(float(rng.choice([0.0, 0.02, 0.5, rng.random(), 1.0])), tick)
+            elif what == "halt":
+                generator.halt(tick)
+            elif what == "stop":
+                generator.stop(tick, start)
+        except TrajectoryError:
+            pass
+        if what == "delay":
+            tick += count
+            generator.delay(count, tick)
+        else:
+            got.append(generator.setpoints(tick, count))
+            tick += count
+    within_limits(np.concatenate(got))
+
+
 def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:
     """At rest they stay to the bit; in motion they brake with their acceleration, and the named ones go their way."""
     other = [0, 2, 3, 5]
