@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.spline import Spline, sample_spline
 
-_BLOCK = 256  # ticks that are computed at once, at least
+_BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
 
 

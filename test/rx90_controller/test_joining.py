@@ -106,6 +106,25 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     assert np.all(got[902:, 0] == way[3])
 
 
+@pytest.mark.parametrize("late", [0, 250])
+def test_points_may_be_prepared(late: int) -> None:
+    """With the way between the points computed before, set-points are the same, and so is what is refused."""
+    way, rates = [HOME + 0.02, HOME + 0.1, HOME + 0.15, HOME + 0.05], [ZERO + 0.15, ZERO + 0.2, ZERO + 0.05, ZERO]
+    plain = points([0.2, 0.6, 1.1, 1.5], way, rates)
+    got = []
+    for each in (plain, plain.prepared()):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        generator.join(each, 200, 200 - late, anywhere=False)
+        got.append(generator.setpoints(200, 1500))
+    if not late:
+        assert np.array_equal(*got)
+    assert np.abs(got[0] - got[1]).max() < 1e-9
+    for times in ([0.2, 0.6, 1.1, 1.12], [0.005, 0.6, 1.1, 1.5]):
+        bad = points(times, way, rates).prepared()
+        with pytest.raises(TrajectoryError, match=r"gets a set-point|gets an acceleration"):
+            generator.join(bad, 3000, None, anywhere=False)
+
+
 def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
     """It says when its last point was; the running motion goes on."""
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)

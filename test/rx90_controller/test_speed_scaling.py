@@ -203,6 +203,18 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     assert off_the_path(third[900:1000, 0], path) > 1e-3
 
 
+def test_a_rest_between_two_trajectories_is_stretched_with_them(generator: TrajectoryGenerator) -> None:
+    """Slowed down while the next one waits for a time after its end, the arm rests in between as much longer."""
+    generator.accept(points(np.array([0.8]), HOME[None] + 0.1, ZERO[None]), 100, 1600)
+    generator.set_speed_scaling(0.5, 200)
+    got = generator.setpoints(200, 5000)
+    within_limits(got)
+    resting = np.flatnonzero(np.all(got[:, 0] == HOME, axis=1))
+    assert len(resting) == pytest.approx(300 / 0.5, abs=2)
+    assert np.all(np.diff(resting) == 1)
+    assert np.all(got[-1, 0] == HOME + 0.1)
+
+
 def test_an_arm_that_is_held_on_its_path_may_go_elsewhere_from_there(generator: TrajectoryGenerator) -> None:
     """At scaling 0 it rests, and so a new trajectory begins at rest; it runs once it may."""
     generator.set_speed_scaling(0.0, 500)
