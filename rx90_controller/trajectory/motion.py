@@ -89,10 +89,10 @@ class FollowedPath:
 
     def at(self, tick: int) -> tuple[float, float]:
         """Return the time on the path at a tick, s, and its rate."""
-        if not self.laws:
-            return (tick - self.start) * self.period, 1.0
-        times, rates, _ = self._times(np.array([float(tick)]))
-        return float(times[0]), float(rates[0])
+        for law in reversed(self.laws):
+            if tick >= law.tick:
+                return law.point(tick)
+        return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
         """Return position and its derivatives by the time on the path at a tick, shape (3, 6)."""

@@ -55,6 +55,14 @@ class PathTime:
         change = (rates[np.minimum(row + 1, last)] - rates[row]) / self._period
         return times[row] + ahead * (rates[row] + 0.5 * ahead * change), rates[row] + ahead * change, change
 
+    def point(self, tick: int) -> tuple[float, float]:
+        """Return time, s, and rate at a tick, as `at`, in a fraction of its time."""
+        since = tick - self.tick
+        self._extend(since + 1)
+        row = min(since, self._series.shape[1] - 1)
+        time, rate = self._series[:, row].tolist()
+        return time + (since - row) * self._period * rate, rate
+
     def settles(self, within: int) -> int | None:
         """Return after how many ticks the wanted rate, or the end of the path, is reached; None if they are more."""
         self._extend(within + 2)
