@@ -50,8 +50,12 @@ for velocity, acceleration in ((False, False), (True, False), (True, True)):
     points = TrajectoryPoints.create(
         names, names, [0.1, 0.2], rows, [rest if velocity else []] * 2, [rest if acceleration else []] * 2
     )
-    controller.trajectory.accept(points, controller.position_tick, None)
+    controller.trajectory.accept(points.prepared(), controller.position_tick, None)
     for tick in range(1000):
+        if tick in (200, 240):
+            controller.trajectory.set_speed_scaling(tick / 240, controller.position_tick)
+        if tick == 300:
+            controller.trajectory.halt(controller.position_tick)
         position, velocities, _ = plant.motor_states()
         plant.step(controller.step(position, velocities))
         plant.joint_states(), plant.friction_states(), controller.reference(), controller.tracking_error()
@@ -64,7 +68,7 @@ print(sorted(name for name, _, _ in compiled() - before))
 
 
 def test_everything_is_compiled_before_the_first_tick() -> None:
-    """After the warm-up of plant and controller, motions of all kinds, reset and brakes compile and load nothing."""
+    """After the warm-up of plant and controller, motions of all kinds at any speed, reset and brakes compile and load nothing."""
     run = subprocess.run([sys.executable, "-c", _WARM], capture_output=True, text=True, timeout=300, check=False)
     assert (run.stdout, run.stderr) == ("[]\n", "")
 
@@ -80,7 +84,7 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
     for each in both:
         each.reset(motor)
     for _ in range(data.draw(st.integers(1, 10))):
-        what = data.draw(st.sampled_from(["run", "run", "accept", "skip", "reset"]))
+        what = data.draw(st.sampled_from(["run", "run", "accept", "skip", "reset", "scale", "halt"]))
         count = data.draw(st.integers(1, 400))
         if what == "accept":
             start = several.position_tick + data.draw(st.integers(0, 60))
@@ -94,6 +98,12 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
         elif what == "reset":
             for each in both:
                 each.reset(motor, count)
+        elif what == "scale":
+            for each in both:
+                each.trajectory.set_speed_scaling((count % 5) / 4.0, each.position_tick)
+        elif what == "halt":
+            for each in both:
+                each.trajectory.halt(each.position_tick)
         else:
             ahead = ticks(several, motor, count)
             with pytest.MonkeyPatch.context() as patch:
