@@ -258,7 +258,7 @@ def test_signal_while_starting(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["-o", "taken"], "taken exists already, not overwriting"),
+        (["-o", "taken"], "taken exists; accepted: a new name"),
         (["-o", "new", "joint states"], "topic 'joint states': no name that ROS accepts"),
         (["-o", "new", "a", "/a"], "topic /a stands twice; accepted: each topic once"),
         (["-o", "new", "a", "--ros-args", "nonsense"], "ROS arguments --ros-args nonsense: refused"),
