@@ -79,7 +79,7 @@ def inputs() -> str:
 
 def definitions() -> list[Path]:
     """Return the interface files of the package."""
-    return sorted(path for kind in ("action", "msg", "srv") for path in (DEFINITIONS / kind).iterdir())
+    return sorted(path for kind in ("action", "msg", "srv") for path in (DEFINITIONS / kind).glob(f"*.{kind}"))
 
 
 def build(target: Path) -> None:

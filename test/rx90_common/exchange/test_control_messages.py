@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import rclpy
+from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration, Time
 from processes import TIMEOUT, Processes
 from ros_client import own_node
@@ -44,7 +45,7 @@ def node(needs_action: None, ros_domain: int, processes: Processes) -> Iterator[
 
 @pytest.mark.ros
 def test_action_state_and_query_cross_dds_whole(node: Any) -> None:
-    """Another process gets a goal with its tolerances; feedback, result, state and answer come back as they were."""
+    """Another process gets a goal and its cancellation; feedback, result, state and answer come back as they were."""
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointTolerance, JointTrajectoryControllerState
     from control_msgs.srv import QueryTrajectoryState
@@ -66,11 +67,14 @@ def test_action_state_and_query_cross_dds_whole(node: Any) -> None:
     )
     client = ActionClient(node, FollowJointTrajectory, "follow_joint_trajectory")
     assert client.wait_for_server(TIMEOUT)
-    heard: list[Any] = []
-    handle = wait_for(client.send_goal_async(goal, feedback_callback=heard.append))
-    result = wait_for(handle.get_result_async()).result
-    assert (result.error_code, result.error_string) == (-4, "joint_2 -1.0 5")
-    assert heard[0].feedback == FollowJointTrajectory.Feedback(joint_names=["joint_1", "joint_2"], desired=point)
+    heard: Any = rclpy.task.Future(executor=executor)
+    handle = wait_for(client.send_goal_async(goal, feedback_callback=heard.set_result))
+    feedback = wait_for(heard).feedback
+    assert feedback == FollowJointTrajectory.Feedback(joint_names=["joint_1", "joint_2"], desired=point)
+    assert len(wait_for(handle.cancel_goal_async()).goals_canceling) == 1
+    ended = wait_for(handle.get_result_async())
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert (ended.result.error_code, ended.result.error_string) == (-4, "joint_2 -1.0 5")
 
     state = JointTrajectoryControllerState(joint_names=["joint_1"], output=point, speed_scaling_factor=0.25)
     back: Any = rclpy.task.Future(executor=executor)
