@@ -45,6 +45,15 @@ def shipped_files() -> RobotFiles:
     return RobotFiles()
 
 
+@pytest.fixture(scope="session")
+def needs_action() -> None:
+    """Skip where control_msgs is not built, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
+    from rx90_common.exchange.control_messages import missing_control_msgs
+
+    if line := missing_control_msgs():
+        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)
+
+
 @pytest.fixture
 def edited_yaml(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that copies a YAML file with one value replaced, or with a key removed or added."""

@@ -89,8 +89,6 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
         raise ConfigError("--text is given without a file; accepted: with --no-load-file or --loaded-file")
     if options.velocity and options.text != "velocity":
         raise ConfigError(f"--velocity is {options.velocity}; accepted: with --text velocity alone")
-    if options.output.exists():
-        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
 
 
 def _folder(out: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -40,6 +42,7 @@ _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
+_LONGEST_PREFIX = 100  # characters of a name
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 
 
@@ -72,14 +75,16 @@ class BagWriter:
     Args:
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
+        named: what messages call it, where it gets that name at its end; by default `path`.
 
     Raises:
         BagError: if the folder exists or its place does not take one.
         BagWriteError: if the disk is full.
     """
 
-    def __init__(self, path: Path | str, storage: str = "mcap") -> None:
+    def __init__(self, path: Path | str, storage: str = "mcap", *, named: Path | None = None) -> None:
         self.path = Path(path)
+        self._named = self.path if named is None else named
         if storage not in STORAGES:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
@@ -183,7 +188,7 @@ class BagWriter:
         free = shutil.disk_usage(self.path).free
         if free < _RESERVE_BYTES:
             raise BagWriteError(
-                f"{self.path}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full "
+                f"{plain(self._named)}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full "
                 f"({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
             )
 
@@ -211,8 +216,7 @@ class BagWriter:
         # What is refused before anything is written is the user's to mend: another folder, another name.
         failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
         half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
-        kind = BagWriteError if failed else BagError
-        return kind(f"{plain(self.path)}: cannot be written ({reason}){half}")
+        return (BagWriteError if failed else BagError)(f"{plain(self._named)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)
@@ -267,6 +271,9 @@ def write_joint_states(
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
+    It is written beside its place and gets its name at the end: whoever is interrupted or killed leaves no part of a
+    bag under that name. What fits on a full disk stays.
+
     The messages stand in the order of log time, which is their stamp; at equal times in the order of
     `series`, then of `messages`.
 
@@ -284,7 +291,7 @@ def write_joint_states(
     topics = [absolute(one.topic) for one in series]
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
-    with BagWriter(path, storage) as bag:
+    with _name_at_the_end(Path(path)) as beside, BagWriter(beside, storage, named=Path(path)) as bag:
         connections = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]) for topic in topics]
         others = _add_others(bag, messages)
         stamps = [one.stamp_ns for one in series]
@@ -301,6 +308,32 @@ def write_joint_states(
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
             bag.write_many(numbers[source[rows]], log_ns[rows], _encode(encoders, source[rows], row[rows]))
+
+
+@contextmanager
+def _name_at_the_end(path: Path) -> Iterator[Path]:
+    """Yield where to write a bag, which the storage file is named after, and give it its name when that is done."""
+    if os.path.lexists(path):
+        raise BagError(f"{plain(path)} exists already, not overwriting.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_LONGEST_PREFIX]}.", dir=path.parent))
+    except OSError as error:
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    beside = folder / path.name
+    try:
+        try:
+            yield beside
+        except BagWriteError:
+            if beside.exists():
+                beside.rename(path)
+            raise
+        beside.rename(path)
+    except OSError as error:  # somebody else has taken the name
+        raise BagError(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _encode(

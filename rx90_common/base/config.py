@@ -150,9 +150,9 @@ class Section:
             self.refuse(key, value, "a list of texts")
         return tuple(value)
 
-    def use(self, key: str) -> None:
-        """Take note that a key was read from `content`."""
-        self._used.add(key)
+    def value(self, key: str, accepted: str) -> Any:
+        """Return what stands under `key`, whatever it is."""
+        return self._get(key, accepted)
 
     def finish(self) -> None:
         """Refuse keys that were not read."""

@@ -87,11 +87,16 @@ def write_error(path: object, error: OSError, accepted: str = "") -> Rx90Error:
 def check_place(path: Path) -> None:
     """Refuse a file or folder whose place does not take one, before the work is done whose result it is to hold.
 
+    It is tried, not asked: permissions say nothing of read-only, full and virtual file systems, nor anything to root.
+    Devices and pipes take what is written into them.
+
     Raises:
         Rx90Error: as `write_error` says.
     """
-    parent = next(parent for parent in path.absolute().parents if parent.exists())
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            return
+        parent = next(parent for parent in path.absolute().parents if parent.exists())
         with TemporaryDirectory(prefix=".rx90_", dir=parent):
             pass
     except OSError as error:

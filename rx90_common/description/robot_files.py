@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import listed, quoted
 from rx90_common.base.share import config_path, resolve_config
 
 DEFAULT_ROBOT = "rx90b"
@@ -58,10 +58,14 @@ def robot_folder(name: str) -> Path:
         return config_path(ROBOTS) / name
     try:
         own = Path(name).expanduser()
-        if own.is_dir() and name:
-            return own
+        there = own.is_dir() and bool(name)
     except (OSError, RuntimeError):  # a name longer than the system takes, a home folder that there is not
-        pass
+        there = False
+    if there:
+        if not any((own / file).is_file() for file in FILES.values()):
+            files = listed(FILES.values())
+            raise ConfigError(f"robot {quoted(name)}: none of a robot's files; accepted: a folder with {files}")
+        return own
     raise ConfigError(f"robot {quoted(name)}: no such folder; accepted: {', '.join(shipped)}, or a robot folder's path")
 
 

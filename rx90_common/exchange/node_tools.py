@@ -99,12 +99,14 @@ def declare_robot_files(node: Node, *names: str) -> RobotFiles:
     about = "robot: name of a shipped one, or your own robot folder"
     robot = declare(node, "robot", DEFAULT_ROBOT, about)
     of_robot = RobotFiles.named(robot)
-    given = {}
+    given: dict[str, str | None] = {}
     for name in names:
         override = node._parameter_overrides.get(name)
         if override is not None and override.value == "":  # what a launch argument left out comes to
             del node._parameter_overrides[name]
-        given[name] = declare(node, name, of_robot.text(name), f"{DESCRIPTIONS[name]}; the robot's or your own")
+        usual = of_robot.text(name)
+        chosen = declare(node, name, usual, f"{DESCRIPTIONS[name]}; the robot's or your own")
+        given[name] = None if chosen == usual else chosen
     return RobotFiles.named(robot, **given)
 
 

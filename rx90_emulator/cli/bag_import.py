@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from rx90_emulator.cli.options import new_folder
+
 HELP = "make a bag from a CSV log; a file says what its columns hold"
 EPILOG = """\
 a mapping file (docs/bags.md says more):
@@ -23,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read; of several the rows belong together, one by one")  # fmt: skip
-    parser.add_argument("bag", type=Path, metavar="BAG", help="bag to make; must not exist")
+    parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
     parser.add_argument("--mapping", type=Path, required=True, metavar="FILE", help="what the columns hold (.yaml)")
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip

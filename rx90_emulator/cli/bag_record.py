@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.bags.topics import SUITE_TOPICS
-from rx90_common.base.quoting import listed
+from rx90_common.base.quoting import listed, plain
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.scheduling import be_nice, run_on
+from rx90_emulator.cli.options import new_folder
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -25,7 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "topics", nargs="*", default=list(SUITE_TOPICS), metavar="TOPIC",
         help=f"topics to record (default: {' '.join(SUITE_TOPICS)})",
     )  # fmt: skip
-    parser.add_argument("-o", "--output", required=True, metavar="FOLDER", help="bag to make; must not exist")
+    parser.add_argument(
+        "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
+    )
     parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
     parser.add_argument("--nice", type=int, metavar="N", help="niceness: above 0 others come first")
     parser.add_argument("--cpus", metavar="LIST", help="processors to run on, as in 0,2-3")
@@ -57,11 +61,11 @@ def main(args: argparse.Namespace) -> int:
     return _report(args.topics, counts, recorder.stalls, args.output)
 
 
-def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: str) -> int:
+def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequence[float], output: Path) -> int:
     repeated = sum(count.repeated for count in counts)
     recorded = sum(count.received for count in counts) - repeated
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
-    print(f"recorded {recorded} messages of {len(counts)} topics to {output}{left_out}")
+    print(f"recorded {recorded} messages of {len(counts)} topics to {plain(output)}{left_out}")
     complete = not stalls
     if not any(count.received for count in counts):
         complete = False

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import POSITIVE, add_message_arguments, add_record_arguments, add_robot_arguments
+from rx90_emulator.cli.options import POSITIVE, add_message_arguments, add_record_arguments, add_robot_arguments, place
 from rx90_emulator.measured.options import MeasuredLayout, MeasuredTolerances
 
 _EPILOG = """\
@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = _EPILOG
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("bag", type=Path, metavar="BAG", help="measured: folder, .mcap, .db3 or ROS 1 .bag file")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="report to write (.html)")
+    parser.add_argument("--report", type=place, metavar="FILE", help="report to write (.html)")
     parser.add_argument("--force", action="store_true", help="replace a report that exists")
     parser.add_argument("--bandwidth", type=POSITIVE, metavar="HZ",
                         help="of the measured path as set-points; torques and positions are compared below a third of "

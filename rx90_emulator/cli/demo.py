@@ -11,12 +11,12 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.environment import prepare
-from rx90_emulator.cli.options import add_robot_arguments
+from rx90_emulator.cli.options import add_robot_arguments, new_folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.add_argument("--output", type=Path, help="folder for bags, logs and report (out/demo/<time>)")
+    parser.add_argument("--output", type=new_folder, help="folder for bags, logs and report (out/demo/<time>)")
     parser.add_argument(
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
@@ -34,8 +34,6 @@ def main(options: argparse.Namespace) -> int:
     # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-    if options.output is not None and options.output.exists():
-        raise ConfigError(f"--output {options.output}: exists; accepted: a folder that can be made")
     prepare()
     # Here, because a wrong option must not wait for them.
     from rx90_emulator.demo.demonstration import Demonstration

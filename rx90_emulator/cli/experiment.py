@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
-from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments
+from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments, new_folder
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
 
 _EPILOG = """\
@@ -58,7 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = run.add_mutually_exclusive_group(required=True)
     where.add_argument("--engine", action="store_true", help="in the closed loop without ROS, fast")
     where.add_argument("--nodes", action="store_true", help="on the controller node, in its time")
-    run.add_argument("--output", type=Path, required=True, metavar="FOLDER", help="folder for the bags; must not exist")
+    run.add_argument(
+        "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
+    )
     run.add_argument(
         "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
     )

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from friction_bench.experiment.record import TEXT_KINDS, VELOCITIES
 from rx90_common.base.share import SHIPPED_RIG
-from rx90_emulator.cli.options import add_robot_argument
+from rx90_emulator.cli.options import add_robot_argument, new_folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--clear", action="store_true", help="clear the faults that the rig has latched, then begin")
     parser.add_argument("--seed", type=int, default=0, help="of the emulated rig's noise")
     parser.add_argument("--real-time", action="store_true", help="run the emulated rig in real time")
-    parser.add_argument("--output", type=Path, default=Path("out/friction"), help="new folder for bag and report")
+    parser.add_argument("--output", type=new_folder, default="out/friction", help="new folder for bag and report")
     parser.add_argument("--element", default="joint_6", help="friction element that the joint stands for")
     add_robot_argument(parser)
     files = parser.add_argument_group("old data instead of a rig")

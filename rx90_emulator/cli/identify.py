@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import DONE, VERDICT_NO, IdentificationError
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import POSITIVE, add_arm_arguments
+from rx90_emulator.cli.options import POSITIVE, add_arm_arguments, place
 from rx90_emulator.identification.model.options import ExcitationTolerances, RobotOptions, ValidationTolerances
 
 _USAGE = """\
@@ -56,10 +56,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
-    result.add_argument("--output", type=Path, metavar="FILE", help="friction file to write (.yaml); with --excitation "
-                        "a folder for robot files, report and parameters")  # fmt: skip
-    result.add_argument("--report", type=Path, metavar="FILE", help="report to write (beside the friction file, .html; "
-                        "with --friction none)")  # fmt: skip
+    result.add_argument("--output", type=place, metavar="FILE", help="friction file to write (.yaml); with "
+                        "--excitation a folder for robot files, report and parameters")  # fmt: skip
+    result.add_argument("--report", type=place, metavar="FILE", help="report to write (beside the friction file, "
+                        ".html; with --friction none)")  # fmt: skip
     result.add_argument("--force", action="store_true", help="replace files that exist")
     limits, wider = ValidationTolerances(), ExcitationTolerances()
     result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",

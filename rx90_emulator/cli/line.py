@@ -6,13 +6,12 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rx90_common.base.errors import LineError, write_text
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
-from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments
+from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments, place
 
 if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan
@@ -69,7 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     send.add_argument("--approach-speed", type=float, default=0.25, help="share of the joint speeds (0.25)")
     send.add_argument("--approach-acceleration", type=float, default=2.0, help="rad/s^2 (2)")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
-    send.add_argument("--output", type=Path, metavar="FILE", help="write the trajectory as a YAML message")
+    send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
 
 
 def main(options: argparse.Namespace) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.errors import ConfigError, check_place
+from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, MODEL_FILES, shipped_robots
 
 _EXIT_CODES = """
@@ -69,6 +71,43 @@ def number(accepted: str, good: Callable[[float], bool] = lambda _: True) -> Cal
 _NOT_ZERO = number("a finite number other than 0", lambda value: value != 0.0)
 FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
+
+
+def place(text: str) -> Path:
+    """Return what is to be written, as a type for argparse: refused before any work is done for it.
+
+    Raises:
+        ConfigError: where the folder that it is to stand in is missing.
+        Rx90Error: where that does not take it.
+    """
+    path = Path(text)
+    if not path.absolute().parent.exists():
+        raise ConfigError(f"{plain(path)}: the folder {plain(path.parent)} does not exist; accepted: one that does")
+    check_place(path)
+    return path
+
+
+def new_file(text: str) -> Path:
+    """Return the file that is to be made, as a type for argparse; refused where something is there, or as `place`."""
+    _check_new(text)
+    return place(text)
+
+
+def new_folder(text: str) -> Path:
+    """Return the folder that is to be made, as a type for argparse; folders above it are made, too.
+
+    Raises:
+        ConfigError: where something is there.
+        Rx90Error: where its place does not take one.
+    """
+    _check_new(text)
+    check_place(Path(text))
+    return Path(text)
+
+
+def _check_new(text: str) -> None:
+    if os.path.lexists(text):
+        raise ConfigError(f"{plain(text)} exists; accepted: a new name")
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:

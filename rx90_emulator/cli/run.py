@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from rx90_common.base.errors import ConfigError, check_place
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
-from rx90_emulator.cli.options import FINITE, add_robot_arguments
+from rx90_emulator.cli.options import FINITE, add_robot_arguments, new_file, new_folder
 
 if TYPE_CHECKING:
     from rx90_emulator.loop.result import RunResult
@@ -39,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first joint_states)",
     )  # fmt: skip
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
-    parser.add_argument("--output", type=Path, help="bag folder to write; must not exist")
-    parser.add_argument("--arrays", type=Path, help="NumPy file to write (.npz), names with units; must not exist")
+    parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
+    parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
     parser.add_argument(
         "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
@@ -102,17 +102,10 @@ def _check(options: argparse.Namespace) -> None:
     """
     if options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
-    if options.output is not None and options.output.exists():
-        raise ConfigError(f"--output is {options.output}, which exists; accepted: a new folder")
-    if options.arrays is not None and options.arrays.exists():
-        raise ConfigError(f"--arrays is {options.arrays}, which exists; accepted: a new file")
     if options.from_bag is not None and options.start_time is not None:
         raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
     if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
         raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
-    for path in (options.output, options.arrays):
-        if path is not None:
-            check_place(path)
 
 
 def _simulate(setup: Setup, options: argparse.Namespace) -> RunResult:

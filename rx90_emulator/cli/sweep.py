@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import add_robot_argument
+from rx90_emulator.cli.options import add_robot_argument, place
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="plan file of your own (docs/sweep.md), or the name of a shipped one: "
         "sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, sweep/reference_1000.yaml",
     )
-    run.add_argument("--output", type=Path, metavar="FILE", required=True, help="Parquet file to write")
+    run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
     add_robot_argument(run)
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
     where = run.add_mutually_exclusive_group()

@@ -104,8 +104,22 @@ def make_mutant(tmp_path: Path, make_board: Callable[..., TestBoard]) -> Callabl
     return make
 
 
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a builder of what couples a simulator to these tests, once a session."""
+    out = tmp_path_factory.mktemp("shims")
+
+    def build(target: str) -> Path:
+        library = out / f"{target}.so"
+        if not library.exists():
+            {"mcs51": ucsim, "avr": simavr}[target].build_shim(library)
+        return library
+
+    return build
+
+
 @pytest.fixture
-def make_board(firmware: Callable[[str], Path], tmp_path: Path) -> Iterator[Callable[[str], TestBoard]]:
+def make_board(firmware: Callable[[str], Path], shim: Callable[[str], Path]) -> Iterator[Callable[[str], TestBoard]]:
     """Return a maker of boards; simulators end with the test, whatever happens."""
     with ExitStack() as stack:
 
@@ -113,15 +127,12 @@ def make_board(firmware: Callable[[str], Path], tmp_path: Path) -> Iterator[Call
             if target == "native":
                 return TestBoard(NativeBoard())
             binary = binary or firmware(target)
-            shim = tmp_path / f"{target}.so"
             if target == "mcs51":
                 require(target, ucsim.simulator() is not None)
-                ucsim.build_shim(shim)
-                board: ucsim.UcsimBoard | simavr.SimavrBoard = ucsim.UcsimBoard(shim, binary, seed)
+                board: ucsim.UcsimBoard | simavr.SimavrBoard = ucsim.UcsimBoard(shim(target), binary, seed)
             else:
                 require(target, Path("/usr/include/simavr/sim_avr.h").exists())
-                simavr.build_shim(shim)
-                board = simavr.SimavrBoard(shim, binary)
+                board = simavr.SimavrBoard(shim(target), binary)
             stack.callback(board.close)
             return TestBoard(board)
 

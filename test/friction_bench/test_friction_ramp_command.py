@@ -110,7 +110,7 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--text", "counts"], "--text is given without a file"),
         (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
         (["--output", "/proc/friction"], "/proc/friction: cannot be written ("),
-        (["--output", "/dev/null"], "--output is /dev/null, which exists; accepted: a new folder"),
+        (["--output", "/dev/null"], "/dev/null exists; accepted: a new name"),
         (["--velocity", "mean"], "--velocity is mean; accepted: with --text velocity alone"),
         (["--end-torque", "0.02", "--load", "none"], "no break-away"),
         (["--no-load-file", "0.1:nothing.csv"], "nothing.csv: cannot be read"),
@@ -149,7 +149,7 @@ def test_existing_folder_is_refused_before_the_rig_moves(
     csv.write_text("time,counts\n0,1\n")
     for arguments in ([], ["--no-load-file", f"0.1:{csv}"]):
         assert run("friction_ramp", [*arguments, "--output", str(tmp_path)]) == 2
-        assert f"--output is {tmp_path}, which exists; accepted: a new folder" in capsys.readouterr().err
+        assert f"{tmp_path} exists; accepted: a new name" in capsys.readouterr().err
     assert (tmp_path / "report.html").read_text() == "mine"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["old.csv", "report.html"]
 

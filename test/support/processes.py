@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from warm_start import WarmPopen
 
 from rx90_common.process.children import TIMEOUT, ChildProcess, ProcessGroup, executable
 
@@ -130,7 +131,13 @@ def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]
 
 
 @pytest.fixture
-def processes(ros_domain: int) -> Iterator[Processes]:  # noqa: ARG001
+def warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have processes of this Python started with the slow imports done."""
+    monkeypatch.setattr(subprocess, "Popen", WarmPopen)
+
+
+@pytest.fixture
+def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG001 - what they do is done
     """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""
     started = Processes()
     try:

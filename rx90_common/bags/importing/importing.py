@@ -80,7 +80,8 @@ def import_logs(
         BagWriteError: if the bag cannot be written on.
     """
     if len(logs) != mapping.files:
-        raise BagError(f"{len(logs)} logs; accepted: {mapping.files}, by the files in {plain(mapping.file)}")
+        given = f"{len(logs)} log{'s' * (len(logs) != 1)}"
+        raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
     tables = [LogTable.read(path, mapping) for path in logs]
     counts = {len(table.rows) for table in tables}
     if len(counts) > 1:

@@ -47,6 +47,7 @@ DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 _MOST_FILES = 100
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MOST_COLUMNS = 100_000
+_COLUMN = "the number of a column, from 1 on, or its name in the header"
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,7 @@ class LogMapping:
         time, seconds, rate = None, Fraction(1), None
         if "time" in root:
             section = root.section("time")
-            time = _file(section), _columns([section.content.get("column")], section, "column")[0]
-            section.use("column")
+            time = _file(section), _columns([section.value("column", _COLUMN)], section, "column")[0]
             seconds = SECONDS[section.text("unit", tuple(SECONDS))]
             section.finish()
         else:
@@ -166,11 +166,10 @@ def _topic(section: Section) -> TopicMapping:
 
 
 def _field(section: Section, name: str, count: int) -> FieldMapping:
-    columns = section.content.get("columns")
+    accepted = f"a list of {count}, one for each name"
+    columns = section.value("columns", accepted)
     if not isinstance(columns, list) or len(columns) != count:
-        section.refuse("columns", columns, f"a list of {count}, one for each name")
-        raise AssertionError
-    section.use("columns")
+        section.refuse("columns", columns, accepted)
     chosen = _columns(columns, section, "columns")
     unit = section.text("unit", tuple(UNITS[name]))
     factor = _each(section, "factor", count) if "factor" in section else (1.0,) * count
@@ -194,7 +193,7 @@ def _columns(given: list[object], section: Section, key: str) -> tuple[Column, .
         if isinstance(one, str) or (isinstance(one, int) and not isinstance(one, bool) and 1 <= one <= _MOST_COLUMNS):
             chosen.append(one)
         else:
-            section.refuse(key, one, "the number of a column, from 1 on, or its name in the header")
+            section.refuse(key, one, _COLUMN)
     return tuple(chosen)
 
 

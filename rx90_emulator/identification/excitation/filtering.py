@@ -10,7 +10,7 @@ model": parallel filtering), so that the filter distorts both sides of the equat
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -125,6 +125,39 @@ def _crossings(record: JointRecord) -> Iterator[tuple[float, float]]:
 
 
 @dataclass(frozen=True, eq=False)
+class TorqueStamps:
+    """Where the torque was recorded, if that is not at a run's even times, and its way from there to these.
+
+    A torque that steps at a reversal is resampled to something between both its values, in one sample near it. What is
+    to explain it must go the same way: from the velocity at the stamps, resampled as the torque was.
+
+    Attributes:
+        velocity: of the joints at s stamps, rad/s, shape (s, n).
+        before: the stamp before each of the run's samples, shape (m,).
+        share: of the stamp after it in the resampled value, shape (m,).
+    """
+
+    velocity: Array
+    before: Index
+    share: Array
+
+    @classmethod
+    def of(cls, stamps: Array, even: Array, velocity_at: Callable[[Array], Array]) -> TorqueStamps:
+        """Return the stamps around even times, s; velocities by time."""
+        first = int(np.searchsorted(stamps, even[0], "right")) - 1
+        last = int(np.searchsorted(stamps, even[-1], "left")) + 1
+        around = stamps[first:last]
+        before = np.clip(np.searchsorted(around, even, "right") - 1, 0, len(around) - 2)
+        share = (even - around[before]) / (around[before + 1] - around[before])
+        return cls(velocity_at(around), before, share)
+
+    def evened(self, values: Array) -> Array:
+        """Return values resampled from the stamps to the run's samples, shapes (s, ...) and (m, ...)."""
+        share = self.share.reshape(-1, *(1,) * (values.ndim - 1))
+        return np.asarray(values[self.before] * (1.0 - share) + values[self.before + 1] * share)
+
+
+@dataclass(frozen=True, eq=False)
 class FilteredRun:
     """One run at its full, even rate; what the filter's edges spoil is cut off.
 
@@ -138,6 +171,7 @@ class FilteredRun:
         torque: as recorded, at the joints, Nm, shape (m, n).
         reference: position set-points, rad, shape (m, n); None where none were recorded.
         bandwidths: of both filters.
+        stamps: where the torque was recorded; None where that is at `time`.
     """
 
     source: BagSource
@@ -149,6 +183,7 @@ class FilteredRun:
     torque: Array
     reference: Array | None
     bandwidths: Bandwidths
+    stamps: TorqueStamps | None = None
 
     @property
     def rate(self) -> float:
@@ -170,6 +205,15 @@ class FilteredRun:
         """Return the samples that the rows lie at, shape (k,): those around which the filter has its whole length."""
         half = len(self.taps) // 2
         return np.arange(half, len(self.time) - half, self.down)
+
+    @property
+    def torque_velocity(self) -> Array:
+        """Return the joints' velocities where the torque was recorded, rad/s, shape (s, n)."""
+        return self.velocity if self.stamps is None else self.stamps.velocity
+
+    def evened(self, values: Array) -> Array:
+        """Return at the run's samples what is known where the torque was recorded, shapes (m, ...) and (s, ...)."""
+        return values if self.stamps is None else self.stamps.evened(values)
 
     def parallel(self, values: Array) -> Array:
         """Return the low-pass of values, as that of the torque, at the rows.
@@ -238,6 +282,8 @@ def _filtered(
     count = np.arange(len(even)) / rate
     curve = make_interp_spline(count, smooth, k=5)
     inner = slice(edge, len(even) - edge)
+    stamps = time - torque_lead
+    moved = TorqueStamps.of(stamps, even[inner], lambda at: np.asarray(curve(at - even[0], 1)))
     return FilteredRun(
         source=record.bag,
         names=record.names,
@@ -248,6 +294,7 @@ def _filtered(
         torque=torque[inner],
         reference=None if target is None else target[inner],
         bandwidths=bandwidths,
+        stamps=None if _is_even(stamps, even) else moved,
     )
 
 
@@ -273,10 +320,13 @@ def _even(time: Array, rate: float) -> Array:
 
 def _resampled(time: Array, values: Array, even: Array, degree: int) -> Array:
     """Return values at even times; those whose stamps are even stay as they are."""
+    return values if _is_even(time, even) else np.asarray(make_interp_spline(time, values, k=degree)(even))
+
+
+def _is_even(time: Array, even: Array) -> bool:
+    """Return whether stamps are at even times, but for rounding."""
     rounding = 2.0 * float(np.spacing(np.abs(time[-1])))
-    if len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]) + rounding:
-        return values
-    return np.asarray(make_interp_spline(time, values, k=degree)(even))
+    return len(time) == len(even) and float(np.abs(time - even).max()) < _EVEN * (even[1] - even[0]) + rounding
 
 
 def low_pass_taps(rate: float, bandwidth: float) -> Array:

@@ -159,7 +159,7 @@ class ExcitationProblem:
         What is computed of the result (its regressor, friction along its runs) are instruments for the original.
         """
         runs = tuple(
-            replace(run, position=position, velocity=velocity, acceleration=acceleration)
+            replace(run, position=position, velocity=velocity, acceleration=acceleration, stamps=None)
             for run, (position, velocity, acceleration) in zip(self.runs, motions, strict=True)
         )
         other = replace(self, runs=runs, payloads=(None,) * len(runs))

@@ -16,10 +16,10 @@ from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
-from rx90_emulator.identification.excitation.zeros import ZeroCheck
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.model.zeros import ZeroCheck
 from rx90_emulator.identification.records.record import BagSource
 from rx90_emulator.identification.result.identification import IdentifiedElement
 

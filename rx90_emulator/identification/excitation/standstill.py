@@ -20,6 +20,7 @@ _SLOW = 0.05  # rad/s: on real arms rows below it pull Coulomb friction 10 to 25
 _SHARE = 0.1  # of the speed that an element exceeds in a tenth of the run
 _FLOOR = 1e-3  # rad/s: an element that is never faster stands
 _PAUSE = 0.5  # share of a slow stretch below a quarter of the threshold: a pause; a reversal has a quarter
+_STOPS = 0.1  # of the threshold: below it an element that does not change its direction has stopped for an instant
 
 
 class SlidingState(IntEnum):
@@ -46,8 +47,9 @@ def element_states(run: FilteredRun, elements: Array) -> NDArray[np.int8]:
     for e, speed in enumerate(velocity.T):
         threshold = slow_below(speed)
         rests, passes = _slow_stretches(speed, threshold)
+        stops, _ = _slow_stretches(speed, _STOPS * threshold)
         state[:, e] = np.where(
-            _near(rests, reach)[run.rows], SlidingState.RESTS, passes[run.rows] * SlidingState.PASSES
+            _near(rests | stops, reach)[run.rows], SlidingState.RESTS, passes[run.rows] * SlidingState.PASSES
         )
     return state
 
@@ -66,7 +68,8 @@ def _slow_stretches(velocity: Array, threshold: float) -> tuple[Mask, Mask]:
     for start, stop in edges.reshape(-1, 2).tolist():
         inner = float(np.mean(np.abs(velocity[start:stop]) < 0.25 * threshold))
         whole = start > 0 and stop < len(velocity)
-        through = whole and velocity[start - 1] * velocity[stop] < 0.0 and inner <= _PAUSE
+        # A single sample tells no share.
+        through = whole and velocity[start - 1] * velocity[stop] < 0.0 and (inner <= _PAUSE or stop - start == 1)
         (passes if through else rests)[start:stop] = True
     return rests, passes
 

@@ -21,7 +21,7 @@ from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_visc
 from rx90_emulator.identification.excitation.covariance import time_blocks
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, encoder_error
+from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
 
 _ROWS = 2500  # that quarter turns are compared on, at most: evenly taken from all
 _TURNED = 3.0  # standard errors by which a change must explain more
@@ -31,43 +31,6 @@ _GAIN = 0.02  # share of the torque error, at least
 _LARGEST = 0.3  # rad, of an error that counts as small
 _ROUNDS = 3  # of Gauss and Newton
 _APART = 1e-4  # share of a derivative's squares that the other columns must leave, to tell the zero
-
-
-@dataclass(frozen=True, eq=False)
-class ZeroCheck:
-    """Which zeros would explain the recorded torques better than those given.
-
-    Attributes:
-        names: n joints.
-        zero: that were used, rad, shape (n,).
-        error: of them, rad, shape (n,): 0 where nothing speaks against one.
-        deviation: of small errors, rad, shape (n,); 0 for quarter turns.
-        before: RMS of the torque that the simple model leaves, over that of the torque, all joints together.
-        after: the same with the better zeros.
-    """
-
-    names: tuple[str, ...]
-    zero: Array
-    error: Array
-    deviation: Array
-    before: float
-    after: float
-
-    @property
-    def text(self) -> str:
-        """Return it in words; empty where the zeros are right."""
-        wrong = [
-            f"{name} by {error:.4g}{f' +- {spread:.2g}' if spread else ''} rad"
-            for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
-            if error
-        ]
-        if not wrong:
-            return ""
-        better = np.round(self.zero + self.error, 6) + 0.0
-        return (
-            f"{', '.join(wrong)} seems to be off (torque error of the Coulomb and viscous model {self.before:.1%} -> "
-            f"{self.after:.1%}): try --zero {' '.join(f'{value:.6g}' for value in better.tolist())}"
-        )
 
 
 def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCheck:
@@ -92,6 +55,7 @@ def check_zeros(problem: ExcitationProblem, zero: Array | None = None) -> ZeroCh
         np.zeros(n) if zero is None else zero,
         encoder_error(shift),
         deviation,
+        told,
         math.sqrt(powers[1] / scale),
         math.sqrt(powers[2] / scale),
     )

@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from rx90_common.base.errors import IdentificationError
+from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.folder import make_folder, write_index
 from rx90_emulator.identification.experiments.load import check_load
@@ -55,13 +56,14 @@ def describe(plan: Sequence[Experiment], setup: Setup) -> str:
         IdentificationError: if an experiment leaves a limit.
     """
     lines = [f"{'experiment':<30}{'runs':>6}{'time s':>9}   most of the speed limit   most of the torque limit"]
-    names = setup.robot.joint_names
+    names = (*setup.robot.joint_names, *MOTOR_NAMES)
     for experiment in plan:
         load = check_load(experiment, setup.robot, setup.drives, setup.controller)
-        fast, strong = int(np.argmax(load.speed)), int(np.argmax(load.torque))
+        speed, torque = np.append(load.speed, load.motor_speed), np.append(load.torque, load.motor_torque)
+        fast, strong = int(np.argmax(speed)), int(np.argmax(torque))
         lines.append(
             f"{experiment.name:<30}{experiment.sweeps:>6}{experiment.duration:>9.1f}"
-            f"   {load.speed[fast]:>6.0%} ({names[fast]})          {load.torque[strong]:>6.0%} ({names[strong]})"
+            f"   {speed[fast]:>6.0%} ({names[fast]})          {torque[strong]:>6.0%} ({names[strong]})"
         )
     total = sum(experiment.duration for experiment in plan)
     runs = sum(experiment.sweeps for experiment in plan)

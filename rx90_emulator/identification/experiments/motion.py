@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.rates import NANOSECONDS
 from rx90_controller.trajectory import TrajectoryPoints
 
 _QUINTIC_PEAK_SPEED = 15.0 / 8.0  # of a rest-to-rest quintic, times mean speed
@@ -109,10 +110,11 @@ class Motion:
     def points(self, names: Sequence[str]) -> TrajectoryPoints:
         """Return the motion as the points that the controller takes."""
         times, position, velocity, acceleration = zip(*self._knots, strict=True)
+        # Messages carry whole nanoseconds; the closed loop without ROS gets the same times as the nodes, to the bit.
         return TrajectoryPoints.create(
             names,
             names,
-            list(times),
+            [round(time * NANOSECONDS) / NANOSECONDS for time in times],
             np.array(position).tolist(),
             np.array(velocity).tolist(),
             np.array(acceleration).tolist(),

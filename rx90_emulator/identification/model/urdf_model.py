@@ -55,10 +55,14 @@ def _whole(urdf: Path) -> tuple[Any, ET.Element]:
     lines: list[str] = []
     try:
         text = urdf.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", error)
+        raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
+    try:
         with _caught_stderr(lines):
             model = pin.buildModelFromXML(text)
         return model, ET.fromstring(text)
-    except (OSError, ValueError, RuntimeError, ET.ParseError) as error:
+    except (ValueError, RuntimeError, ET.ParseError) as error:
         said = [line.removeprefix("Error:") for line in lines if line.startswith("Error:")]
         reason = " ".join((said[0] if said else str(error)).split()) or type(error).__name__
         raise IdentificationError(f"{urdf}: no URDF that Pinocchio can read ({reason})") from error

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from rx90_common.base.errors import IdentificationError, write_error
+from rx90_common.base.errors import IdentificationError, check_place, write_error
 from rx90_common.process.interrupts import interrupts_later
 
 
@@ -16,7 +16,8 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
 
     Raises:
         IdentificationError: for a file that exists without `force`, is none that can be replaced, or whose folder
-            is missing or cannot be written to.
+            is missing.
+        Rx90Error: for a folder that takes no file, as `check_place` says.
     """
     for file in files:
         folder = file.absolute().parent
@@ -33,8 +34,7 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
             raise IdentificationError(f"{file} exists; accepted: another name, or --force to replace it")
         if not folder.is_dir():
             raise IdentificationError(f"{file}: the folder {folder} does not exist; accepted: a file in one that does")
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise IdentificationError(f"{file}: the folder {folder} cannot be written to; accepted: one that can")
+        check_place(file)
 
 
 def write_all(texts: Mapping[Path, str]) -> None:

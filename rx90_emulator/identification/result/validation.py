@@ -12,10 +12,11 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction import LuGreElement
 from rx90_emulator.identification.model.options import ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.model.zeros import ZeroCheck
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.result.prediction import TorquePrediction, predict_torque, tip_difference
 from rx90_emulator.identification.sliding.fit import SlidingFit
-from rx90_emulator.identification.sliding.zeros import GravityZeros, check_zeros, record_instants
+from rx90_emulator.identification.sliding.zeros import check_zeros, record_instants
 
 _REFERENCE = "rx90_controller/reference"
 
@@ -42,7 +43,7 @@ class Validation:
     tip_distance: Array
     tolerances: ValidationTolerances
     source: str
-    zeros: GravityZeros | None = None
+    zeros: ZeroCheck | None = None
 
     def _mean(self, values: Array) -> Array:
         compared = self.torque.compared

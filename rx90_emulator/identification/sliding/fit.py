@@ -13,6 +13,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import quoted
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.model.zeros import ZeroCheck
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.sliding import stribeck
 from rx90_emulator.identification.sliding.blocks import Blocks, find_blocks
@@ -26,7 +27,7 @@ from rx90_emulator.identification.sliding.quality import FitQuality
 from rx90_emulator.identification.sliding.rows import SlidingRows, sliding_rows
 from rx90_emulator.identification.sliding.solver import SlidingSolution, fit_curves, predicted
 from rx90_emulator.identification.sliding.usage import BagUse
-from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, known_joints
+from rx90_emulator.identification.sliding.zeros import Instants, check_zeros, known_joints
 
 LEAST_SPEEDS = 5
 """Speeds in each direction: four determine the seven parameters of an element, one more leaves a degree of freedom.
@@ -87,7 +88,7 @@ class SlidingFit:
     plateaus: int
     usage: tuple[BagUse, ...] = ()
     quality: tuple[FitQuality | None, ...] = ()
-    zeros: GravityZeros | None = None
+    zeros: ZeroCheck | None = None
 
 
 def identify_sliding(

@@ -19,7 +19,7 @@ from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, encoder_error
+from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
 from rx90_emulator.identification.records.record import JointRecord
 
 _KNOWN = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
@@ -60,47 +60,6 @@ class Instants:
         return Instants(**{name: values[rows] for name, values in vars(self).items()})
 
 
-@dataclass(frozen=True, eq=False)
-class GravityZeros:
-    """What the torques say of the zeros.
-
-    Attributes:
-        names: n joints.
-        zero: that were used, rad, shape (n,).
-        error: of them, rad, shape (n,): 0 where nothing speaks against one.
-        deviation: its standard deviation, rad, shape (n,).
-        told: whether gravity tells an error of the joint's zero at all, shape (n,).
-        before: RMS of the torque that is left, over that of the torque, all joints together.
-        after: the same with the better zeros.
-    """
-
-    names: tuple[str, ...]
-    zero: Array
-    error: Array
-    deviation: Array
-    told: Mask
-    before: float
-    after: float
-
-    @property
-    def text(self) -> str:
-        """Return it in words; empty where nothing speaks against the zeros."""
-        wrong = [
-            f"{name} by {error:.3g} +- {spread:.2g} rad"
-            for name, error, spread in zip(self.names, self.error.tolist(), self.deviation.tolist(), strict=True)
-            if error
-        ]
-        if not wrong:
-            return ""
-        better = " ".join(f"{value:.4g}" for value in (np.round(self.zero + self.error, 4) + 0.0).tolist())
-        silent = [name for name, told in zip(self.names, self.told.tolist(), strict=True) if not told]
-        rest = f"; gravity does not tell the zero of {', '.join(silent)}" if silent else ""
-        return (
-            f"zeros: {', '.join(wrong)} seems to be off (unexplained torque {self.before:.1%} -> {self.after:.1%}): "
-            f"try --zero {better}{rest}"
-        )
-
-
 def record_instants(record: JointRecord, arm: RigidArm) -> Instants:
     """Return means over short times of a run of any motion.
 
@@ -135,7 +94,7 @@ def known_joints(sliding: Mask, elements: Array) -> Mask:
     return np.asarray(~(~sliding @ (elements != 0.0)))
 
 
-def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> GravityZeros:
+def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) -> ZeroCheck:
     """Look for zeros that explain the torques clearly better.
 
     Args:
@@ -155,14 +114,17 @@ def check_zeros(instants: Instants, arm: RigidArm, zero: Array | None = None) ->
     sure = (np.abs(small) > np.maximum(SMALLEST, _SURE * deviation)) & (np.abs(small) < _LARGEST)
     better = shift + np.where(sure, small, 0.0)
     usual = math.sqrt(max(search.power, 1e-300))
-    return GravityZeros(
+    before, after = search.left(np.zeros(n)), search.left(better)
+    if after >= before:  # the zeros only spare the inertials an error, as that of a heavy payload
+        better, after = np.zeros(n), before
+    return ZeroCheck(
         arm.names,
         np.zeros(n) if zero is None else zero,
         encoder_error(better),
         deviation,
         deviation < _UNKNOWN * _PRIOR,
-        search.left(np.zeros(n)) / usual,
-        search.left(better) / usual,
+        before / usual,
+        after / usual,
     )
 
 

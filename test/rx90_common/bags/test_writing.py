@@ -146,6 +146,47 @@ def test_bag_is_whole_when_the_disk_is_nearly_full(
     np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])
 
 
+def test_a_bag_has_its_name_when_it_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a bag is written nothing has its name, so that a kill leaves none; an interrupt leaves nothing."""
+    path, seen = tmp_path / "new" / "bag", []
+    whole = BagWriter.write_many
+
+    def watched(self: BagWriter, *arguments: Any) -> None:
+        seen.append(path.exists())
+        whole(self, *arguments)
+        seen.append(path.exists())
+
+    monkeypatch.setattr(BagWriter, "write_many", watched)
+    write_joint_states(path, [series(10)])
+    assert seen == [False, False]
+    assert [p.name for p in path.parent.iterdir()] == ["bag"]
+    assert sorted(p.name for p in path.iterdir()) == ["bag.mcap", "metadata.yaml"]
+    assert len(read_joint_states(path, "joint_states").stamp_ns) == 10
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BagWriter, "write_many", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_joint_states(tmp_path / "other", [series(10)])
+    assert [p.name for p in tmp_path.iterdir()] == ["new"]
+
+
+def test_a_name_that_is_taken_meanwhile_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder that another process makes while a bag is written stays as it is, and the bag is refused in one line."""
+    path, whole = tmp_path / "bag", BagWriter.write_many
+
+    def overtaken(self: BagWriter, *arguments: Any) -> None:
+        path.mkdir()
+        (path / "theirs").touch()
+        whole(self, *arguments)
+
+    monkeypatch.setattr(BagWriter, "write_many", overtaken)
+    with pytest.raises(BagError, match=r"bag: cannot be written \(Directory not empty\)"):
+        write_joint_states(path, [series(10)])
+    assert [str(p.relative_to(tmp_path)) for p in sorted(tmp_path.rglob("*"))] == ["bag", "bag/theirs"]
+
+
 @pytest.mark.parametrize("storage", STORAGES)
 def test_failed_writes_are_one_clear_line(tmp_path: Path, storage: str) -> None:
     """When the system refuses to write on, the error is one line that names the bag."""

@@ -52,10 +52,16 @@ def test_a_folder_of_the_user_s_own_is_a_robot(tmp_path: Path) -> None:
 
 def test_a_shipped_name_is_not_hidden_by_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A folder of a shipped robot's name in the working folder is named by its path, ./rx90b."""
-    folder_with(tmp_path / "rx90b")
+    folder_with(tmp_path / "rx90b", "urdf")
     monkeypatch.chdir(tmp_path)
     assert RobotFiles.named("rx90b") == RobotFiles()
     assert RobotFiles.named("./rx90b").urdf == Path("rx90b/robot.urdf")
+
+
+def test_a_folder_without_files_is_no_robot(tmp_path: Path) -> None:
+    """A folder that holds none of a robot's files is refused, named once, with the files that make one."""
+    with pytest.raises(ConfigError, match=rf"^robot '{tmp_path}': none of a robot's files; accepted: a folder with r"):
+        RobotFiles.named(str(tmp_path))
 
 
 @pytest.mark.parametrize("name", ["tx50", "", "x" * 5000, "~nobody_of_this_name/x", "config/robots/rx90b/robot.urdf"])

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from ros_client import Client
 
 node_tools = pytest.importorskip("rx90_common.exchange.node_tools", reason="needs rclpy", exc_type=ImportError)
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+
+
+@pytest.mark.ros
+def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001
+    """The files that a node takes from a robot folder are those of the folder, whether they are there or not."""
+    (tmp_path / "drives.yaml").touch()
+    client = Client()
+    try:
+        client.node._parameter_overrides["robot"] = node_tools.Parameter("robot", value=str(tmp_path))
+        files = node_tools.declare_robot_files(client.node, "urdf", "drives", "tool")
+        assert (files.urdf, files.drives, files.tool) == (tmp_path / "robot.urdf", tmp_path / "drives.yaml", None)
+    finally:
+        client.close()
 
 
 @pytest.mark.ros

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -108,6 +109,65 @@ def test_a_name_that_the_system_refuses_is_one_line(words: tuple[str, ...], caps
     assert (code, len(told)) == (REFUSED, 1), told
     assert told[0].startswith(f"{words[0]}: ")
     assert "File name too long" in told[0]
+
+
+WRITTEN = {
+    "--output": {
+        "friction_ramp": [],
+        "rx90_bag": ["record"],
+        "rx90_demo": [],
+        "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
+        "rx90_identify": ["nowhere"],
+        "rx90_line": ["--task", "nowhere"],
+        "rx90_run": ["--task", "nowhere"],
+        "rx90_sweep": ["run", "nowhere"],
+    },
+    "--report": {"rx90_identify": ["nowhere"], "rx90_compare_measured": ["nowhere"]},
+    "--arrays": {"rx90_run": ["--task", "nowhere"]},
+    "bag": {"rx90_bag": ["import", "--mapping", "nowhere", "nowhere"]},
+}
+"""By what is written, the commands that write it, with inputs that there are not."""
+
+
+def test_what_is_written_is_looked_at_before_anything_else(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each command refuses an output that cannot be written before it looks at its inputs, and no command is left out.
+
+    Nobody writes below /proc, not even root.
+    """
+    for option, commands in WRITTEN.items():
+        for name, words in commands.items():
+            assert run(name, [*words, *([option] if option.startswith("-") else []), "/proc/x"]) == REFUSED
+            error = capsys.readouterr().err.splitlines()
+            assert error[-1].startswith(f"{name}: /proc/x: cannot be written ("), error
+    writers = set()
+    for name, module in EXECUTABLES.items():
+        parser = CommandParser(prog=name)
+        import_module(module).add_arguments(parser)
+        found = {flag for action in actions(parser) for flag in action.option_strings}
+        writers |= {(option, name) for option in ("--output", "--report", "--arrays") if option in found}
+    assert writers == {(option, name) for option, names in WRITTEN.items() for name in names if option != "bag"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["rx90_run", "--output", "there"], "there exists; accepted: a new name"),
+        (["rx90_run", "--arrays", "there"], "there exists; accepted: a new name"),
+        (["rx90_bag", "import", "log.csv", "there", "--mapping", "m.yaml"], "there exists; accepted: a new name"),
+        (["rx90_experiment", "run", "--engine", "--output", "there"], "there exists; accepted: a new name"),
+        (["rx90_run", "--arrays", "none/a.npz"], "none/a.npz: the folder none does not exist; accepted: one that does"),
+        (["rx90_line", "--output", "none/a"], "none/a: the folder none does not exist; accepted: one that does"),
+    ],
+)
+def test_what_is_there_and_folders_that_are_not_are_refused(
+    words: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What must be new is refused where something is there, a link without an end too; so is a file without folder."""
+    (tmp_path / "there").symlink_to("nowhere")
+    monkeypatch.chdir(tmp_path)
+    assert run(words[0], words[1:]) == REFUSED
+    assert capsys.readouterr().err == f"{words[0]}: {said}\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
 
 
 def test_a_folder_is_no_result_of_a_sweep(capsys: pytest.CaptureFixture[str]) -> None:

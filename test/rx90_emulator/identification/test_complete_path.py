@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +14,19 @@ import numpy as np
 import pytest
 from processes import Processes, wait_until
 
+from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.engine import run_on_engine
+from rx90_emulator.identification.experiments.excitation.design import plan_excitation
+from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.experiments.folder import read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.job import write_identification
+from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
 
@@ -134,42 +138,67 @@ for speed in np.geomspace(0.041, 1.6, 5):
     slide.sweep(fourth, speed, 0.7, 6.0)
     slide.sweep(fourth, -speed, 0.7, 6.0)
 long.sweep(fourth, 1e-3, 400.0, 6.0)
-series = ([Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2)],
-          [Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-           Experiment("long", Kind.SLIDING, long.points(robot.joint_names), 1)])
-for folder, plan in zip(sys.argv[1:], series, strict=True):
-    job.make_plan = lambda *_: plan
-    code = run("rx90_experiment", ["run", "--nodes", "--output", folder])
-    print("ended with", code, flush=True)
+plan = [Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2),
+        Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
+        Experiment("long", Kind.SLIDING, long.points(robot.joint_names), 1)]
+print("planned", run("rx90_experiment", ["run", "--nodes", *sys.argv[2:]]), flush=True)
+job.make_plan = lambda *_: plan
+code = run("rx90_experiment", ["run", "--nodes", "--output", sys.argv[1]])
+print("ended with", code, flush=True)
 sys.exit(code)
 """
-"""The command twice. Much less than --quick: one joint, five speeds, one micro-oscillation, 14 s; and one too long."""
+"""The command twice, shorter than --quick: planned excitation runs; then sweeps of one joint, the last too long."""
+
+EXCITATION = ExcitationOptions(runs=1, harmonics=3, period=1.0, periods=1, steps=2, validation=False)
 
 
 @pytest.mark.ros
 def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
     """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
 
-    Ctrl-C in an experiment ends with 130, the one before it in the index, and no recorder left behind.
+    A planned excitation run has the set-points and torques of the engine, to the bit. Ctrl-C in an experiment ends
+    with 130, the one before it in the index, and no recorder left behind.
     """
-    processes.start("rx90_sim", "--ros-args", "-p", "real_time_factor:=0.0")
-    processes.start("rx90_controller")
-    whole, cut = tmp_path / "whole", tmp_path / "cut"
-    experiments = processes.start(sys.executable, "-c", ON_NODES, whole, cut)
+    processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
+    planned, cut = tmp_path / "planned", tmp_path / "cut"
+    words = ["--excitation", "--output", planned]
+    for name in ("runs", "harmonics", "period", "periods", "steps"):
+        words += [f"--{name}", getattr(EXCITATION, name)]
+    experiments = processes.start(sys.executable, "-c", ON_NODES, cut, *words)
     wait_until((cut / "long").exists, "the last bag")
-    assert experiments.wait_for("ended with").string == "ended with 0"
+    assert "planned 0" in experiments.lines
     experiments.signal(signal.SIGINT)
     assert experiments.wait() == 130
     assert experiments.lines[-2:] == ["rx90_experiment: interrupted; complete bags stay", "ended with 130"]
-    assert [bag.name for bag in read_index(whole).presliding] == ["cycle"]
-    assert [bag.name for bag in read_index(cut).sliding] == ["slide"]
+    done = read_index(cut)
+    assert [bag.name for bag in (*done.presliding, *done.sliding)] == ["cycle", "slide"]
     assert not [pid for pid, words in running() if str(cut) in words]
+    check_against_the_engine(read_index(planned).excitation, shipped)
     output = tmp_path / "friction.yaml"
-    bags = ["--sliding", cut / "slide", "--presliding", whole / "cycle", "--output", output]
+    bags = ["--sliding", cut / "slide", "--presliding", cut / "cycle", "--output", output]
     assert run("rx90_identify", [str(word) for word in bags]) == DONE
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+
+
+def check_against_the_engine(bags: Sequence[Path], setup: Setup) -> None:
+    """Hold the first run on new nodes against the closed loop along the same plan, which begins when the bag's does."""
+    (run,) = plan_excitation(setup, EXCITATION).experiments
+    (bag,) = bags
+    names = ("motor_states", "rx90_controller/reference")
+    _, reference = recorded = [read_joint_states(bag, name) for name in names]
+    assert reference.position is not None
+    still = int(np.flatnonzero((reference.position != run.points.position[0]).any(axis=1))[0]) - 1
+    begin, end = (reference.stamp_ns[row] / 1e9 for row in (still, -1))
+    assert end - begin > run.points.times[-1]
+    engine = simulate(setup, run.points, duration=end + 1e-3, start_time=begin, record_fast=True).series
+    for name, found in zip(names, recorded, strict=True):
+        there = np.flatnonzero(found.stamp_ns <= reference.stamp_ns[-1])
+        rows = np.searchsorted(engine[name].stamp_ns, found.stamp_ns[there])
+        for quantity in ("stamp_ns", "position", "velocity", "effort"):
+            expected = getattr(engine[name], quantity)
+            assert np.array_equal(expected[rows], getattr(found, quantity)[there]), (name, quantity)
 
 
 def running() -> Iterator[tuple[str, str]]:

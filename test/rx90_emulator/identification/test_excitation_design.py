@@ -23,6 +23,8 @@ from rx90_emulator.identification.experiments.excitation.information import Exci
 from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
 from rx90_emulator.identification.experiments.excitation.search import RunSearch
+from rx90_emulator.identification.experiments.excitation.series import FourierSeries
+from rx90_emulator.identification.experiments.excitation.table import describe_excitation
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
 from rx90_emulator.identification.experiments.folder import read_index, write_index
 from rx90_emulator.identification.experiments.plan import Kind
@@ -31,7 +33,7 @@ from rx90_emulator.loop.setup import Setup
 
 TABLE, WALL = 0.12, (-1.0, -0.5, 0.0, -0.45)
 OPTIONS = ExcitationOptions(
-    runs=1, harmonics=5, period=6.0, periods=2, steps=8, validation=False,
+    runs=1, harmonics=5, period=6.0, periods=2, steps=8, validation=False, seed=2,
     walls=(Wall.above(TABLE), Wall.through(WALL)),
 )  # fmt: skip
 
@@ -66,19 +68,33 @@ def test_a_run_keeps_ranges_speeds_and_accelerations(motion: tuple[Array, Array,
     assert np.abs(position / tx40.robot.upper).max() > 0.7
 
 
-def test_a_run_keeps_torques(motion: tuple[Array, Array, Array], tx40: Setup) -> None:
-    """Pinocchio's torque with rotors and friction of every motor keeps joints' efforts and motors' peak torques."""
+def test_a_run_keeps_torques_and_the_table_shows_motors(
+    plan: ExcitationPlan, motion: tuple[Array, Array, Array], tx40: Setup
+) -> None:
+    """Pinocchio's torque with rotors and friction of every motor keeps joints' efforts and motors' peak torques.
+
+    The table shows the greatest shares of the motors that turn with two joints or carry two.
+    """
     robot, drives, controller = tx40.robot, tx40.drives, tx40.controller
     turns = np.eye(6)
     turns[5, 4] = 1.0
-    data = robot.model.createData()
+    most = np.abs(drives.gear) * drives.peak_torque
+    data, shares = robot.model.createData(), []
     for q, v, a in zip(*(one[::20] for one in motion), strict=True):
         motor = turns @ v
         friction = np.sign(motor) * (controller.coulomb + controller.viscous * np.abs(motor))
         rotors = drives.rotor_inertia * (turns @ a) + friction
         torque = pin.rnea(robot.model, data, q, v, a) + turns.T @ rotors
         assert np.all(np.abs(torque) <= 0.8 * robot.max_effort)
-        assert np.all(np.abs(np.linalg.solve(turns.T, torque)) <= 0.8 * np.abs(drives.gear) * drives.peak_torque)
+        shares.append(np.abs([turns @ v / robot.max_velocity, np.linalg.solve(turns.T, torque) / most]))
+    greatest = np.max(shares, axis=0)
+    assert greatest[1].max() <= 0.8
+    rows = {
+        line.split()[0]: line.split()[1:3] for line in describe_excitation(plan).splitlines() if "    motor_" in line
+    }
+    assert list(rows) == ["motor_5", "motor_6"]
+    for number, shown in zip((4, 5), rows.values(), strict=True):
+        assert [float(share.rstrip("%")) for share in shown] == pytest.approx(100.0 * greatest[:, number], abs=1.5)
 
 
 def test_every_shape_stays_away_from_table_and_wall(
@@ -138,6 +154,23 @@ def _search(setup: Setup, kind: Criterion, walls: tuple[Wall, ...] = ()) -> RunS
     return RunSearch(columns, limits, np.zeros(6), kind, basis, 12.0, np.zeros((count, count)))
 
 
+def test_a_motion_too_fast_for_motor_6_is_scaled(tx40: Setup) -> None:
+    """Joints 5 and 6 at 95 % of the allowed speed are kept, one by one or against each other; together they shrink."""
+    search, top = _search(tx40, Criterion.D), 0.8 * tx40.robot.max_velocity
+    pattern = np.zeros((6, search.basis.count))
+    pattern[4:, 4:] = np.random.default_rng(0).normal(size=search.basis.count - 4)
+    pattern[4:] *= 0.95 * (top / np.maximum(np.abs(search.basis.motion(pattern)[1]).max(axis=0), 1e-9))[4:, None]
+    kept = {}
+    for name, signs in (("5", (1, 0)), ("6", (0, 1)), ("against", (1, -1)), ("together", (1, 1))):
+        coefficients = pattern * np.array([0, 0, 0, 0, *signs])[:, None]
+        shrunk = search.within(FourierSeries(5, 6.0, coefficients))
+        kept[name] = np.abs(shrunk.coefficients).max() / np.abs(coefficients).max()
+        velocity = shrunk.at(np.arange(0.0, 6.0, 1e-3))[1]
+        assert np.abs(velocity[:, 4] + velocity[:, 5]).max() <= top[5] * 1.001
+    expected = top[5] / (0.95 * (top[4] + top[5]))
+    assert kept == pytest.approx({"5": 1.0, "6": 1.0, "against": 1.0, "together": expected}, abs=0.02)
+
+
 @pytest.mark.parametrize(("kind", "factor"), [(Criterion.D, 0.7), (Criterion.CONDITION, 0.6)])
 def test_an_optimised_run_tells_more_than_random_ones(shipped: Setup, kind: Criterion, factor: float) -> None:
     """Of three random runs scaled into the limits none comes near: mean deviation or condition number is smaller.
@@ -165,7 +198,9 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: Criterion
     """The derivative of what is minimised, limits and walls exceeded, is that of differences."""
     search = _search(shipped, kind, (Wall.above(0.3),))
     rng = np.random.default_rng(1)
-    x = 1.4 * search.random(rng).coefficients.ravel()
+    x = 3.0 * search.random(rng).coefficients.ravel()
+    speed = search.basis.motion(x.reshape(6, -1))[1]
+    assert np.abs(speed[:, 4] + speed[:, 5]).max() > shipped.robot.max_velocity[5]
     direction = rng.normal(size=x.size)
     value, slope = search.cost(x)
     assert value > 10.0  # limits are exceeded
@@ -175,7 +210,7 @@ def test_the_search_goes_by_the_right_derivative(shipped: Setup, kind: Criterion
 
 def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) -> None:
     """A run has the same points in a plan of two and alone; the other run of the plan and another seed's do not."""
-    options = ExcitationOptions(runs=1, harmonics=3, period=3.0, periods=1, steps=1, validation=False)
+    options = ExcitationOptions(runs=1, harmonics=3, period=3.0, periods=1, steps=2, validation=False)
     (first, second), (again,), (other,) = (
         [one.points.position for one in plan_excitation(tx40, chosen).experiments]
         for chosen in (replace(options, runs=2), options, replace(options, seed=1))

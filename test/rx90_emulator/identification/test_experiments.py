@@ -16,7 +16,7 @@ from rx90_emulator.identification.experiments.folder import read_index, write_in
 from rx90_emulator.identification.experiments.job import plan_experiments
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, directions, make_plan
+from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, directions, make_plan
 from rx90_emulator.identification.experiments.poses import Poses
 from rx90_emulator.identification.experiments.speeds import sweep_speeds
 from rx90_emulator.loop.setup import Setup
@@ -140,6 +140,22 @@ def test_too_much_torque_or_acceleration_is_refused(shipped: Setup) -> None:
         check_load(plan[0], shipped.robot, shipped.drives, slow)
 
 
+def test_motors_of_a_coupled_wrist_are_held_to_their_limits(shipped: Setup) -> None:
+    """Joints 5 and 6 within their speeds turn motor 6 too fast, and a weak motor 5 cannot carry their difference."""
+    robot, drives, controller = shipped.robot, shipped.drives, shipped.controller
+    way = 1.5 * robot.max_velocity / robot.max_velocity[4] * (0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
+    motion = Motion(-way)
+    motion.move(way, 0.9 * robot.max_velocity, 100.0)
+    fast = Experiment("fast", Kind.VALIDATION, motion.points(robot.joint_names), 1)
+    both = 0.9 * (robot.max_velocity[4] + robot.max_velocity[5])
+    with pytest.raises(IdentificationError, match=rf"fast: motor_6 would need {both:.3g} rad/s.* up to 10\.1;"):
+        check_load(fast, robot, drives, controller)
+    sweep = make_plan(robot, drives, PlanOptions(groups=("joint_5",)))[0]
+    weak = replace(drives, peak_current=drives.peak_current * (1.0, 1.0, 1.0, 1.0, 0.1, 1.0))
+    with pytest.raises(IdentificationError, match=r"motor_5 would need .* Nm, through its gear; accepted: up to 5\.22"):
+        check_load(sweep, robot, weak, controller)
+
+
 def test_plan_shows_time_and_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """`rx90_experiment plan` prints runs and time of each experiment and their sums, and writes nothing."""
     assert run("rx90_experiment", ["plan", "--group", "joint_4"]) == 0
@@ -169,7 +185,7 @@ def test_the_engine_writes_the_bags_that_the_recorder_would(series: Path) -> Non
 def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A series is never written into a folder that is there."""
     assert run("rx90_experiment", ["run", "--engine", "--output", str(tmp_path)]) == REFUSED
-    assert "accepted: a folder that can be made" in capsys.readouterr().err
+    assert "exists; accepted: a new name" in capsys.readouterr().err
 
 
 def test_kinds_have_topics() -> None:

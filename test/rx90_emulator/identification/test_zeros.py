@@ -12,8 +12,9 @@ from foreign_arms import urdf_text
 from numpy.typing import NDArray
 
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.model.zeros import ZeroCheck
 from rx90_emulator.identification.records.record import JointRecord
-from rx90_emulator.identification.sliding.zeros import GravityZeros, Instants, check_zeros, record_instants
+from rx90_emulator.identification.sliding.zeros import Instants, check_zeros, record_instants
 
 Array = NDArray[np.float64]
 STRETCHES, EACH = 24, 4
@@ -59,7 +60,7 @@ def test_a_turned_joint_is_told_with_the_zero_to_try(arm: RigidArm, error: tuple
     assert (np.abs(away) < 0.35).all(), found
     assert (found.error != 0.0).tolist() == [value != 0.0 for value in error]
     assert "try --zero 0 " in found.text
-    assert "gravity does not tell the zero of base" in found.text
+    assert "the torques do not tell the zero of base" in found.text
 
 
 def test_right_zeros_give_no_line(arm: RigidArm) -> None:
@@ -73,10 +74,10 @@ def test_a_small_error_is_told_with_its_deviation() -> None:
     """The line names joint, size, deviation, and the given zero with the error added."""
     none = np.zeros(2)
     told = np.array([False, True])
-    check = GravityZeros(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
+    check = ZeroCheck(("a", "b"), np.array([0.0, 0.5]), np.array([0.0, 0.1]), np.array([1.0, 0.01]), told, 0.2, 0.1)
     assert "b by 0.1 +- 0.01 rad" in check.text
-    assert "try --zero 0 0.6; gravity does not tell the zero of a" in check.text
-    assert GravityZeros(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
+    assert "try --zero 0 0.6; the torques do not tell the zero of a" in check.text
+    assert ZeroCheck(("a", "b"), none, none, none, told, 0.2, 0.2).text == ""
 
 
 def test_a_run_of_any_motion_tells_as_well(arm: RigidArm) -> None:

@@ -31,7 +31,7 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
             "--initial-position with a task; accepted: with --trajectory or --from-bag",
         ),
         (["--from-bag", "x", "--start-time", "1"], "--start-time with --from-bag; accepted: the times in the bag"),
-        (["--output", str(tmp_path)], f"--output is {tmp_path}, which exists; accepted: a new folder"),
+        (["--output", str(tmp_path)], f"{tmp_path} exists; accepted: a new name"),
         (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
         (["--arrays", f"{tmp_path}/file/a.npz"], f"{tmp_path}/file/a.npz: cannot be written (Not a directory)"),
     ):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
+from rx90_emulator.identification.excitation.filtering import FilteredRun
 from rx90_emulator.identification.excitation.friction.law import (
     COULOMB,
     DAMPING,
@@ -32,24 +33,32 @@ class ElementMotion:
     """Motion of one element in one run, at its full rate.
 
     Attributes:
+        run: that it is of.
         velocity: at the samples, rad/s, shape (m,).
         mean: over the step that ends at each sample, rad/s, shape (m,).
-        step: s.
+        at_torque: velocity where the torque was recorded, rad/s, shape (s,).
     """
 
+    run: FilteredRun
     velocity: Array
     mean: Array
-    step: float
+    at_torque: Array
 
     @classmethod
-    def of(cls, position: Array, velocity: Array, step: float) -> ElementMotion:
-        """Return the motion; position in rad and velocity in rad/s, each shape (m,)."""
-        return cls(velocity, np.diff(position, prepend=position[:1]) / step, step)
+    def of(cls, run: FilteredRun, share: Array) -> ElementMotion:
+        """Return the motion of an element that turns with the joints by these shares, shape (n,)."""
+        mean = np.diff(run.position @ share, prepend=run.position[:1] @ share) / (1.0 / run.rate)
+        return cls(run, run.velocity @ share, mean, run.torque_velocity @ share)
+
+    @property
+    def step(self) -> float:
+        """Return the time between two samples, s."""
+        return 1.0 / self.run.rate
 
     @cached_property
     def speeds(self) -> tuple[Speeds, Speeds]:
-        """Return the velocities, and the means over the steps, as shapes use them."""
-        return Speeds(self.velocity), Speeds(self.mean)
+        """Return the velocities where the torque was recorded, and the means over the steps, as shapes use them."""
+        return Speeds(self.at_torque), Speeds(self.mean)
 
     def columns(self, shape: ElementShape) -> dict[int, Array]:
         """Return what the linear parameters multiply, and derivatives by the free parameters, as far as not all 0.
@@ -67,7 +76,10 @@ class ElementMotion:
         if Part.BRISTLE not in shape.parts:
             factor, slopes = stribeck_factor(shape, speeds)
             found[COULOMB] = speeds.sign * factor
-            return found | {after[name] + COULOMB: speeds.sign * slopes[name] for name in slopes if name in after}
+            found |= {after[name] + COULOMB: speeds.sign * slopes[name] for name in slopes if name in after}
+        found = {place: self.run.evened(values) for place, values in found.items()}
+        if Part.BRISTLE not in shape.parts:
+            return found
         here = self._bristle(shape)
         found |= here
         for number, name in enumerate(shape.free):
@@ -165,9 +177,7 @@ def element_rows(problem: ExcitationProblem) -> tuple[ElementRows, ...]:
 
 
 def _rows_of(problem: ExcitationProblem, share: Array, place: NDArray[np.int64]) -> ElementRows:
-    motions = tuple(
-        ElementMotion.of(run.position @ share, run.velocity @ share, 1.0 / run.rate) for run in problem.runs
-    )
+    motions = tuple(ElementMotion.of(run, share) for run in problem.runs)
     velocity = np.concatenate([m.velocity[run.rows] for m, run in zip(motions, problem.runs, strict=True)])
     factor = share[problem.joint]
     rows = np.flatnonzero(factor)

@@ -116,7 +116,8 @@ def _run(
     series = own.best(rng, options.steps, lambda: step(name))
     robot, controller = search.limits.setup.robot, search.limits.setup.controller
     motion = Motion(search.home)
-    way = (robot.max_velocity * _APPROACH_SPEED, float(controller.max_acceleration.min()) * _APPROACH_ACCELERATION)
+    speed, acceleration = min(_APPROACH_SPEED, options.share), min(_APPROACH_ACCELERATION, options.share)
+    way = (robot.max_velocity * speed, float(controller.max_acceleration.min()) * acceleration)
     motion.move(series.at(np.zeros(1))[0][0], *way)
     motion.rest(_REST)
     series.add_to(motion, options.periods)

@@ -8,10 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.wrist import coupling_matrix
 from rx90_emulator.identification.experiments.excitation.information import SMOOTH, Motion
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
-from rx90_emulator.identification.experiments.load import friction_torque
+from rx90_emulator.identification.experiments.load import Motors, friction_torque
 from rx90_emulator.loop.setup import Setup
 
 _SLACK = 0.02  # rad, to the joints' ranges, as the sweeps keep
@@ -34,7 +33,7 @@ class MotionLimits:
     """What a run must keep.
 
     Attributes:
-        setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the motors.
+        setup: ranges, speeds, efforts of the joints, accelerations of the controller, peak torques of the drives.
         workspace: planes.
         clearance: least distance to them, m.
         share: of accelerations and torques.
@@ -58,20 +57,9 @@ class MotionLimits:
         return 0.5 * (self.setup.robot.upper - self.setup.robot.lower) - _SLACK
 
     @cached_property
-    def turns(self) -> Array:
-        """Return the motors' speeds per joints' speeds, gears left out, shape (n, n)."""
-        return coupling_matrix()
-
-    @cached_property
-    def to_motors(self) -> Array:
-        """Return the motors' torques per joint torques, gears left out, shape (n, n)."""
-        return np.asarray(np.linalg.inv(self.turns).T)
-
-    @property
-    def motor_torque(self) -> Array:
-        """Return the motors' peak torques, seen through their gears, Nm, shape (n,)."""
-        drives = self.setup.drives
-        return np.abs(drives.gear) * drives.peak_torque
+    def motors(self) -> Motors:
+        """Return what the motors turn and carry, and their limits."""
+        return Motors.of(self.setup.robot, self.setup.drives)
 
     def shares(self, motion: Motion, torque: Array) -> dict[str, Array]:
         """Return signed shares of what is allowed, by name, each of shape (m, n).
@@ -81,14 +69,14 @@ class MotionLimits:
             torque: with friction, Nm, shape (m, n).
         """
         position, velocity, acceleration = motion
-        robot, controller = self.setup.robot, self.setup.controller
+        robot, controller, motors = self.setup.robot, self.setup.controller, self.motors
         return {
             "position": (position - self.middle) / self.reach,
             "speed": velocity / (self.speed * robot.max_velocity),
-            "motor_speed": velocity @ self.turns.T / (self.speed * robot.max_velocity),
+            "motor_speed": velocity @ motors.turns.T / (self.speed * motors.speed),
             "acceleration": acceleration / (self.share * controller.max_acceleration),
             "torque": torque / (self.share * robot.max_effort),
-            "motor_torque": torque @ self.to_motors.T / (self.share * self.motor_torque),
+            "motor_torque": torque @ motors.carries.T / (self.share * motors.torque),
         }
 
     def penalty(self, motion: Motion, rigid: Array) -> tuple[float, MotionSlope]:
@@ -98,18 +86,18 @@ class MotionLimits:
             motion: m samples of n joints.
             rigid: torque without friction, Nm, shape (m, n); friction is smoothed.
         """
-        robot, controller = self.setup.robot, self.setup.controller
+        robot, controller, motors = self.setup.robot, self.setup.controller, self.motors
         friction, by_speed = friction_torque(motion[1], controller, SMOOTH)
         over = {name: _over(share) for name, share in self.shares(motion, rigid + friction).items()}
         value = sum(float(np.sum(one**2)) for one in over.values())
         near, slope = self.nearness(motion[0])
-        speed = over["speed"] + over["motor_speed"] @ self.turns
-        motors = over["motor_torque"] / self.motor_torque @ self.to_motors
-        by_torque = 2.0 * (over["torque"] / robot.max_effort + motors) / self.share
-        by_friction = by_torque @ self.turns.T * by_speed @ self.turns
+        by_velocity = over["speed"] / robot.max_velocity + over["motor_speed"] / motors.speed @ motors.turns
+        carried = over["motor_torque"] / motors.torque @ motors.carries
+        by_torque = 2.0 * (over["torque"] / robot.max_effort + carried) / self.share
+        by_friction = by_torque @ motors.turns.T * by_speed @ motors.turns
         return value + near, MotionSlope(
             2.0 * over["position"] / self.reach + slope,
-            2.0 * speed / (self.speed * robot.max_velocity) + by_friction,
+            2.0 * by_velocity / self.speed + by_friction,
             2.0 * over["acceleration"] / (self.share * controller.max_acceleration),
             by_torque,
         )

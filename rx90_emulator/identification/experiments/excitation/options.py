@@ -101,8 +101,9 @@ class ExcitationOptions:
     validation: bool = True
 
     def __post_init__(self) -> None:
-        for name, most in (("runs", _MOST_RUNS), ("periods", _MOST_PERIODS), ("steps", 10_000)):
+        for name, most in (("runs", _MOST_RUNS), ("periods", _MOST_PERIODS)):
             _check(name, getattr(self, name), 1, most)
+        _check("steps", self.steps, 2, 10_000)
         _check("harmonics", self.harmonics, 3, _MOST_HARMONICS)
         _check("seed", self.seed, 0, 2**31)
         _check("period", self.period, 1.0, _LONGEST)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_emulator.identification.experiments.excitation.design import ExcitationPlan, PlannedRun
 from rx90_emulator.identification.experiments.excitation.information import (
     ROWS,
@@ -14,7 +15,7 @@ from rx90_emulator.identification.experiments.excitation.information import (
     deviations,
     log_determinant,
 )
-from rx90_emulator.identification.experiments.load import check_load, planned_setpoints
+from rx90_emulator.identification.experiments.load import Motors, check_load, planned_setpoints
 
 _PER_LINE = 3
 _SMALL = 1e-3  # of the largest parameter of its kind: an expected value below it is as good as zero
@@ -29,6 +30,11 @@ def describe_excitation(plan: ExcitationPlan) -> str:
     lines = [f"{'run':<16}{'time s':>7}  {'share of the limits: position, speed, acceleration, torque'}"]
     for run in plan.runs:
         lines += _run_lines(plan, run)
+    shared = Motors.of(plan.setup.robot, plan.setup.drives).shared
+    lines.append(
+        f"{', '.join(MOTOR_NAMES[number] for number in shared)}: through their gears; accepted are the speed of their "
+        "joint alone (assumed) and the drive's peak torque"
+    )
     information = plan.information
     lines.append(
         f"condition number {condition_number(information):.3g}, log det of the information "
@@ -60,6 +66,11 @@ def _run_lines(plan: ExcitationPlan, run: PlannedRun) -> Iterator[str]:
         head = f"{experiment.name:<16}{experiment.duration:>7.1f}" if number == 0 else f"{'':<23}"
         shares = (position[number], load.speed[number], acceleration[number], load.torque[number])
         yield f"{head}  {name:<10}{''.join(f'{share:>6.0%}' for share in shares)}   {_speeds(setpoints[:, 1, number])}"
+    motors = Motors.of(robot, setup.drives)
+    for number in motors.shared:
+        speeds = _speeds(setpoints[:, 1] @ motors.turns[number])
+        used = f"{load.motor_speed[number]:>12.0%}{load.motor_torque[number]:>12.0%}"
+        yield f"{'':<25}{MOTOR_NAMES[number]:<10}{used}   {speeds}"
     for wall, (distance, name) in zip(plan.options.walls, plan.workspace.lowest(setpoints[::5, 0]), strict=True):
         yield f"{'':<25}{wall.name}: {name} comes as near as {distance:.3f} m"
 

@@ -21,7 +21,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *_lacking(result),
         *undetermined_texts(result),
         *_fits(result),
-        *([f"zeros: {result.zeros.text}"] if result.zeros.text else []),
+        *([result.zeros.text] if result.zeros.text else []),
         f"model: {result.model.name}; {result.model.reason}",
         f"closed loop: {remark(result.instruments)}",
         *gain_texts(result),

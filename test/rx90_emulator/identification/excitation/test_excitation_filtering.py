@@ -45,6 +45,19 @@ def test_velocity_and_acceleration_are_the_motions_own(rate: float, jitter: floa
     assert run.parallel(run.torque)[:, 0] == pytest.approx(run.time[run.rows], abs=1e-3 / rate)
 
 
+@pytest.mark.parametrize(("jitter", "lead"), [(0.2, 0.0), (0.0, 2e-3), (0.0, 0.0)])
+def test_a_step_of_the_velocitys_sign_is_resampled_as_that_of_the_torque(jitter: float, lead: float) -> None:
+    """With jittering or late stamps a torque of Coulomb friction is what the sign becomes, in each sample."""
+    given = record(50.0, 30.0, jitter=jitter, factor=0.2)
+    omega = 2.0 * np.pi * 0.2 * np.array(TONES)
+    velocity = (omega * np.cos(omega * (given.time - lead)[:, None, None])).sum(axis=2)
+    (run,) = filter_record(replace(given, torque=np.sign(velocity)), Bandwidths(15.0, 5.0), torque_lead=lead)
+    assert np.ptp(np.diff(run.time)) < 1e-9
+    assert np.abs(run.evened(np.sign(run.torque_velocity)) - run.torque).max() < 1e-9
+    assert run.evened(run.torque_velocity) == pytest.approx(run.velocity, abs=2e-3)
+    assert (run.stamps is None) == (jitter == lead == 0.0)
+
+
 def test_a_gap_begins_a_new_run() -> None:
     """Where 0.3 s are missing, one run ends and another begins; nothing is interpolated across."""
     first, second = filter_record(record(200.0, 12.0, gap=0.3), Bandwidths(40.0, 20.0))

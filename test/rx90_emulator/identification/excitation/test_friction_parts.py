@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
 from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
@@ -24,7 +24,7 @@ from rx90_emulator.identification.excitation.friction.separable import _nonnegat
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.record import BagSource, JointRecord
 
 Array = NDArray[np.float64]
 Law = Callable[[Array], Array]
@@ -208,7 +208,9 @@ def test_a_bristle_follows_its_differential_equation() -> None:
         frozenset({Part.STRIBECK, Part.BRISTLE, Part.DAMPING}), rise=rise, omega_s=omega_s, stiffness=stiffness
     )
     position = 0.6 / 9.0 * (1.0 - np.cos(9.0 * time))
-    columns = ElementMotion.of(position, speed(time), step).columns(shape)
+    motion = [values[:, None] for values in (position, speed(time), time, time)]
+    run = FilteredRun(BagSource(Path("run"), "", 0.5, 0, 0), ("one",), time, *motion, None, Bandwidths(20.0, 10.0))
+    columns = ElementMotion.of(run, np.ones(1)).columns(shape)
     u, inner = solved(stiffness), slice(10, -10)
     assert columns[0][inner] == pytest.approx(u[inner], abs=2e-3)
     rate = speed(time) - np.abs(speed(time)) * u / limit(speed(time))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from excitation_arms import all_columns, plain_arm, rigid_arm, runs_of, standard_values, truth
+from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, standard_values, truth
 
 from benchmarks.excitation_runs import NOTHING
 from rx90_common.base.errors import IdentificationError
@@ -19,6 +20,7 @@ from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.prior import described_inertials
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+from rx90_emulator.identification.excitation.standstill import SlidingState, element_states
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 
 
@@ -109,6 +111,27 @@ def test_rows_leave_out_pauses_and_keep_reversals(tmp_path: Path) -> None:
     assert np.any(there[1] > 8.5)
     (turning,) = (problem.time[problem.reversal & (problem.joint == 0) & (problem.time < 3.9)] for _ in (0,))
     assert len(turning) == 0 or np.all(np.abs(np.sin(np.pi * turning / 4.0)) < 0.1)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "out"),
+    [
+        (lambda t: 2.0 * t**2, True),
+        (lambda t: 0.9 * t**2 - 1.6 * t**3, True),
+        (lambda t: 6.0 * (t + 1e-4), False),
+    ],
+    ids=["stops and goes on", "stops, and turns back soon after", "turns back quickly"],
+)
+def test_a_stop_is_left_out_and_a_quick_reversal_is_not(velocity: Callable[[Array], Array], out: bool) -> None:
+    """An element that stops without turning back has no known sign there, one that turns back between samples has."""
+    arm = plain_arm(5, 2, coupled=False)
+    (run,) = runs_of(arm, 60.0, NOTHING, Bandwidths(18.0, 6.0))
+    time = np.arange(len(run.time)) / 60.0 - 5.0
+    moved = replace(run, time=time, velocity=np.column_stack([velocity(time), 1.0 + 0.0 * time]))
+    state = element_states(moved, np.eye(2))[:, 0]
+    nearest = np.argmin(np.abs(time[run.rows]))
+    assert (state[nearest] == SlidingState.RESTS) == out
+    assert np.mean(state == SlidingState.RESTS) < 0.1
 
 
 def test_a_prior_holds_what_runs_do_not_tell(tmp_path: Path) -> None:
