@@ -16,7 +16,7 @@ from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DEFAULT_ROBOT, MODEL_FILES, RobotFiles
 from rx90_common.process import exit_code
 
-FILE, MOVEIT = "rx90.launch.py", "rx90_moveit.launch.py"
+FILE, MOVEIT = "rx90.launch.py", "moveit.launch.py"
 
 
 def nodes(actions: list[Action]) -> dict[str, Action]:
