@@ -4,8 +4,10 @@ Takes the arguments of rx90.launch.py, but for `urdf` and `tool`: MoveIt's files
 robot folder.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from launch import Action, LaunchContext, LaunchDescription
@@ -18,6 +20,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
+
+if TYPE_CHECKING:
+    from rx90_common.description.robot import RobotModel
 
 ARGUMENTS = (
     ("namespace", "", "of all nodes; then /clock, /tf and /tf_static are in it too"),
@@ -45,12 +50,8 @@ def of_robot(files: RobotFiles, name: str) -> str:
     return file.read_text(encoding="utf-8")
 
 
-def description(files: RobotFiles) -> dict[str, Any]:
+def description(robot: RobotModel, files: RobotFiles) -> dict[str, Any]:
     """Return the parameters that say what the robot is, for move_group and RViz."""
-    # Here, because it takes a while.
-    from rx90_common.description.robot import load_robot
-
-    robot = load_robot(files.urdf, files.tool)
     limits = yaml.safe_load(of_robot(files, "joint_limits.yaml"))
     return {
         "robot_description": ParameterValue(robot.urdf, value_type=str),
@@ -65,25 +66,36 @@ def description(files: RobotFiles) -> dict[str, Any]:
     }
 
 
+def execution(robot: RobotModel) -> dict[str, Any]:
+    """Return the parameters that say how trajectories are executed, for move_group."""
+    found = settings("moveit_controllers")
+    controllers = found["moveit_simple_controller_manager"]
+    for name in controllers["controller_names"]:
+        controllers[name]["joints"] = list(robot.joint_names)
+    return found
+
+
 def moveit(context: LaunchContext) -> list[Action]:
     """Return move_group and RViz."""
     for name in ("urdf", "tool"):
         given = context.launch_configurations.get(name)
         if given:
-            raise RuntimeError(
-                f"{name}:={given}: MoveIt's files are made for a robot folder; accepted: robot:=FOLDER with that {name}"
-            )
+            accepted = f"robot:=FOLDER with that {name}"
+            raise RuntimeError(f"{name}:={given}: MoveIt's files are made for a robot folder; accepted: {accepted}")
+    # Here, because it takes a while.
+    from rx90_common.description.robot import load_robot
+
     files = RobotFiles.named(LaunchConfiguration("robot").perform(context))
-    parameters = description(files)
+    robot = load_robot(files.urdf, files.tool)
+    described = description(robot, files)
     where = {"namespace": LaunchConfiguration("namespace"), "remappings": OWN, "output": "screen"}
     # What is planned and what is executed is shown in RViz through these.
     shown = ("planning_scene", "geometry_updates", "state_updates", "transforms_updates")
-    scene = {f"publish_{what}": True for what in shown}
     return [
         Node(
             package="moveit_ros_move_group",
             executable="move_group",
-            parameters=[parameters, settings("moveit_controllers"), scene],
+            parameters=[described, execution(robot), {f"publish_{what}": True for what in shown}],
             on_exit=Shutdown(reason="move_group has ended"),
             **where,
         ),
@@ -91,7 +103,7 @@ def moveit(context: LaunchContext) -> list[Action]:
             package="rviz2",
             executable="rviz2",
             arguments=["-d", str(config_path("rviz/moveit.rviz"))],
-            parameters=[parameters],
+            parameters=[described],
             condition=IfCondition(LaunchConfiguration("rviz")),
             **where,
         ),

@@ -76,7 +76,9 @@ def test_moveit_gets_the_robot_its_limits_and_the_controller(monkeypatch: pytest
     for pipeline in given["planning_pipelines"]:
         assert given[pipeline]["planning_plugins"]
     assert given["use_sim_time"] is True
-    assert execution["moveit_simple_controller_manager"]["controller_names"] == ["rx90_controller"]
+    controllers = execution["moveit_simple_controller_manager"]
+    assert controllers["controller_names"] == ["rx90_controller"]
+    assert set(controllers["rx90_controller"]["joints"]) == planning["joint_limits"].keys()
     for node in (group, rviz):
         assert ("/tf", "tf") in node.named["remappings"]
         assert node.named["namespace"] == Action("LaunchConfiguration", ("namespace",), {})
