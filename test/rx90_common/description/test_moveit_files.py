@@ -19,7 +19,7 @@ from rx90_emulator.loop.setup import Setup
 from tools import moveit_files
 
 FOLDER = config_path("moveit")
-POSES = 1_500
+POSES = 800
 
 
 @pytest.fixture(scope="module", params=shipped_robots())
@@ -68,7 +68,7 @@ class Shapes:
 
 
 def test_links_of_which_no_pair_is_checked_never_touch(setup: Setup, semantic: ET.Element) -> None:
-    """In 1,500 random poses, many with joints at their limits, no pair that is "Never" touches, but others do."""
+    """In 800 random poses, many with joints at their limits, no pair that is "Never" touches, but others do."""
     shapes, robot = Shapes(setup), setup.robot
     rng = np.random.default_rng(20)
     middle, reach = (robot.lower + robot.upper) / 2.0, (robot.upper - robot.lower) / 2.0
