@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 
@@ -58,6 +59,8 @@ def solids(robot: RobotModel, position: tuple[float, ...]) -> list[Solid]:
 
 def _extent(geometry: Any) -> tuple[str, _Vectors]:
     kind = type(geometry).__name__
+    if kind not in {"Box", "Cylinder", "Sphere"}:
+        raise ConfigError(f"a visual shape is a {kind}; accepted: boxes, cylinders and spheres")
     if kind == "Box":
         return kind, np.array(geometry.halfSide)
     radius = geometry.radius
@@ -177,11 +180,14 @@ def main() -> None:
     parser.add_argument("--robot", default=DEFAULT_ROBOT, help="name of a shipped robot, or a robot folder")
     parser.add_argument("--output", type=Path, default=PICTURE, help="PNG file")
     options = parser.parse_args()
-    files = RobotFiles.named(options.robot)
-    robot = load_robot(files.urdf, files.tool)
     import matplotlib.image
 
-    matplotlib.image.imsave(options.output, arm_picture(robot, _LENGTH))
+    try:
+        files = RobotFiles.named(options.robot)
+        picture = arm_picture(load_robot(files.urdf, files.tool), _LENGTH)
+    except Rx90Error as error:
+        parser.exit(error.exit_code, f"arm_picture: {error}\n")
+    matplotlib.image.imsave(options.output, picture)
     print(options.output)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles, shipped_robots
 from rx90_emulator.identification.experiments.poses import Poses
@@ -62,7 +63,11 @@ def touching_pairs(robot: RobotModel, count: int = POSES, margin: float = _MARGI
     In these each joint is at a limit as often as not: some pairs come near each other there alone.
     """
     model = robot.model
-    shapes = pin.buildGeomFromUrdfString(model, robot.urdf, pin.COLLISION)
+    try:
+        shapes = pin.buildGeomFromUrdfString(model, robot.urdf, pin.COLLISION)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"the collision geometry: {reason}; accepted: shapes, and meshes that are there") from error
     owners = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
     shapes.addAllCollisionPairs()
     for pair in list(shapes.collisionPairs):
@@ -88,8 +93,9 @@ def semantic_text(setup: Setup, poses: Poses | None, touching: set[frozenset[str
     root = ET.Element("robot", name=robot.model.name)
     root.append(ET.Comment(f" {_HEAD} "))
     group = ET.SubElement(root, "group", name=GROUP)
-    ET.SubElement(group, "chain", base_link=_base(robot), tip_link=TIP)
-    if setup.files is not None and setup.files.tool is not None:
+    with_tool = setup.files is not None and setup.files.tool is not None
+    ET.SubElement(group, "chain", base_link=_base(robot), tip_link=TIP if with_tool else robot.tcp_frame)
+    if with_tool:
         held = ET.SubElement(root, "group", name=TOOL)
         for name in (TOOL, robot.tcp_frame):
             ET.SubElement(held, "link", name=name)
@@ -176,15 +182,27 @@ def main() -> None:
     """Write the files."""
     parser = argparse.ArgumentParser(description="Write robot.srdf and joint_limits.yaml for MoveIt.")
     parser.add_argument("robots", nargs="*", default=shipped_robots(), help="shipped robots or robot folders")
-    for name in parser.parse_args().robots:
-        files = RobotFiles.named(name)
-        setup = Setup.load(files)
-        poses = None if files.poses is None else Poses.load(files.poses)
-        folder = files.urdf.parent / "moveit"
-        folder.mkdir(exist_ok=True)
-        for file, text in moveit_texts(setup, poses, touching_pairs(setup.robot)).items():
-            (folder / file).write_text(text, encoding="utf-8")
-            print(folder / file)
+    try:
+        for name in parser.parse_args().robots:
+            write(RobotFiles.named(name))
+    except Rx90Error as error:
+        parser.exit(error.exit_code, f"moveit_files: {error}\n")
+
+
+def write(files: RobotFiles) -> None:
+    """Write the files of one robot into its folder.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+    """
+    setup = Setup.load(files)
+    poses = None if files.poses is None else Poses.load(files.poses)
+    texts = moveit_texts(setup, poses, touching_pairs(setup.robot))
+    folder = files.urdf.parent / "moveit"
+    folder.mkdir(exist_ok=True)
+    for file, text in texts.items():
+        (folder / file).write_text(text, encoding="utf-8")
+        print(folder / file)
 
 
 if __name__ == "__main__":
