@@ -8,7 +8,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
 from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments, new_folder
-from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
+from rx90_emulator.identification.experiments.excitation.options import QUICK, Criterion, ExcitationOptions, Wall
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
@@ -97,13 +97,15 @@ def _excitation_options(options: argparse.Namespace) -> ExcitationOptions | None
     if options.group or options.speeds is not None:
         name = "--group" if options.group else "--speeds"
         raise IdentificationError(f"{name} with --excitation; accepted: without it, all joints move at once")
+    if options.clearance is not None and options.keep_above is None and not options.wall:
+        raise IdentificationError(f"--clearance {options.clearance} without --keep-above or --wall; accepted: with one")
     if "criterion" in given:
         given["criterion"] = Criterion(given["criterion"])
     walls = [] if options.keep_above is None else [Wall.above(options.keep_above)]
     walls += [Wall.through(numbers) for numbers in options.wall or ()]
     noise = None if options.torque_noise is None else tuple(options.torque_noise)
-    chosen = ExcitationOptions(**given, walls=tuple(walls), torque_noise=noise)
-    return chosen.quick() if options.quick else chosen
+    quick = QUICK if options.quick else {}
+    return ExcitationOptions(**{**quick, **given}, walls=tuple(walls), torque_noise=noise)
 
 
 def main(options: argparse.Namespace) -> None:

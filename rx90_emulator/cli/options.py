@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rx90_common.base.errors import ConfigError, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
@@ -18,11 +19,19 @@ exit status: 0 done, also after Ctrl-C for what runs until then (nodes, recorder
 is no (bags differ, messages lost, not confirmed); 2 refused, nothing was written; 3 could not be carried out (nodes
 gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 """
+_NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose help, also that of each verb, ends with what the exit codes mean."""
+    """A parser whose help, also that of each verb, ends with what the exit codes mean.
+
+    A word such as -1e-3 is a number; argparse alone takes it for an option, and says that the number is missing.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._negative_number_matcher = _NEGATIVE
 
     def format_help(self) -> str:
         """Return the help."""

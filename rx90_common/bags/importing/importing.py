@@ -87,6 +87,7 @@ def import_logs(
     if len(counts) > 1:
         each = ", ".join(f"{plain(table.path)} {len(table.rows)}" for table in tables)
         raise BagError(f"rows: {each}; accepted: logs of as many rows each")
+    _check_columns(tables, mapping)
     faults = _torn(tables)
     columns = {
         (topic, field): _values(tables[one.file - 1], one, faults)
@@ -125,6 +126,27 @@ def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
     more = f" and {len(parts) - _MOST_RANGES} more places" if len(parts) > _MOST_RANGES else ""
     rows = f"{len(corrupt)} corrupt row{'s' * (len(corrupt) > 1)}"
     return f"{rows}, line {', '.join(parts[:_MOST_RANGES])}{more} (line {lines[0]}: {corrupt[0][1]})"
+
+
+def _check_columns(tables: Sequence[LogTable], mapping: LogMapping) -> None:
+    """Refuse a column that would stand for two joints, or for the time and a joint: a slip that no later check notices.
+
+    Raises:
+        BagError: naming log, topic and column; also for a column that is not there.
+    """
+    time = None if mapping.time is None else (mapping.time[0], tables[mapping.time[0] - 1].place(mapping.time[1]))
+    for topic, mapped in mapping.topics.items():
+        for field, one in mapped.fields.items():
+            table, seen = tables[one.file - 1], set()
+            for column in one.columns:
+                place = table.place(column)
+                if place in seen or (one.file, place) == time:
+                    others = "the times" if (one.file, place) == time else "another joint"
+                    raise BagError(
+                        f"{plain(table.path)}: column {plain(column)} in {plain(topic)}.{field} is that of {others}; "
+                        "accepted: a column of its own for each"
+                    )
+                seen.add(place)
 
 
 def _torn(tables: Sequence[LogTable]) -> dict[int, str]:

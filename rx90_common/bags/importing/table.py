@@ -113,7 +113,10 @@ def fields_of(line: str, delimiter: str) -> list[str]:
     if sign is None:
         return line.replace('"', " ").split()
     line = line.strip(" \r\n")
-    fields = next(csv.reader([line], delimiter=sign)) if '"' in line else line.split(sign)
+    try:
+        fields = next(csv.reader([line], delimiter=sign)) if '"' in line else line.split(sign)
+    except csv.Error:  # a quotation mark that damage or a slip has put there
+        return [line]
     return fields[:-1] if len(fields) > 1 and not fields[-1].strip() else fields
 
 

@@ -26,7 +26,10 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 _ROUNDS = 20
 _CONVERGED = 1e-6
-_TOLD = 0.1  # deviation of a gain, above which the payload does not tell it
+_TOLD = 0.1  # deviation of a gain, as a share of it, above which the payload does not tell it
+PLAUSIBLE = (0.75, 1.33)
+"""Gains that a drive may have. A data sheet's torque constant is right to some 10 %, a hot magnet gives as much less, a
+gear's losses take 10 to 15 % and are partly friction; A RMS that are taken for peak A make 0.71 or 1.41."""
 _CERTAIN = 3.0  # deviations below 0: no noise makes a motor push backwards
 
 
@@ -54,6 +57,12 @@ class DriveGains:
         """Return the numbers of the motors whose gain is told."""
         return np.flatnonzero(np.isfinite(self.deviation))
 
+    @property
+    def implausible(self) -> Index:
+        """Return the numbers of the motors whose gain is told, but hardly to be believed."""
+        low, high = PLAUSIBLE
+        return np.asarray([k for k in self.told if not low <= self.factor[k] <= high], dtype=np.intp)
+
     def after(self, factor: Array) -> DriveGains:
         """Return the whole gains, where these are of torques that were multiplied by factors before, shape (n,)."""
         known = np.isfinite(self.deviation)
@@ -78,7 +87,7 @@ def drive_gains(problem: ExcitationProblem, friction: Array) -> DriveGains:
     while told:
         gains = _fitted(problem, friction, parts, loads, told)
         _check_signs(problem, gains, told)
-        sure = [k for k in told if gains.deviation[k] < _TOLD]
+        sure = [k for k in told if gains.deviation[k] < _TOLD * abs(gains.factor[k])]
         if sure == told:
             return gains
         told = sure

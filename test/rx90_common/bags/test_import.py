@@ -163,6 +163,18 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("unit: rad", "unit: rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
         (("column: 1, ", ""), "1,2,3", "m.yaml: time.column is missing; accepted: the number of a column, from 1 on"),
         (("columns: [2, 3], ", ""), "1,2,3", "position.columns is missing; accepted: a list of 2, one for each name"),
+        (
+            ("[2, 3]", "[2, 2]"),
+            "1,2,3",
+            "log.csv: column 2 in joint_states.position is that of another joint; accepted",
+        ),
+        (
+            ("[2, 3]", "[qb, 3]"),
+            "t,qa,qb\n1,2,3",
+            ": column 3 in joint_states.position is that of another joint",
+        ),
+        (("[2, 3]", "[2, 1]"), "1,2,3", "log.csv: column 1 in joint_states.position is that of the times; accepted"),
+        (("rad", "rad"), 't,a,b\n1,"' + "1" * 200_000 + '",3', "log.csv: every row is corrupt: 1 corrupt row, line 2"),
         (("position", "acceleration"), "1,2,3", "joint_states.position is missing; accepted: one or more of position"),
         (("time:", "rate: 5\ntime:"), "1,2,3", "time and rate: both are there; accepted: one of them"),
         (("[a, b]", "[a, a]"), "1,2,3", "joint_states.names is ['a', 'a']; accepted: one name or more, each once"),
@@ -175,7 +187,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("rad", "rad"), "t,qa,qb\n", "log.csv: holds no row of numbers"),
         (("time:", "delimiter: ;\ntime:"), "1,2,3", "log.csv: holds no row of numbers"),
         (
-            ("[2, 3]", "[2, 1]"),
+            ("[2, 3]", "[2, 3]"),
             "x,a,3\nx,a,3\n",
             "log.csv: every row is corrupt: 2 corrupt rows, line 1-2 (line 1: col",
         ),

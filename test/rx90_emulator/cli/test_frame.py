@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import subprocess
@@ -181,6 +182,18 @@ def test_arguments_for_ros_end_at_two_dashes() -> None:
     """What stands between --ros-args and -- is for ROS, all else for the command."""
     words = ["a", "--ros-args", "-r", "x:=y", "--", "b", "--ros-args", "-p", "c:=1"]
     assert split_ros_args(words) == (["a", "b"], ["--ros-args", "-r", "x:=y", "--ros-args", "-p", "c:=1"])
+
+
+def test_negative_numbers_with_exponents_are_no_options() -> None:
+    """A verb's option takes -1e-3 and -inf, as it takes -0.001, for its type to judge; what is no number is none."""
+    parser = CommandParser()
+    verb = parser.add_subparsers().add_parser("plan")
+    verb.add_argument("--wall", nargs=4, type=float)
+    given = verb.parse_args(["--wall", "-1e-3", "-.5E+1", "-2.e3", "-inf"]).wall
+    assert given == [-0.001, -5.0, -2000.0, -math.inf]
+    for word in ("-1e", "-e3", "-x1e3"):
+        with pytest.raises(SystemExit):
+            verb.parse_args(["--wall", "1", "1", "1", word])
 
 
 def test_an_option_means_the_same_everywhere() -> None:

@@ -13,7 +13,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import DONE, REFUSED
+from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import excitation_job
 from rx90_emulator.identification.excitation import filtering, identify, instruments
@@ -22,7 +22,7 @@ from rx90_emulator.identification.experiments.excitation.design import Excitatio
 from rx90_emulator.identification.experiments.excitation.information import ExcitationColumns
 from rx90_emulator.identification.experiments.excitation.limits import MotionLimits
 from rx90_emulator.identification.experiments.excitation.options import Criterion, ExcitationOptions, Wall
-from rx90_emulator.identification.experiments.excitation.search import RunSearch
+from rx90_emulator.identification.experiments.excitation.search import RunSearch, random_starts
 from rx90_emulator.identification.experiments.excitation.series import FourierSeries
 from rx90_emulator.identification.experiments.excitation.table import describe_excitation
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
@@ -219,6 +219,20 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) 
     assert not any(first.shape == one.shape and np.allclose(first, one) for one in (second, other))
 
 
+def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:
+    """Of the random motions that a search begins with those count that can be made small enough for the walls.
+
+    Over a table at the height of the elbow none can, and the refusal says what comes near.
+    """
+    search = _search(shipped, Criterion.D, (Wall.through((1.0, 0.0, 0.0, -0.4)),))
+    found = random_starts(search, np.random.default_rng((0, 0)))
+    assert 1 < len(found) < 12
+    assert all(search.limits.clear(search.basis.motion(x.reshape(6, -1))[0]) for x in found)
+    high = _search(shipped, Criterion.D, (Wall.above(1.0),))
+    with pytest.raises(IdentificationError, match=r"no motion .* small one link_2 comes as near to --keep-above 1 as "):
+        high.best(np.random.default_rng(0), 2, lambda: None)
+
+
 def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
     """Friction of elements 5, 6 and 5+6 and both rotors are told apart; by joint 5 alone they are not."""
     time = np.arange(0.0, OPTIONS.period, 0.02)
@@ -247,7 +261,12 @@ def test_the_wrist_is_taken_apart(plan: ExcitationPlan) -> None:
         (["--excitation", "--share", "1.5"], "share 1.5; accepted: 0.05 to 1"),
         (["--excitation", "--wall", "0", "0", "0", "1"], "--wall 0 0 0 1; accepted: NX NY NZ D"),
         (["--excitation", "--wall", "0", "0", "-1", "-1"], "at home tcp is -"),
+        (["--excitation", "--wall", "1", "0", "0", "-1e308"], "--wall 1 0 0 -1e+308: 1e+308 m from the base"),
+        (["--excitation", "--clearance", "1"], "--clearance 1.0 without --keep-above or --wall"),
         (["--excitation", "--torque-noise", "1", "2"], "--torque-noise: 2 values; accepted: 6"),
+        (["--excitation", "--torque-noise", "1e-300"], "torque-noise 1e-300; accepted: 1e-06 to 1e+06"),
+        (["--excitation", "--quick", "--steps", "1"], "steps 1; accepted: 2 to 10000"),
+        (["--excitation", "--share", "0.05"], "even of a small one the torque of joint_3 is 1"),
     ],
 )
 def test_what_does_not_fit_is_refused(words: list[str], text: str, capsys: pytest.CaptureFixture[str]) -> None:

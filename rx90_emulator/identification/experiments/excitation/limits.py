@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_emulator.identification.experiments.excitation.information import SMOOTH, Motion
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
 from rx90_emulator.identification.experiments.load import Motors, friction_torque
@@ -119,7 +120,19 @@ class MotionLimits:
 
     def clear(self, position: Array) -> bool:
         """Return whether positions, rad, shape (m, n), are far enough from the walls."""
-        return all(float(distance.min()) >= self.clearance for distance, _ in self.workspace.distances(position))
+        return all(distance >= self.clearance for distance, _ in self.workspace.lowest(position))
+
+    def worst(self, motion: Motion, rigid: Array) -> str:
+        """Return in words which limit a motion exceeds most at its samples."""
+        torque = rigid + friction_torque(motion[1], self.setup.controller)[0]
+        for wall, (distance, name) in zip(self.workspace.walls, self.workspace.lowest(motion[0]), strict=True):
+            if distance < self.clearance:
+                return f"{name} comes as near to {wall.name} as {distance:.3g} m"
+        shares = {name: np.abs(share).max(axis=0) for name, share in self.shares(motion, torque).items()}
+        name = max(shares, key=lambda one: float(shares[one].max()))
+        joint = int(np.argmax(shares[name]))
+        whose = (MOTOR_NAMES if name.startswith("motor") else self.setup.robot.joint_names)[joint]
+        return f"the {name.removeprefix('motor_')} of {whose} is {shares[name][joint]:.0%} of what is allowed"
 
 
 def _over(share: Array) -> Array:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 from rx90_common.base.errors import IdentificationError
 
 _MOST_HARMONICS, _MOST_RUNS, _MOST_PERIODS = 50, 20, 100
 _LONGEST = 600.0  # s, of a run's periodic part
+_FARTHEST = 1000.0  # m, of a plane from the base
+_NOISE = (1e-6, 1e6)  # Nm
+
+QUICK = {"runs": 1, "periods": 1, "steps": 15}
+"""Options of a short plan: one run, which a validation follows."""
 
 
 class Criterion(str, Enum):
@@ -33,7 +38,7 @@ class Wall:
         name: for messages.
 
     Raises:
-        IdentificationError: for a normal without length or a distance that is no number.
+        IdentificationError: for a normal without length, and for a distance that is no number or beyond 1 km.
     """
 
     normal: tuple[float, float, float]
@@ -46,6 +51,10 @@ class Wall:
             raise IdentificationError(f"{self.name}: accepted: finite numbers, of which the first three are not all 0")
         if abs(length - 1.0) > 1e-9:
             raise IdentificationError(f"{self.name}: a normal of length {length:g}; accepted: a unit vector")
+        if abs(self.distance) > _FARTHEST:
+            raise IdentificationError(
+                f"{self.name}: {abs(self.distance):g} m from the base; accepted: up to {_FARTHEST:g} m"
+            )
 
     @classmethod
     def above(cls, height: float) -> Wall:
@@ -111,14 +120,10 @@ class ExcitationOptions:
         _check("share", self.share, 0.05, 1.0)
         _check("clearance", self.clearance, 0.0, 10.0)
         for value in self.torque_noise or ():
-            if not (math.isfinite(value) and value > 0.0):
-                raise IdentificationError(f"torque-noise {value:g} Nm; accepted: positive numbers")
-
-    def quick(self) -> ExcitationOptions:
-        """Return a short plan of one run, which a validation follows."""
-        return replace(self, runs=1, periods=1, steps=min(self.steps, 15))
+            _check("torque-noise", value, *_NOISE)
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise IdentificationError(f"{name} {value:g}; accepted: {low:g} to {high:g}")
+        accepted = f"{low} to {high}" if isinstance(low, int) else f"{low:g} to {high:g}"
+        raise IdentificationError(f"{name} {value}; accepted: {accepted}")

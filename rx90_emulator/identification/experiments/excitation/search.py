@@ -76,8 +76,7 @@ class RunSearch:
         Raises:
             IdentificationError: if it cannot be made small enough for the limits.
         """
-        starts = [self._shrunk(self.random(rng), self.basis, _RAMP).coefficients.ravel() for _ in range(_STARTS)]
-        first = min(starts, key=lambda x: self.cost(x)[0])
+        first = min(random_starts(self, rng), key=lambda x: self.cost(x)[0])
 
         def progress(xk: Array) -> None:  # noqa: ARG001 - SciPy's name for it
             step()
@@ -145,9 +144,9 @@ class RunSearch:
             IdentificationError: if it does not even where it is small.
         """
         fine = self.basis.at(np.arange(0.0, series.period, _FINE))
-        return self._shrunk(series, fine, _FINE_RAMP)
+        return self.shrunk(series, fine, _FINE_RAMP)
 
-    def _shrunk(self, series: FourierSeries, basis: SeriesBasis, way: Array) -> FourierSeries:
+    def shrunk(self, series: FourierSeries, basis: SeriesBasis, way: Array) -> FourierSeries:
         """Return the motion, shrunk until it keeps the limits at a basis' samples and on parts of the way to it."""
         if self._keeps(series, basis, way):
             return series
@@ -155,9 +154,11 @@ class RunSearch:
         while not self._keeps(series.shrunk(low), basis, way):
             low, high = _SHRINK * low, low
             if low < _SMALLEST:
+                motion = basis.motion(series.shrunk(low).coefficients)
+                worst = self.limits.worst(motion, self.columns.arm.torque(*motion))
                 raise IdentificationError(
-                    "no motion was found that keeps the limits; accepted: walls farther away, less --clearance, "
-                    "another --seed"
+                    f"no motion was found that keeps the limits; even of a small one {worst}; accepted: walls farther "
+                    "away, less --clearance, more --share, another --seed"
                 )
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
@@ -180,3 +181,20 @@ class RunSearch:
         way = self.home + _RAMP[:, None] * (coefficients @ begin - self.home)
         value, slope = self.limits.nearness(way)
         return value, np.outer(_RAMP @ slope, begin)
+
+
+def random_starts(search: RunSearch, rng: np.random.Generator) -> list[Array]:
+    """Return the coefficients, shape (n c,), of the random motions that can be made small enough, one or more.
+
+    Raises:
+        IdentificationError: if none can.
+    """
+    starts, refusal = [], None
+    for _ in range(_STARTS):
+        try:
+            starts.append(search.shrunk(search.random(rng), search.basis, _RAMP).coefficients.ravel())
+        except IdentificationError as error:
+            refusal = error
+    if refusal is not None and not starts:
+        raise refusal
+    return starts

@@ -6,6 +6,7 @@ plane is exact. Beside them count the centres of the joints and the tool centre 
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -138,9 +139,12 @@ class Workspace:
         return found
 
     def lowest(self, position: Array) -> list[tuple[float, str]]:
-        """Return the least distance to each plane along a motion, m, and what comes so near."""
+        """Return the least distance to each plane along a motion, m, and what comes so near; inf where nothing can."""
         found = []
         for (distance, _), counts in zip(self.distances(position), self.movable, strict=True):
+            if not len(counts):
+                found.append((math.inf, "nothing"))
+                continue
             near = int(np.argmin(distance.min(axis=0)))
             found.append((float(distance[:, near].min()), self.shapes.names[counts[near]]))
         return found

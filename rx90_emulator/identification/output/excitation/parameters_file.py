@@ -14,6 +14,7 @@ from rx90_emulator.identification.excitation.friction.models import CrossValidat
 from rx90_emulator.identification.excitation.result import BaseParameter, ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import RunTorques
 from rx90_emulator.identification.model.estimates import LARGEST, ParameterEstimate
+from rx90_emulator.identification.output.excitation.summary import gain_warnings
 
 _HEAD = """\
 # Parameters identified from excitation runs, joint side, SI units; deviation: standard deviation, HAC.
@@ -67,7 +68,7 @@ def parameters_text(result: ExcitationIdentification, date: datetime, versions: 
         "not_determined": list(result.undetermined),
         "misfits": misfits(result.speeds),
         "drifts": [one.text for one in result.trends],
-        "remarks": list(friction.remarks),
+        "remarks": [*friction.remarks, *gain_warnings(result)],
         "correlation": {"names": list(friction.names), "matrix": _correlation(friction.fit.covariance)},
     }
     check_numbers(content, LARGEST)

@@ -26,7 +26,7 @@ from rx90_emulator.identification.output.excitation.plots import (
     torque_plot,
 )
 from rx90_emulator.identification.output.excitation.robot import torque_constants
-from rx90_emulator.identification.output.excitation.summary import friction_columns, lacking
+from rx90_emulator.identification.output.excitation.summary import friction_columns, gain_warnings, lacking
 
 _CLOSE = 0.95  # correlation from which two parameters are named
 
@@ -67,6 +67,7 @@ def report_page(
         closed_loop=remark(result.instruments),
         other="least squares" if result.instruments.biased else "instruments",
         gains=gain_rows(result),
+        gain_warnings=gain_warnings(result),
         by_time=time_plot(result.torques, result.friction.blocks.length),
         correlation=correlation_plot(result.friction.names, result.friction.fit.covariance),
         close=_close(result.friction.names, result.friction.fit.covariance),

@@ -66,6 +66,8 @@ def torque_constants(result: ExcitationIdentification) -> Identified | None:
     values = np.asarray(before, dtype=np.float64) * gains.factor
     sure = [name for name, one in zip(result.problem.arm.names, gains.deviation, strict=True) if np.isfinite(one)]
     rest = "" if len(sure) == len(values) else "; the others are as before, for the payload does not tell them"
+    odd = [result.problem.arm.names[k] for k in gains.implausible]
+    rest += f"; {listed(odd)} hardly to be believed: parameters.yaml says why" if odd else ""
     return Identified(
         [float(f"{value:.6g}") for value in values], "identified",
         f"torques of {listed(sure)} in runs with and without a known payload{rest}",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from rx90_emulator.identification.excitation.closed_loop import remark
 from rx90_emulator.identification.excitation.fit_quality import misfits
+from rx90_emulator.identification.excitation.gains import PLAUSIBLE
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import TorqueValidation
 from rx90_emulator.identification.model.estimates import ParameterEstimate
@@ -45,10 +46,26 @@ def gain_texts(result: ExcitationIdentification) -> list[str]:
     lines = [
         f"drive gains, true over recorded torque: {', '.join(texts)}; all values are for torques multiplied by them"
     ]
+    return lines + [f"warning: {text}" for text in gain_warnings(result)]
+
+
+def gain_warnings(result: ExcitationIdentification) -> list[str]:
+    """Return which drive gains are hardly to be believed, and which motors keep theirs, and what follows."""
+    if result.gains is None:
+        return []
+    gains, names = result.gains, result.problem.arm.names
+    lines = []
+    if len(gains.implausible):
+        values = ", ".join(f"{names[k]} {gains.factor[k]:.3g}" for k in gains.implausible)
+        lines.append(
+            f"hardly a drive gain: {values}; torque constants, hot magnets and gears explain {PLAUSIBLE[0]:g} to "
+            f"{PLAUSIBLE[1]:g}. Is the payload's mass or centre, the run that carried it, a gear or the unit of effort "
+            "another one (A RMS for peak A: 0.71 or 1.41)? Inertias, friction and torque constants are as much off then"
+        )
     kept = [name for k, name in enumerate(names) if k not in gains.told]
     if kept:
         lines.append(
-            f"warning: {', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
+            f"{', '.join(kept)} keep{'s' if len(kept) == 1 else ''} the given gain, whose scale may not fit "
             "that of the identified ones: inertias, which all joints share, and torques there can be off by as much"
         )
     return lines

@@ -169,7 +169,8 @@ def test_least_squares_are_taken_where_instruments_agree(tmp_path: Path) -> None
 def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     """With recorded torques too small or large by a tenth, runs with and without a payload give the true factors.
 
-    The coupled motor's acts on both joints. With them the base parameters are the true ones.
+    The coupled motor's acts on both joints. With them the base parameters are the true ones. Torques in a unit 400
+    times as large have 400 times the gains, told just as well, which hardly are a drive's.
     """
     arm = plain_arm(3, 3, coupled=True)
     payload = Payload(6.0, (0.1, -0.05, 0.15), 0.02 * np.eye(3))
@@ -186,6 +187,12 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     gains = drive_gains(problem, friction)
     assert np.all(np.abs(gains.factor - factor) < 3.0 * gains.deviation)
     assert gains.deviation.max() < 0.01
+    assert len(gains.implausible) == 0
+    other = [replace(run, torque=run.torque / 400.0) for run in recorded]
+    scaled = drive_gains(ExcitationProblem.of(rigid, other, payloads=[None, payload]), friction)
+    assert scaled.factor == pytest.approx(400.0 * gains.factor, rel=1e-3)
+    assert scaled.deviation.max() > 0.1
+    assert scaled.implausible.tolist() == scaled.told.tolist() == [0, 1, 2]
     expected = truth(true, arm)[: len(problem.names)]
     deviation = gains.fit.deviation[: len(expected)]
     assert np.mean(np.abs(gains.fit.value[: len(expected)] - expected) < 2.5 * deviation) > 0.9
