@@ -177,7 +177,7 @@ def compile_package(name: str, sources: Path, compiler: Sequence[str]) -> Path:
         library: [_one_unit(sources / library, "*.cpp"), *(sources / library).rglob("*.c")]
         for library in (*LIBRARIES, MODULE)
     }
-    command = [*compiler, "-c", "-fPIC", "-O2", *(f"-I{path}" for path in _include_folders(sources))]
+    command = [*compiler, "-c", "-fPIC", "-O1", *(f"-I{path}" for path in _include_folders(sources))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         all_units = [unit for own in units.values() for unit in own]
         list(pool.map(lambda unit: _compile(command, unit), all_units))
