@@ -186,6 +186,20 @@ def test_a_blurred_motion_widens_what_depends_on_it(arm: RigidArm) -> None:
     assert blur_shifts(weighted, plain, tangent(weighted, plain, plain.inner())) == []
 
 
+def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: RigidArm) -> None:
+    """Where damping is left out, the stiffness is off by more than its deviation, and the widened one reaches it."""
+    damped = replace(BRISTLE, rise=0.0, c0=200.0, c1=3.0)
+    problem = problem_of(arm, record((along(damped), LAWS[1]), 4))
+    weighted = WeightedProblem.of(problem, element_rows(problem), np.full(len(problem), 1.0 / NOISE))
+    fit = fit_shapes(weighted, [ElementShape(frozenset({Part.BRISTLE}), stiffness=100.0), ElementShape()])
+    time = TimeBlocks.of(problem, Linearised.of(weighted, fit).residual)
+    tried = Selected(weighted, fit, (), time.blocks, {(0, Part.DAMPING): ""})
+    final, without = _final(tried, ()), _final(replace(tried, refused={}), ())
+    place = len(problem.names) + final.inner.index((0, "stiffness"))
+    off = fit.shapes[0].values[0] + final.fit.value[place] - np.log(damped.c0 / damped.coulomb)
+    assert 3.0 * without.fit.deviation[place] < abs(off) < 1.96 * final.fit.deviation[place]
+
+
 def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     """The covariance is that of the same draws, less those of which a rise is negative or more than tau_c."""
     root = np.array([[1.0, 0.0, 0.0], [0.3, 0.5, 0.0], [0.8, -0.4, 1.2]])
@@ -195,7 +209,7 @@ def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     kept = drawn[(drawn[:, 2] >= 0.0) & (drawn[:, 2] <= 1.0)]
     # The values that are written are those for a rise of 0: conditional means of the draws there.
     kept[:, :2] += covariance[:2, 2] / covariance[2, 2] * value
-    assert _bounded(covariance, [(value, deviation)]) == pytest.approx(
+    assert _bounded(covariance, [(value, deviation)], [1.0]) == pytest.approx(
         kept[:, :2].T @ kept[:, :2] / len(kept), abs=0.01
     )
 
