@@ -257,7 +257,9 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
 
     Blocks are not shorter than a 60th. A time and its repetition share one; different motions share none.
     """
-    problem = problem_of(arm, record(LAWS, 8), record(LAWS, 8), record(LAWS, 9))
+    whole = record(LAWS, 8)
+    late = {name: getattr(whole, name)[400:] for name in ("time", "position", "velocity", "torque")}
+    problem = problem_of(arm, whole, replace(whole, **late), record(LAWS, 9))
     rng, r = np.random.default_rng(0), 0.5
     residual = 0.1 * rng.normal(size=len(problem))
     for run in range(3):
@@ -268,7 +270,8 @@ def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: R
     assert time.blocks.correlation_time == pytest.approx(row * (1.0 + r) / (1.0 - r), rel=0.4)
     assert time.blocks.length == pytest.approx(2.0 * SECONDS / 60.0, rel=0.1)
     first, again, other = (problem.run == run for run in range(3))
-    assert np.array_equal(time.block[first], time.block[again])
+    shared = first & (problem.time > problem.time[again].min() - 1e-9)
+    assert np.mean(time.block[shared] == time.block[again]) > 0.99  # at a border rounding decides
     assert not set(time.block[first]) & set(time.block[other])
     for rows, near in time.folds:
         assert len({*problem.run[rows], *problem.run[near]} & {0, 2}) == 1
