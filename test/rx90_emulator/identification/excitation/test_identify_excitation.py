@@ -300,7 +300,7 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
 
 
 def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
-    """Where noise is below a hundredth of the difference the summary says so; its model names all parts that were kept."""
+    """Noise below a hundredth of the difference is said in words; the model line names all parts that were kept."""
     result = outcome.result
     (run, *_) = result.torques
     assert not run.noiseless.any()
