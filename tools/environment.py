@@ -67,6 +67,18 @@ def check_version(purpose: str) -> None:
         raise UnsuitableError(f"Python {found} is too new for the versions of {purpose}; accepted: 3.10 to {accepted}")
 
 
+@contextlib.contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Let one set-up of this tree run at a time: the one that holds this lock file."""
+    with path.open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            _say("waiting for another set-up of this folder to end")
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 class Environment:
     """A virtual environment with the package installed in place.
 
@@ -114,7 +126,8 @@ class Environment:
         Raises:
             UnsuitableError: if pip fails.
         """
-        with self._alone():
+        self._log.parent.mkdir(exist_ok=True)
+        with alone(self._log.with_suffix(".lock")):
             self._update(extras)
 
     def _update(self, extras: set[str]) -> None:
@@ -143,18 +156,6 @@ class Environment:
     def _note(self, inputs: str, extras: set[str]) -> None:
         text = f"{self.identity()}\n{inputs}\n{' '.join(sorted(extras))}"
         self._stamp.write_text(text, encoding="utf-8")
-
-    @contextlib.contextmanager
-    def _alone(self) -> Iterator[None]:
-        """Let one set-up of this tree run at a time."""
-        self._log.parent.mkdir(exist_ok=True)
-        with self._log.with_suffix(".lock").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                _say("waiting for another set-up of this folder to end")
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
 
     def _run(self, command: list[str]) -> None:
         """Run a set-up command, its output in a log file, its present step on the terminal."""

@@ -196,7 +196,8 @@ class FilteredRun:
     @cached_property
     def down(self) -> int:
         """Return how many samples lie between two rows."""
-        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque)))
+        # Rates of the same recording, cut elsewhere, differ by rounding: its rows must not.
+        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque) + 1e-6))
 
     @cached_property
     def taps(self) -> Array:

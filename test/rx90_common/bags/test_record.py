@@ -211,8 +211,8 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 rclpy.init()
 node = rclpy.create_node("listener")
-node.create_subscription(JointTrajectory, "command", print, 1)
-node.create_subscription(JointState, "state", print, 1)
+node.create_subscription(JointTrajectory, "command", lambda _: None, 1)
+node.create_subscription(JointState, "state", lambda _: None, 1)
 sys.stdin.read()
 """
 

@@ -1,0 +1,168 @@
+"""The definitions in interfaces/: the types are those of ROS 2 Jazzy; and how they are built."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tools import interfaces
+from tools.environment import ROOT, UnsuitableError
+
+# Of the definitions in ros-controls/control_msgs, branch jazzy, at f901df2 (5.8.0): hashed by Jazzy's
+# rosidl_generator_type_description 4.6.6; those of the messages by rosbags 0.11.9 too.
+JAZZY = {
+    "action/FollowJointTrajectory": "738ebcb7a2d7cfa42f9f1001cc99ce3a4383d1cfe508015d9be8485e4b1c66f6",
+    "action/FollowJointTrajectory_Goal": "8a9060704b269608f5a340934cc26e66869dd14bdac29e2e7fd9ec8b9882d205",
+    "action/FollowJointTrajectory_SendGoal": "b13789dddc325a7a962825c45e28c77d37237ec129dd0c34dc5994562938c57f",
+    "action/FollowJointTrajectory_GetResult": "e3ceb38e3e1867c8dc0f46014df26e90eb93422f27e9e97f936e07f94be4bc8b",
+    "action/FollowJointTrajectory_FeedbackMessage": "80398fcb9674a79081a9906e2ccf0c804dd7cb15e22e362e606ee87186beab71",
+    "msg/JointComponentTolerance": "739ea7566931944d33830fa10f1bf5e7a7fbdc3172bce7a7eaac642bd6e3ffa4",
+    "msg/JointTolerance": "c254f9cece0f3b733017b6990fd46d1326e25242d6b8844398c97d9a88e7d648",
+    "msg/JointTrajectoryControllerState": "51d8dd89cc624cbe9daaeeb4d80d6de9b86168ffdc3be41fefc0953e3c26e480",
+    "msg/SpeedScalingFactor": "0c240f349f2b74e33e8741f83e0f196ddeb6585923663876ed3c1f51f0566037",
+    "srv/QueryTrajectoryState": "4a0935dffef18bc5b9e101c9d03d84e681ecd4cebd724b8f11fde008751a325a",
+}
+
+
+def hash_in(library: Path, package: str, name: str) -> bytes:
+    """Return the type hash in a package's library of C structs."""
+    function = getattr(ctypes.PyDLL(str(library)), f"{package}__{name.replace('/', '__')}__get_type_hash")
+    function.restype = ctypes.c_void_p
+    return ctypes.string_at(function(None), 33)
+
+
+@pytest.fixture(scope="module")
+def library(needs_action: None) -> Path:  # noqa: ARG001
+    """Return the library of the C structs."""
+    import control_msgs
+
+    return Path(control_msgs.__file__).with_name("libcontrol_msgs__rosidl_generator_c.so")
+
+
+def test_the_types_are_those_of_jazzy(library: Path) -> None:
+    """The built package has the type hashes (REP 2016) of Jazzy's control_msgs: same fields, types and order."""
+    found = {name: hash_in(library, "control_msgs", name) for name in JAZZY}
+    assert found == {name: b"\x01" + bytes.fromhex(expected) for name, expected in JAZZY.items()}
+
+
+def test_transforms_are_those_of_jazzy(needs_tf: None) -> None:  # noqa: ARG001
+    """The type hash of the built tf2_msgs/TFMessage is that of Jazzy's, as rosbags has it."""
+    import tf2_msgs
+
+    library = Path(tf2_msgs.__file__).with_name("libtf2_msgs__rosidl_generator_c.so")
+    expected = get_typestore(Stores.ROS2_JAZZY).hash_rihs01("tf2_msgs/msg/TFMessage").removeprefix("RIHS01_")
+    assert hash_in(library, "tf2_msgs", "msg/TFMessage") == b"\x01" + bytes.fromhex(expected)
+
+
+def test_the_constants_are_those_of_jazzy(needs_action: None) -> None:  # noqa: ARG001
+    """Result codes and components, which no type hash covers, have Jazzy's values."""
+    from control_msgs.action import FollowJointTrajectory
+    from control_msgs.msg import JointComponentTolerance
+
+    codes = ("SUCCESSFUL", "INVALID_GOAL", "INVALID_JOINTS", "OLD_HEADER_TIMESTAMP")
+    codes += ("PATH_TOLERANCE_VIOLATED", "GOAL_TOLERANCE_VIOLATED")
+    assert [getattr(FollowJointTrajectory.Result, name) for name in codes] == [0, -1, -2, -3, -4, -5]
+    components = ("X_AXIS", "Y_AXIS", "Z_AXIS", "TRANSLATION", "ROTATION")
+    assert [getattr(JointComponentTolerance, name) for name in components] == [1, 2, 3, 4, 5]
+
+
+def test_another_reader_understands_the_bytes(needs_action: None) -> None:  # noqa: ARG001
+    """A goal's CDR, read by rosbags with the definitions, has every value where it was put."""
+    from control_msgs.action import FollowJointTrajectory
+    from control_msgs.msg import JointComponentTolerance, JointTolerance
+    from rclpy.serialization import serialize_message
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name in ("JointTolerance", "JointComponentTolerance"):
+        text = (interfaces.DEFINITIONS / f"control_msgs/msg/{name}.msg").read_text(encoding="utf-8")
+        store.register(get_types_from_msg(text, f"control_msgs/msg/{name}"))
+    file = interfaces.DEFINITIONS / "control_msgs/action/FollowJointTrajectory.action"
+    goal_text = file.read_text(encoding="utf-8").split("---")[0]
+    full = re.sub(r"^(?=Joint\w*Tolerance)", "control_msgs/msg/", goal_text, flags=re.MULTILINE)
+    store.register(get_types_from_msg(full, "control_msgs/action/Goal"))
+
+    goal = FollowJointTrajectory.Goal(
+        path_tolerance=[JointTolerance(name="joint_2", position=0.1, velocity=0.2, acceleration=0.3)],
+        component_goal_tolerance=[JointComponentTolerance(joint_name="base", component=5, position=0.4)],
+    )
+    goal.goal_time_tolerance.nanosec = 7
+    read: Any = store.deserialize_cdr(serialize_message(goal), "control_msgs/action/Goal")
+    (path,), (component,) = read.path_tolerance, read.component_goal_tolerance
+    assert (path.name, path.position, path.velocity, path.acceleration) == ("joint_2", 0.1, 0.2, 0.3)
+    assert (component.joint_name, component.component, component.position) == ("base", 5, 0.4)
+    assert read.goal_time_tolerance.nanosec == 7
+
+
+def test_the_library_finds_what_it_is_linked_with(library: Path) -> None:
+    """The module is loaded where LD_LIBRARY_PATH is not set, and with it every library of the package."""
+    bare = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1"}  # or the wheels would set it
+    module = library.with_name("control_msgs_s__rosidl_typesupport_c.so")
+    code = (
+        "import ctypes, os, sys; assert 'LD_LIBRARY_PATH' not in os.environ; ctypes.PyDLL(sys.argv[1]); "
+        "[ctypes.CDLL(name) for name in sys.argv[2:]]"
+    )
+    names = sorted(path.name for path in library.parent.glob("lib*.so"))
+    assert len(names) == 3
+    done = subprocess.run(
+        [sys.executable, "-c", code, module, *names], env=bare, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_second_build_does_nothing(library: Path) -> None:
+    """Where all is built the command says nothing, leaves the library alone, and takes a tenth of the build's time."""
+    before = library.stat()
+    start = os.times()
+    command = [sys.executable, "-m", "tools.interfaces"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    spent = os.times().children_user - start.children_user
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert library.stat().st_mtime_ns == before.st_mtime_ns
+    assert spent < 2.0
+
+
+def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A build counts for the definitions it was made from, and for no others."""
+    shutil.copytree(interfaces.DEFINITIONS, tmp_path, dirs_exist_ok=True)
+    for package in interfaces.PACKAGES:
+        (tmp_path / package / "rx90_emulator.stamp").write_text(interfaces.inputs(package), encoding="utf-8")
+    monkeypatch.setattr(interfaces, "DEFINITIONS", tmp_path)
+    assert interfaces.unbuilt(tmp_path) == []
+    with (tmp_path / "control_msgs/msg/SpeedScalingFactor.msg").open("a") as stream:
+        stream.write("float64 more\n")
+    assert interfaces.unbuilt(tmp_path) == ["control_msgs"]
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "value", "said"),
+    [
+        (os, "environ", {"CXX": "/no/g++ -O0"}, r"no C\+\+ compiler \(/no/g\+\+\); accepted: .* apt install g\+\+$"),
+        (sysconfig, "get_path", lambda _: "/no", r"no headers of Python 3\.\d+; accepted: .* python3\.\d+-dev$"),
+        (
+            sys,
+            "base_prefix",
+            sys.prefix,
+            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs ros-jazzy-tf2-msgs$",
+        ),
+    ],
+)
+def test_what_a_build_needs_is_asked_for_in_one_line(
+    owner: Any, name: str, value: Any, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without compiler, Python's headers or virtual environment nothing is built, and one line says what to install."""
+    monkeypatch.setenv("CXX", sys.executable)  # that is there
+    monkeypatch.setattr(owner, name, value)
+    with pytest.raises(UnsuitableError, match=said) as caught:
+        interfaces.build(interfaces.PACKAGES, tmp_path)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
