@@ -60,6 +60,11 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
             setpoints[m, 2, j] = 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
 
 
+def resting(position: Array) -> Spline:
+    """Return the spline that holds a position, rad, shape (6,)."""
+    return Spline(np.zeros(1), np.zeros((0, 6, 6)), position)
+
+
 def interpolate(times: Array, position: Array, velocity: Array, acceleration: Array | None) -> Spline:
     """Return the spline through the points: cubic with velocities, quintic with velocities and accelerations.
 
