@@ -40,7 +40,7 @@ class Goal:
     """A checked goal.
 
     Attributes:
-        points: of its trajectory, times from the stamp on.
+        points: of its trajectory, times from the stamp on; prepared, because they are taken between two ticks.
         tolerances: that hold for this goal, those of the goal over the defaults.
         start: its stamp in position ticks; None for now.
     """
@@ -86,4 +86,4 @@ def check_goal(
         points = points_from_message(robot_joints, trajectory, partial=partial, moving_end=moving_end)
     except TrajectoryError as error:
         raise GoalError(ResultCode.INVALID_GOAL, str(error)) from error
-    return Goal(points, tolerances, start_tick(trajectory, position_hz))
+    return Goal(points.prepared(), tolerances, start_tick(trajectory, position_hz))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
-from rx90_controller.trajectory.spline import Spline
+from rx90_controller.trajectory.spline import Bounds, Spline
 
 _BLOCK = 4096
 # The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
@@ -32,7 +30,7 @@ def check_spline(spline: Spline, period: float, points: TrajectoryPoints, limits
     Raises:
         TrajectoryError: naming joint, point, time, amount and limit.
     """
-    if not allowed.any() and _surely_within(spline, limits):
+    if not allowed.any() and _surely_within(spline, points, limits):
         return
     last = int(np.ceil(spline.duration / period - 1e-6))
     for first in range(0, last, _BLOCK):
@@ -43,35 +41,19 @@ def check_spline(spline: Spline, period: float, points: TrajectoryPoints, limits
     _check_between(spline, points, limits)
 
 
-def _surely_within(spline: Spline, limits: JointLimits) -> bool:
-    """Return whether all control points are within the limits; a polynomial lies between the least and the most.
+def _surely_within(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> bool:
+    """Return whether bounds tell that a spline is within the limits.
 
     With a whole spline within the accelerations, its set-points are too, and the steps between them.
     """
-    position = spline.coefficients
-    velocity = position[:, 1:] * np.arange(1.0, 6.0)[:, None]
-    acceleration = velocity[:, 1:] * np.arange(1.0, 5.0)[:, None]
-    span = np.diff(spline.times)
-    for table, low, high in (
-        (position, limits.lower, limits.upper),
-        (velocity, -limits.velocity, limits.velocity),
-        (acceleration, -limits.acceleration, limits.acceleration),
-    ):
-        control = _control_points(table, span)
-        # Not so for what is not a number.
-        if not ((control >= low) & (control <= high)).all():
-            return False
-    return True
-
-
-def _control_points(coefficients: Array, span: Array) -> Array:
-    """Return the Bezier control points of polynomials over spans, s, shape (n,), from shape (n, powers, 6)."""
-    degree = coefficients.shape[1] - 1
-    scaled = coefficients * (span[:, None] ** np.arange(degree + 1.0))[:, :, None]
-    control = np.empty_like(scaled)
-    for j in range(degree + 1):
-        control[:, j] = sum(comb(j, i) / comb(degree, i) * scaled[:, i] for i in range(j + 1))
-    return control
+    coefficients, span, bounds = spline.coefficients, np.diff(spline.times), []
+    if points.way is not None and len(span) == len(points.way.coefficients) + 1:
+        # Left is what leads to the first point.
+        coefficients, span, bounds = coefficients[:1], span[:1], [points.way.bounds]
+    bounds.append(Bounds.of(coefficients, span))
+    low = np.array([limits.lower, -limits.velocity, -limits.acceleration])
+    high = np.array([limits.upper, limits.velocity, limits.acceleration])
+    return all(bool((each.low >= low).all() and (each.high <= high).all()) for each in bounds)
 
 
 def _check_between(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> None:

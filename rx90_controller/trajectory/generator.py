@@ -12,8 +12,10 @@ from rx90_controller.trajectory.checking import check_spline
 from rx90_controller.trajectory.joining import braked, check_near, connect, merged, remainder
 from rx90_controller.trajectory.motion import FollowedPath, Path
 from rx90_controller.trajectory.motions import Motions
+from rx90_controller.trajectory.path_time import PathTime
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop
+from rx90_controller.trajectory.spline import Bounds, interpolate
 
 _PATIENCE = 3  # a stop along the path may take so many times as long as one joint by joint
 
@@ -39,6 +41,14 @@ class TrajectoryGenerator(Motions):
     Time is counted in position ticks and never read from a clock. A trajectory replaces the running one at
     its start tick; a refused one leaves everything untouched.
     """
+
+    def warm_up(self) -> None:
+        """Compile, or load, the kernels that a running arm may need."""
+        rest = np.zeros((2, 6))
+        spline = interpolate(np.array([0.0, 1.0]), rest, rest, None)
+        Bounds.of(spline.coefficients, np.ones(1))
+        law = PathTime(spline, self.limits.acceleration, self.period, tick=0, time=0.0, rate=1.0, wanted=0.0)
+        law.settles(1)
 
     def refined(self, ratio: int) -> TrajectoryGenerator:
         """Return a generator of the same motions, at full speed, whose ticks are `ratio` times as frequent."""

@@ -31,7 +31,10 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         check_near(points, held, limits)
     if velocity is None:
         return straight(times, position, held[1], limits, first=points.first - later)
-    return interpolate(times, position, velocity, acceleration)
+    if points.way is None or not later:
+        return interpolate(times, position, velocity, acceleration)
+    head = interpolate(times[:2], position[:2], velocity[:2], None if acceleration is None else acceleration[:2])
+    return Spline(times, np.concatenate([head.coefficients, points.way.coefficients]), position[-1].copy())
 
 
 def check_near(points: TrajectoryPoints, held: Array, limits: JointLimits) -> None:

@@ -163,10 +163,7 @@ class Motions:
         return base
 
     def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> None:
-        """Follow a path from a tick on, in place of what waits behind `base`, the running motion.
-
-        Its rate there is that of the running motion, or `factor` at rest, unless it is given.
-        """
+        """Follow a path from a tick on, behind `base`, at its rate, or at `factor` from rest, or at a given one."""
         self.revision += 1
         acceleration, scaled = self.limits.acceleration, base.laws or self.factor != 1.0
         if scaled and begin > now and base.runs(now) and not base.fixed:
