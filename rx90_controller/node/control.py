@@ -43,6 +43,8 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
+from rx90_controller.node.action import make_action
+from rx90_controller.node.goal_parameters import declare_goal_parameters
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.message import check_trajectory_bytes
@@ -165,7 +167,10 @@ class Control:
         self.publishers = outputs.publishers
         about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
         horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
-        self._loop = ServoLoop(cs7b, outputs, horizon)
+        goals = declare_goal_parameters(self.node, cs7b.joint_names, rates)
+        self._loop = ServoLoop(cs7b, outputs, horizon, goals.monitor_ticks)
+        self._loop.options = goals.options
+        cs7b.trajectory.set_speed_scaling(goals.scaling, 0)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
@@ -179,6 +184,7 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
+        self._action = make_action(self.node, self._loop, goals, cs7b, channel)
         self._diagnostics = Diagnostics(self.node, self._status)
 
     def _build(self, rates: Rates) -> tuple[RobotModel, CS7B]:
@@ -204,6 +210,8 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+        if self._action is not None:
+            self._action.end()
         self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
