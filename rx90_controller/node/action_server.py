@@ -125,13 +125,16 @@ class FollowJointTrajectoryAction:
     def _on_goal(self, message: Any) -> GoalResponse:
         """Check a goal."""
         loop = self._loop
-        self._checked = None
+        with loop.between_ticks() as goals:
+            options = goals.options
         try:
-            goal = check_goal(message, self.tolerances.names, self.tolerances, loop.options, self._position_hz)
+            # Not between two ticks: a long one takes longer than these.
+            goal = check_goal(message, self.tolerances.names, self.tolerances, options, self._position_hz)
             with loop.between_ticks() as goals:
                 goals.check(goal, loop.inactive or self._missing())
         except GoalError as error:
-            loop.refuse(error)
+            with loop.between_ticks() as goals:
+                goals.refuse(error)
             return GoalResponse.REJECT
         self._checked = goal
         return GoalResponse.ACCEPT

@@ -5,13 +5,16 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple, Protocol, cast
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import one_line
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
-from rx90_controller.goals.goal import Goal
+from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.runner import Event, GoalRunner
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
+
+_END = 1e-3  # of a tick: the end of a motion belongs to it
 
 
 class Sender(Protocol):
@@ -92,6 +95,19 @@ class GoalRequests:
 
     # The executor's thread.
 
+    @property
+    def options(self) -> GoalOptions:
+        """Return what else is accepted of trajectories and goals; may be changed for the next ones."""
+        return self._requests.options
+
+    @options.setter
+    def options(self, options: GoalOptions) -> None:
+        self._requests.options = self._runner.options = options
+
+    def refuse(self, error: GoalError) -> None:
+        """Count and note a goal that was refused."""
+        self._requests.refused("goal", error)
+
     def check(self, goal: Goal, inactive: str) -> None:
         """Check whether a goal may be taken, wherever the arm is.
 
@@ -117,16 +133,32 @@ class GoalRequests:
             trajectory: of the goal, as it came.
             inactive: see `ServoLoop.inactive`.
         """
-        runner, now = self._runner, self._cs7b.position_tick
-        runner.options = self._requests.options
+        now = self._cs7b.position_tick
         try:
-            schedule, ended = runner.offer(sender, goal, now, inactive)
+            schedule, ended = self._runner.offer(sender, goal, now, inactive)
         except GoalError as error:
             self._requests.rejected += 1
             self._tell(Outcome(Phase.ABORTED, error.code, str(error), now), sender)
             return
         self._deliver(ended)
         self._requests.announce("goal", trajectory, goal.points, schedule, goal.start)
+
+    def scale(self, factor: float) -> None:
+        """Follow trajectories at this share of their speed.
+
+        Raises:
+            TrajectoryError: if it is not a number in [0, 1].
+        """
+        self._cs7b.trajectory.set_speed_scaling(factor, self._cs7b.position_tick)
+
+    def state(self, tick: float) -> tuple[Array, bool]:
+        """Return the set-point at a time in position ticks, shape (3, 6), and whether a motion runs, or ends, then.
+
+        Raises:
+            TrajectoryError: for a time before the running motion.
+        """
+        trajectory = self._cs7b.trajectory
+        return trajectory.state(tick), trajectory.moving(tick - _END)
 
     def cancel(self, sender: Sender) -> None:
         """Cancel a goal; one that has ended meanwhile keeps its end."""

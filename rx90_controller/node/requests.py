@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.goals.goal import GoalOptions
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.trajectory import Schedule, TrajectoryPoints
 from rx90_controller.trajectory.message import check_horizon, check_joint_names, points_from_message, start_tick
-
-DISABLED: Final = "the controller is disabled; accepted: after a call of ~/enable with true"
 
 
 class Log(Protocol):
@@ -50,6 +48,7 @@ class Requests:
     def __init__(self, cs7b: CS7B, log: Log, horizon: float) -> None:
         self._cs7b, self._log, self._horizon = cs7b, log, horizon
         self.options = GoalOptions()
+        self._waiting: Any = None
         self.rejected = 0
         self._reports: deque[Callable[[], None]] = deque()
 
@@ -80,11 +79,26 @@ class Requests:
         if self._cs7b.trajectory.moving(now):
             self.note(f"trajectory dropped at {now * self._cs7b.rates.position_period:.3f} s: {why}")
 
-    def take(self, trajectory: Any, *, enabled: bool) -> bool:
-        """Follow a trajectory_msgs/JointTrajectory, or stop for one without points; return False if it is refused."""
+    def wait(self, trajectory: Any) -> None:
+        """Keep a trajectory for the first states."""
+        instead = ", in place of the one that waited" if self._waiting is not None else ""
+        self._waiting = trajectory
+        self.note(f"a trajectory waits for the simulation's first tick{instead}")
+
+    def begin(self, inactive: str) -> None:
+        """Take the trajectory that has waited, if there is one."""
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self.take(waiting, inactive)
+
+    def take(self, trajectory: Any, inactive: str) -> bool:
+        """Follow a trajectory_msgs/JointTrajectory, or stop for one without points; return False if it is refused.
+
+        `inactive` is why none can be followed, empty if one can.
+        """
         try:
-            if not enabled:
-                raise TrajectoryError(DISABLED)
+            if inactive:
+                raise TrajectoryError(inactive)
             if trajectory.points:
                 self._follow(trajectory)
             else:

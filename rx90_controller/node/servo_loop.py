@@ -9,12 +9,10 @@ from typing import Any, Protocol
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
-from rx90_controller.goals.goal import GoalOptions
-from rx90_controller.goals.results import GoalError
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.node.goal_requests import GoalRequests
-from rx90_controller.node.requests import DISABLED, Log, Requests
+from rx90_controller.node.requests import Log, Requests
 
 
 class Outputs(Log, Protocol):
@@ -59,7 +57,6 @@ class ServoLoop:
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
-        self._waiting: Any = None
         self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
@@ -79,9 +76,7 @@ class ServoLoop:
                 self._requests.note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
             self.running = True
-            waiting, self._waiting = self._waiting, None
-            if waiting is not None:
-                self._requests.take(waiting, enabled=self.enabled)
+            self._requests.begin(self.inactive)
             self._goals.begin(self.inactive)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
@@ -145,17 +140,8 @@ class ServoLoop:
         if self.fault is not None:
             return f"{self.fault}; torque off; accepted: after a call of ~/enable with true"
         if not self.enabled:
-            return DISABLED
+            return "the controller is disabled; accepted: after a call of ~/enable with true"
         return "the torque comes back with the next tick; accepted: from then on" if self._released else ""
-
-    @property
-    def options(self) -> GoalOptions:
-        """Return what else is accepted of trajectories and goals; may be changed for the next ones."""
-        return self._requests.options
-
-    @options.setter
-    def options(self, options: GoalOptions) -> None:
-        self._requests.options = options
 
     @contextmanager
     def between_ticks(self) -> Iterator[GoalRequests]:
@@ -176,18 +162,11 @@ class ServoLoop:
         One without points stops the arm.
         """
         with self._lock:
-            if self.running:
-                if self._requests.take(trajectory, enabled=self.enabled):
-                    self._goals.drop("replaced by a trajectory on the topic")
-            else:
-                self._goals.drop("replaced by a trajectory on the topic")
-                instead = ", in place of the one that waited" if self._waiting is not None else ""
-                self._waiting = trajectory
-                self._requests.note(f"a trajectory waits for the simulation's first tick{instead}")
-
-    def refuse(self, error: GoalError) -> None:
-        """Count and note a goal that was refused."""
-        self._requests.refused("goal", error)
+            if not self.running:
+                self._requests.wait(trajectory)
+            elif not self._requests.take(trajectory, self.inactive):
+                return
+            self._goals.drop("replaced by a trajectory on the topic")
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""
