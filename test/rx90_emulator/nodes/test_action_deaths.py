@@ -60,7 +60,7 @@ class Pair:
         ended = self.time.until(result)
         self.time.run(0.6 - self.time.ran)
         last = heard["joint_states"]
-        self.client.spin_until(lambda: len(last) >= 600, "600 samples")
+        self.client.spin_until(lambda: len(set(last)) >= 600, "600 samples")
         # Before time runs, the first sample comes again and again.
         once = {topic: list(dict.fromkeys(messages)) for topic, messages in heard.items()}
         return [once, ended, self.goals.feedback]
@@ -136,7 +136,7 @@ def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(pair: Pair) 
     velocity = np.array([message.velocity for message in references])
     position = np.array([message.position for message in references])
     assert np.abs(np.diff(velocity, axis=0)).max(axis=0) == pytest.approx(np.zeros(6), abs=0.0601)
-    assert np.diff(position, axis=0) == pytest.approx(0.5e-3 * (velocity[1:] + velocity[:-1]), abs=1e-7)
+    assert np.diff(position, axis=0) == pytest.approx(0.5e-3 * (velocity[1:] + velocity[:-1]), abs=1e-5)
     assert not velocity[-1].any()
 
 
