@@ -47,13 +47,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
-                      "which takes some times as long")  # fmt: skip
+                      "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
                       "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
                       "drive gains (docs/excitation.md)")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
-    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
+    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
+                      "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
     result.add_argument("--output", type=place, metavar="FILE", help="friction file to write (.yaml); with "

@@ -20,6 +20,7 @@ from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import build_plant, read_parameters
 from rx90_sim.node.ticks import Ticks
+from rx90_sim.node.transforms import Transforms
 
 _REQUEST_TIMEOUT = 5.0  # s
 
@@ -41,7 +42,8 @@ class Simulation:
         self._parameters = read_parameters(node)
         robot, self._plant = build_plant(node, self._parameters)
         self._robot_name = plain(robot.model.name)
-        self._ticks = Ticks(node, self._plant, self._parameters, make_channel)
+        transforms = Transforms.of_parameters(node, robot, self._plant, self._parameters)
+        self._ticks = Ticks(node, self._plant, self._parameters, make_channel, transforms)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
         self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)

@@ -16,6 +16,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_other
 from rx90_emulator.identification.excitation.consistency import make_consistent
+from rx90_emulator.identification.excitation.coulomb_viscous import check_signs
 from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
@@ -66,7 +67,8 @@ def identify_excitation(
         robot: that they come from; by default this project's.
         validation: runs to predict, which are not used.
         tolerances: what counts as agreement with them.
-        bristles: whether bristles along the motion are tried, too, which takes some times as long.
+        bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
+            reversals ask for them; a trial takes some times as long as all other parts.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
@@ -96,6 +98,7 @@ def identify_excitation(
     bandwidths = Bandwidths.of(fitted)
     problem = _problem(fitted, source, bandwidths, carried)
     _check_motion(problem, source)
+    check_signs(problem)
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
