@@ -97,7 +97,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             assert runner.active == key + 1
         except GoalError as error:
             reasons.append(str(error))
-            assert runner.active == before  # noqa: PT017 - not of the error
+            assert runner.active == before
         count = int(generator.integers(0, 400))
         if generator.random() < 0.1:
             runner.cancel(now)
