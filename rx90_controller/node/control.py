@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -43,9 +44,14 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import load_controller
+from rx90_controller.node.action import make_action, make_controller_state
+from rx90_controller.node.goal_parameters import declare_goal_parameters
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.message import check_trajectory_bytes
+
+if TYPE_CHECKING:
+    from rx90_controller.node.controller_state import ControllerState
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
@@ -54,8 +60,10 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 class ControllerOutputs:
     """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
-    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
-        self._node, self._cs7b = node, cs7b
+    def __init__(
+        self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str, state: ControllerState | None
+    ) -> None:
+        self._node, self._cs7b, self._state = node, cs7b, state
         self.ready = (
             f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
             f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
@@ -83,6 +91,7 @@ class ControllerOutputs:
             self._error,
             self._accepted,
             *(publisher for publisher, _ in self._details),
+            *([state.publisher] if state is not None else []),
             channel.publisher,
         )
         self._log = node.get_logger()
@@ -102,6 +111,8 @@ class ControllerOutputs:
             self._error.publish(self._encode_error(stamp_ns))
         if stamp_ns % self._detail_ns == 0:
             self._publish_details(stamp_ns)
+        if self._state is not None and stamp_ns % self._state.period_ns == 0:
+            self._state.publish(stamp_ns)
 
     def _publish_details(self, stamp_ns: int) -> None:
         self._cs7b.details()
@@ -161,11 +172,16 @@ class Control:
         robot, self._cs7b = self._build(rates)
         cs7b = self._cs7b
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
+        goals = declare_goal_parameters(self.node, cs7b.joint_names, rates)
+        state = make_controller_state(self.node, cs7b, goals)
+        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name, state)
         self.publishers = outputs.publishers
         about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
         horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
-        self._loop = ServoLoop(cs7b, outputs, horizon)
+        self._loop = ServoLoop(cs7b, outputs, horizon, goals.monitor_ticks)
+        with self._loop.between_ticks() as requests:
+            requests.options = goals.options
+            requests.scale(goals.scaling)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
@@ -179,6 +195,7 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
+        self._action = make_action(self.node, self._loop, goals, cs7b, channel)
         self._diagnostics = Diagnostics(self.node, self._status)
 
     def _build(self, rates: Rates) -> tuple[RobotModel, CS7B]:
@@ -204,6 +221,8 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+        if self._action is not None:
+            self._action.end()
         self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
