@@ -83,10 +83,7 @@ class GoalRequests:
         return self._runner.active is not None or self._waiting is not None
 
     def drop(self, reason: str, *, halt: bool = False) -> None:
-        """End the goal, if there is one, because it is no longer followed; with `halt` the arm is stopped on its path.
-
-        What its client gets is ABORTED with INVALID_GOAL and the reason.
-        """
+        """End the goal, if there is one, with ABORTED, INVALID_GOAL and a reason; with `halt` stop on its path."""
         now = self._cs7b.position_tick
         if self._waiting is not None:
             waiting, self._waiting = self._waiting, None
