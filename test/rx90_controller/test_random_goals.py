@@ -102,6 +102,8 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
                 path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
                 now += meanwhile
                 trajectory.ended(now)
+                if generator.random() < 0.3:
+                    trajectory.halt(now)
             with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
                 runner.offer(key + 1, goal, now, plan=plan)
             handed_over += not joined.called
@@ -118,7 +120,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         now += count
     assert 0.2 * GOALS < len(reasons) < 0.8 * GOALS
     assert all(reason and "\n" not in reason for reason in reasons)
-    assert handed_over > 0.05 * GOALS
+    assert handed_over > 0.02 * GOALS
     check(np.concatenate(path))
 
 
