@@ -99,11 +99,11 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             if generator.random() < 0.5:
                 plan = runner.plan(now, lead=30)
                 plan.join(goal.points, goal.start, anywhere=options.allow_trajectory_replacement)
+                if generator.random() < 0.3:
+                    trajectory.halt(now)
                 path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
                 now += meanwhile
                 trajectory.ended(now)
-                if generator.random() < 0.3:
-                    trajectory.halt(now)
             with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
                 runner.offer(key + 1, goal, now, plan=plan)
             handed_over += not joined.called
