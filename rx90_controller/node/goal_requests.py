@@ -16,8 +16,10 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
 from rx90_controller.trajectory.planning import Plan
 
-_SHORT = 20  # points
-_LEAD, _LEAD_EACH = 5e-3, 1e-4  # s, and for each point: so much later a long goal begins whose start is "now"
+_FEW, _SHORT = 20, 20.0  # points, s
+# Later by so much a long goal begins whose start is "now": s, for each point, and for each second of it, in which a
+# thousand set-points may have to be checked.
+_LEAD, _LEAD_EACH, _LEAD_SECOND = 5e-3, 1e-4, 5e-4
 
 
 class Sender(Protocol):
@@ -126,10 +128,11 @@ class GoalRequests:
 
     def plan(self, goal: Goal) -> Plan | None:
         """Return what a goal is to be joined to beside the ticks; None for a short one, which is taken at once."""
-        count = len(goal.points.times)
-        if count <= _SHORT:
+        count, duration = len(goal.points.times), float(goal.points.times[-1])
+        if count <= _FEW and duration <= _SHORT:
             return None
-        lead = round((_LEAD + _LEAD_EACH * count) / self._cs7b.rates.position_period)
+        seconds = _LEAD + _LEAD_EACH * count + _LEAD_SECOND * duration
+        lead = round(seconds / self._cs7b.rates.position_period)
         return self._runner.plan(self._cs7b.position_tick, lead)
 
     def take(self, sender: Sender, goal: Goal, trajectory: Any, inactive: str, plan: Plan | None = None) -> None:

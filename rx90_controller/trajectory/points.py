@@ -104,7 +104,7 @@ class TrajectoryPoints:
 
     def prepared(self) -> TrajectoryPoints:
         """Return them with the way between them computed, so that to take them needs less time."""
-        if self.velocity is None:
+        if self.velocity is None or len(self.times) < 2:
             return self
         # What overflows is beyond the limits, and refused by them.
         with np.errstate(over="ignore", invalid="ignore"):

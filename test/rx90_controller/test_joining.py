@@ -125,6 +125,16 @@ def test_points_may_be_prepared(late: int) -> None:
             generator.join(bad, 3000, None, anywhere=False)
 
 
+@pytest.mark.parametrize("times", [[3600.0], [1800.0, 3600.0]])
+def test_an_hour_within_the_limits_is_not_sampled(times: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What its polynomials show to be within the limits is taken at once, be it one point or more, prepared or not."""
+    monkeypatch.setattr(JointLimits, "check", lambda *_: pytest.fail("millions of set-points are looked at"))
+    plain = points(times, [HOME + 0.1] * len(times), [ZERO] * len(times))
+    for each in (plain, plain.prepared()):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        assert generator.join(each, 0, None, anywhere=False).end == 3_600_000
+
+
 def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
     """It says when its last point was; the running motion goes on."""
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)

@@ -305,6 +305,18 @@ def offer(rig: Rig, target: float) -> Sender:
     return sender
 
 
+@pytest.mark.parametrize(
+    ("times", "beside"), [(range(1, 21), False), (range(0, 21), True), (range(21, 22), True), (range(20, 21), False)]
+)
+def test_goals_that_may_take_long_are_joined_beside_the_ticks(rig: Rig, times: Sequence[int], beside: bool) -> None:
+    """Those are goals of more than 20 points, or of more than 20 s, which have many set-points to check."""
+    trajectory = rig.trajectory(0.1)
+    trajectory.points = [rig.trajectory(0.1, seconds).points[0] for seconds in times]
+    goal = Goal(points_from_message(rig.names, trajectory), GoalTolerances.defaults(rig.names), None)
+    with rig.loop.between_ticks() as goals:
+        assert (goals.plan(goal) is not None) == beside
+
+
 def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
     """A fault, new states, torque off, a trajectory on the topic: each gives INVALID_GOAL and the reason, once."""
     rig.loop.hold(rig.states(0))
