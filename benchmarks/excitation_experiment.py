@@ -144,10 +144,10 @@ def random_case(seed: int, disturbances: Disturbances, *, largest: int = 6, bris
     return Case.of(arm, disturbances, rate, int(rng.integers(1, 3)), seed)
 
 
-def experiment(case: Case, *, bristles: bool = False) -> Outcome:
+def experiment(case: Case, *, bristles: bool = False, runs: int = RUNS) -> Outcome:
     """Identify an arm from some runs and predict another one."""
     outcome = Outcome()
-    problem = case.problem([case.run(number) for number in range(RUNS)])
+    problem = case.problem([case.run(number) for number in range(runs)])
     found = identify_friction_parts(problem, ALL_PARTS if bristles else WITHOUT_BRISTLES)
     truth = case.truth(problem, found.fit.sigma)
     for value, deviation, true in zip(found.fit.value, found.fit.deviation, truth.base, strict=False):
@@ -167,7 +167,7 @@ def experiment(case: Case, *, bristles: bool = False) -> Outcome:
     ]
     rises = [has for has, true in there if true], [has for has, true in there if not true]
     outcome.stribeck = sum(rises[0]), len(rises[0]), sum(rises[1]), len(rises[1])
-    _predict(case, problem, found, truth, outcome)
+    _predict((case, case.run(runs)), problem, found, truth, outcome)
     return outcome
 
 
@@ -182,9 +182,15 @@ def _friction(found: FrictionSelection, truth: Truth) -> Iterator[tuple[str, flo
                 yield kind, estimate.value, estimate.deviation, float(values[number])
 
 
-def _predict(case: Case, problem: ExcitationProblem, found: FrictionSelection, truth: Truth, outcome: Outcome) -> None:
+def _predict(
+    run: tuple[Case, ExcitationRun],
+    problem: ExcitationProblem,
+    found: FrictionSelection,
+    truth: Truth,
+    outcome: Outcome,
+) -> None:
     """Predict the torque of an unseen run, and note its errors over those of the best model, and over the noise."""
-    unseen = case.run(RUNS)
+    case, unseen = run
     bandwidths = problem.runs[0].bandwidths
     there = case.problem([unseen], bandwidths)
     error = there.torque - predicted_torque(found, there)

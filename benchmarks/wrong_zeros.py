@@ -1,8 +1,8 @@
 """How often are right encoder zeros called wrong, and how large must an error be to be found?
 
-    python -m benchmarks.wrong_zeros [arms] [--largest 6] [--first 0]
+    python -m benchmarks.wrong_zeros [arms] [--largest 4] [--first 0]
 
-Random arms of 2 to 6 joints, and both searches. That of excitation runs knows the kinematics alone and gets two runs of
+Random arms of 2 to 4 joints, and both searches. That of excitation runs knows the kinematics alone and gets two runs of
 24 s; that of sweeps also knows the URDF's inertials, which are 10 % off, and gets each joint at four poses and seven
 speeds in both directions. Both get noise alone; torque ripple of 2 % and Coulomb friction that grows by 5 % with the
 load; and also a payload of a fifth of the arm's mass that no file tells of, in all sweeps, but in one of the two runs
@@ -151,7 +151,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("arms", nargs="?", type=int, default=40, help="how many (default: %(default)s)")
     parser.add_argument("--first", type=int, default=0, help="seed of the first (default: %(default)s)")
-    parser.add_argument("--largest", type=int, default=6, help="joints at most (default: %(default)s)")
+    parser.add_argument("--largest", type=int, default=4, help="joints at most (default: %(default)s)")
     options = parser.parse_args()
     tally: dict[tuple[str, str, float], list[tuple[bool, bool]]] = defaultdict(list)
     for seed in tqdm(range(options.first, options.first + options.arms), unit="arm"):

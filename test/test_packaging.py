@@ -145,10 +145,10 @@ def test_every_installed_executable_explains_itself(name: str, workspace: Path, 
     assert done.stdout.startswith(f"usage: {name}")
 
 
-def test_the_install_space_needs_no_source_tree(workspace: Path, processes: Processes) -> None:
+def test_the_install_space_needs_no_source_tree(workspace: Path) -> None:
     """In a sourced workspace modules and data come from the install space, not from the source tree."""
     code = "import rx90_sim, rx90_common.base.share as s; print(rx90_sim.__file__); print(s.share_directory())"
-    done = processes.run(sys.executable, "-c", code)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=TIMEOUT)
     found = [Path(line).resolve() for line in done.stdout.splitlines()]
     assert len(found) == 2, done.stderr
     assert all(workspace.parent.parent in path.parents for path in found), found

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 # Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 _WIDTH = 8.2  # inches
-_LEFT, _BETWEEN = 0.7, 0.5  # inches, of a grid: left of each panel, and between two rows
+_LEFT, _BETWEEN = 0.9, 0.5  # inches, of a grid: left of each panel, and between two rows
 # Any: matplotlib types the keys one by one.
 _STYLE: Any = {
     "font.size": 9.0,

@@ -23,6 +23,7 @@ a mapping file (docs/bags.md says more):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
+    parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
                         help="log to read; of several the rows belong together, one by one")  # fmt: skip
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")

@@ -12,8 +12,8 @@ from rx90_emulator.identification.experiments.excitation.options import QUICK, C
 
 _EPILOG = """\
 Bags that are complete stay, whatever ends the run. No motion is checked for collisions, but for those of --excitation
-with the planes given by --keep-above and --wall. Set-points keep the joints' ranges and speed limits, and the expected
-torque keeps what the URDF allows.
+of the arm with itself and with the planes given by --keep-above and --wall, by the shapes of <collision> in the URDF.
+Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
 _OPTIONS = {
     "criterion": str,

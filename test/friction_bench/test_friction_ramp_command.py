@@ -187,7 +187,7 @@ def test_load_without_an_estimate_does_not_cost_the_other(
 def test_interrupted_measurement_keeps_what_it_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 230."""
+    """Ctrl-C in the third ramp leaves two ramps as CSV and a bag of all readings, and exit code 130."""
     run_ramp = ramp_job.run_ramp
     done = 0
 

@@ -102,7 +102,7 @@ class Session:
 
 
 @pytest.fixture
-def session(rig: Rig, tmp_path: Path, ros_domain: int) -> Iterator[Session]:  # noqa: ARG001
+def session(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[Session]:  # noqa: ARG001 - a domain of its own
     """Return a node that reports its rig, on a domain of its own."""
     made = Session(rig, tmp_path)
     try:
@@ -113,7 +113,7 @@ def session(rig: Rig, tmp_path: Path, ros_domain: int) -> Iterator[Session]:  # 
 
 
 @pytest.fixture
-def pair(rig: Rig, tmp_path: Path, ros_domain: int) -> Iterator[tuple[Session, Session]]:  # noqa: ARG001
+def pair(rig: Rig, tmp_path: Path, ros_domain: int, warm: None) -> Iterator[tuple[Session, Session]]:  # noqa: ARG001 - a domain of its own
     """Return two nodes in namespaces of their own, each with a rig of its own."""
     with ExitStack() as stack:
         made = []

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joint_moves import HOME, LIMITS, PERIOD
 from numpy.typing import NDArray
 
 from rx90_common.base.rates import Rates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
+from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -82,3 +84,9 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
         return Servo(controller, inertia * six)
 
     return make
+
+
+@pytest.fixture
+def generator() -> TrajectoryGenerator:
+    """Return a generator that holds HOME."""
+    return TrajectoryGenerator(LIMITS, PERIOD, HOME)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from rx90_common.base.rates import Rates
-
-free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
-from rx90_common.exchange.channel import Matches  # noqa: E402
-from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_common.exchange.motor_messages import MotorMessages, MotorStates  # noqa: E402
-from rx90_common.exchange.pacing import Pacer  # noqa: E402
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
+from rx90_common.exchange.pacing import Pacer
+from rx90_controller.node import free_running
 
 RATES = Rates(1000, 1000)
 TICK = RATES.period

@@ -1,45 +1,14 @@
-"""The set-point generator: hold, start, follow, replace, hold again."""
+"""The set-point generator: hold, start, follow, replace, stop, delay, hold again."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.typing import NDArray
+from joint_moves import HOME, LIMITS, PERIOD, ZERO, move, points
 from scipy.interpolate import CubicHermiteSpline
 
-from rx90_common.base.errors import ConfigError, TrajectoryError
-from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
-
-Array = NDArray[np.float64]
-NAMES = tuple(f"joint_{i}" for i in range(1, 7))
-LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 60.0), 1e-3)
-PERIOD = 1e-3
-HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
-ZERO = np.zeros(6)
-
-
-def points(
-    times: Sequence[float], position: Sequence[Array], velocity: Sequence[Array] | None = None
-) -> TrajectoryPoints:
-    """Return checked points in the robot's joint order."""
-    return TrajectoryPoints.create(NAMES, NAMES, times, position, velocity or [[]] * len(times), [[]] * len(times))
-
-
-def move(to: float, seconds: float) -> TrajectoryPoints:
-    """Return a smooth motion from wherever the arm is by `to` rad in every joint."""
-    return points([seconds], [HOME + to], [ZERO])
-
-
-@pytest.fixture
-def generator() -> TrajectoryGenerator:
-    """Return a generator that holds HOME."""
-    return TrajectoryGenerator(LIMITS, PERIOD, HOME)
+from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory import TrajectoryGenerator
 
 
 def test_without_a_trajectory_the_position_is_held(generator: TrajectoryGenerator) -> None:
@@ -111,131 +80,6 @@ def test_the_running_motion_ends_before_a_later_start(generator: TrajectoryGener
     assert np.all(got[-1, 0] == HOME)
 
 
-@given(
-    blocks=st.lists(st.integers(1, 400), min_size=1, max_size=12),
-    start=st.integers(0, 900),
-    seconds=st.floats(0.3, 1.2),
-)
-@settings(max_examples=60, deadline=None)
-def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
-    """However the ticks are grouped, the set-points are the same to the last bit."""
-
-    def fresh() -> TrajectoryGenerator:
-        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        generator.accept(points([seconds / 2, seconds], [HOME + 0.2, HOME + 0.1], [ZERO + 0.1, ZERO]), 0, start)
-        return generator
-
-    single, grouped, tick = fresh(), fresh(), 0
-    for count in blocks:
-        block = grouped.setpoints(tick, count)
-        assert block.shape == (count, 3, 6)
-        assert np.array_equal(block, np.concatenate([single.setpoints(tick + k) for k in range(count)]))
-        tick += count
-
-
-def refused(generator: TrajectoryGenerator, make: Callable[[], TrajectoryPoints], now: int, start: int | None) -> str:
-    """Return why a trajectory is refused, having seen that the running motion goes on untouched."""
-    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    for each in (generator, twin):
-        each.accept(move(0.4, 0.5), now=0, start=None)
-        each.setpoints(0, now)
-    with pytest.raises(TrajectoryError) as caught:
-        generator.accept(make(), now, start)
-    assert np.array_equal(generator.setpoints(now, 1000), twin.setpoints(now, 1000))
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
-def test_a_start_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
-    """A start tick that has gone by is refused with how late it is."""
-    said = refused(generator, lambda: move(0.1, 1.0), 250, 100)
-    assert said == "start time 0.1 s is 0.15 s in the past; accepted: now or later"
-
-
-def test_a_start_elsewhere_is_refused(generator: TrajectoryGenerator) -> None:
-    """A first point at time 0 away from the set-point at the start is refused by joint and amount."""
-    there = HOME + 0.4
-    there[3] += 0.0011
-    said = refused(generator, lambda: points([0.0, 1.0], [there, HOME], [ZERO, ZERO]), 250, 600)
-    assert said.startswith("point 0: joint_4 starts at 0.4011 rad, the set-point there is 0.4 rad")
-
-
-def test_a_start_within_the_tolerance_is_taken(generator: TrajectoryGenerator) -> None:
-    """A first point at time 0 within the start tolerance is accepted and is the first set-point."""
-    generator.accept(points([0.0, 1.0], [HOME + 9e-4, HOME], [ZERO, ZERO]), 0, None)
-    assert np.all(generator.setpoints(0)[0, 0] == HOME + 9e-4)
-
-
-def test_a_point_beyond_a_limit_is_refused(generator: TrajectoryGenerator) -> None:
-    """A point beyond a joint limit is refused by point, joint, value and limits."""
-    far = HOME.copy()
-    far[1] = 2.1
-    said = refused(generator, lambda: points([1.0, 3.0, 5.0], [HOME, far, HOME], [ZERO] * 3), 600, None)
-    assert said.startswith("point 1: joint_2 has the position 2.1 rad; accepted: [-2, 2]")
-
-
-def test_an_overshoot_between_points_is_refused(generator: TrajectoryGenerator) -> None:
-    """A spline that swings beyond a limit between two good points is refused, though the points are good."""
-    edge = np.full(6, 1.99)
-    fast = np.zeros(6)
-    fast[4] = 2.0
-    said = refused(generator, lambda: points([2.0, 2.5, 4.0], [edge, edge, HOME], [ZERO, fast, ZERO]), 600, None)
-    assert said.startswith("point 2: joint_5 gets a set-point position 2.0")
-
-
-def test_a_motion_that_is_too_fast_is_refused(generator: TrajectoryGenerator) -> None:
-    """A velocity beyond a joint's limit is refused by point, joint, value and time."""
-    said = refused(generator, lambda: points([0.5, 0.9], [HOME, HOME + 1.0], [ZERO] * 2), 600, None)
-    assert said.startswith("point 1: joint_1 gets a set-point velocity 3.0")
-    assert "at 0.6" in said
-    assert said.endswith("accepted: [-3, 3]")
-
-
-def test_a_jump_between_two_set_points_is_refused(generator: TrajectoryGenerator) -> None:
-    """Points that fit between two set-points cannot hide a jump."""
-    times = [0.9, 0.9002, 0.9003, 1.2]
-    said = refused(generator, lambda: points(times, [HOME, HOME, HOME - 0.5, HOME - 0.5], [ZERO] * 4), 600, None)
-    assert said.startswith("point 3: joint_1 gets a set-point jump of -0.5 rad")
-
-
-def test_an_acceleration_beyond_the_limit_is_refused(generator: TrajectoryGenerator) -> None:
-    """A motion that keeps position and speed, but asks for too much acceleration, is refused by joint and amount."""
-    # A cubic from rest to rest begins with 6 d/T^2.
-    said = refused(generator, lambda: points([0.5, 0.6], [HOME, HOME + 0.15], [ZERO] * 2), 600, None)
-    assert said == (
-        "point 1: joint_1 gets a set-point acceleration 90 rad/s^2 on the way there, at 0.500 s; accepted: [-60, 60]"
-    )
-
-
-def test_velocities_cannot_jump(generator: TrajectoryGenerator) -> None:
-    """Neither from what is held to the first point nor between two set-points."""
-    fast = [ZERO + 0.1, ZERO]
-    said = refused(generator, lambda: points([0.0, 1.0], [HOME + 0.4, HOME], fast), 600, None)
-    assert said.startswith("point 0: joint_1 starts at 0.1 rad/s, the set-point there moves at 0 rad/s; accepted: wit")
-    times, there = [0.5, 0.50045, 0.5005, 1.0], [HOME, HOME, HOME + 1e-5, HOME + 0.05]
-    said = refused(generator, lambda: points(times, there, [ZERO, ZERO, ZERO + 0.1, ZERO]), 600, None)
-    assert said.startswith("point 3: joint_1 gets a set-point step of the velocity of 100.2 rad/s^2")
-
-
-@pytest.mark.parametrize("value", [1e300, -1e300, 1e5])
-@pytest.mark.parametrize("carries", ["positions", "velocities", "accelerations"])
-@pytest.mark.filterwarnings("error")
-def test_absurd_values_are_refused_without_a_warning(
-    generator: TrajectoryGenerator, value: float, carries: str
-) -> None:
-    """Numbers whose powers overflow are refused by point, joint and value, and NumPy has nothing to say."""
-    bad = ZERO.copy()
-    bad[3] = value
-    tables = {
-        name: [ZERO, bad if name == carries else ZERO, ZERO] for name in ("positions", "velocities", "accelerations")
-    }
-    given = TrajectoryPoints.create(NAMES, NAMES, [1e-9, 2e-9, 0.1], *tables.values())
-    with pytest.raises(
-        TrajectoryError, match=rf"^point 1: joint_4 has the .* {re.escape(f'{value:g}')} rad\S*; accepted: \["
-    ):
-        generator.accept(given, 0, None)
-
-
 def test_a_stop_brakes_each_joint_within_its_limit_and_holds(generator: TrajectoryGenerator) -> None:
     """From the running set-point on velocity falls evenly to 0, at the limit; the place is v^2/(2 a) further."""
     generator.accept(points([1.0], [HOME + np.array([1.0, 0.5, -0.5, 0.2, 0.0, -1.0])], [ZERO]), 0, None)
@@ -272,62 +116,6 @@ def test_each_end_is_told_once(generator: TrajectoryGenerator) -> None:
     assert told == [None] * 100
 
 
-@given(data=st.data())
-@settings(max_examples=60, deadline=None)
-def test_wherever_it_is_stopped_an_accepted_motion_stays_within_the_limits(data: st.DataObject) -> None:
-    """Between any two set-points the accelerations are kept, and braking finds room before the position limits."""
-    values = st.floats(-1.0, 1.0)
-    count = data.draw(st.integers(1, 3))
-    times = np.cumsum([data.draw(st.floats(0.05, 0.8)) for _ in range(count)])
-    position = [np.full(6, 2.0 * data.draw(values)) for _ in range(count)]
-    velocity = [np.full(6, 3.0 * data.draw(values)) for _ in range(count - 1)] + [ZERO]
-    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-    try:
-        _, end, _ = generator.accept(
-            points(times.tolist(), position, data.draw(st.sampled_from([velocity, None]))), 0, None
-        )
-    except TrajectoryError:
-        return
-    got = generator.setpoints(0, end + 2)
-    assert np.abs(np.diff(got[:, 1], axis=0)).max() <= 60.0 * PERIOD * (1 + 1e-5)
-    assert np.abs(np.diff(got[:, 0], axis=0) / PERIOD).max() <= 3.0 + 60.0 * PERIOD
-    room = got[:, 0] + got[:, 1] * np.abs(got[:, 1]) / 120.0
-    assert np.abs(room).max() <= 2.0 + 1e-5
-
-
-def test_long_trajectories_are_checked_to_their_end() -> None:
-    """A fault minutes into a trajectory is found, at whichever set-point it lies."""
-    for at in (4.095, 4.096, 4.097, 300.0):
-        times = [at - 1.0, at, at + 1.0, at + 400.0]
-        spike = HOME.copy()
-        spike[5] = -2.0 - 1e-6
-        said = refused(
-            TrajectoryGenerator(LIMITS, PERIOD, HOME),
-            lambda p=spike, t=times: points(t, [HOME, p, HOME, HOME], [ZERO] * 4),
-            600,
-            None,
-        )
-        assert said.startswith("point 1: joint_6")
-
-
-def test_limits_are_reached_exactly(generator: TrajectoryGenerator) -> None:
-    """A motion that ends on the limit, or runs at it, is accepted."""
-    end = np.full(6, 2.0)
-    generator.accept(points([2.0], [end], [ZERO]), 0, None)
-    assert np.all(generator.setpoints(2001)[0, 0] == 2.0)
-    # Ramps of 0.05 s, in each of which half of the way is lost.
-    generator.accept(points([4.0 / 3.0 + 0.05], [np.full(6, -2.0)], None), 2002, None)
-    assert generator.setpoints(2002 + 50)[0, 1] == pytest.approx(-3.0)
-
-
-def test_limits_that_are_none_are_refused() -> None:
-    """Joint limits with lower >= upper or without velocity are refused."""
-    one = np.ones(6)
-    for bad in ((one, one, one, one), (-one, one, ZERO, one), (-one, one, one, ZERO)):
-        with pytest.raises(ConfigError, match="accepted: lower < upper, velocity > 0, acceleration > 0"):
-            JointLimits(NAMES, *bad, 1e-3)
-
-
 def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None:
     """After a reset the given position is held, whatever ran or waited before."""
     generator.accept(move(0.4, 0.5), 0, None)
@@ -336,31 +124,6 @@ def test_reset_drops_what_runs_and_waits(generator: TrajectoryGenerator) -> None
     generator.reset(ZERO)
     got = generator.setpoints(0, 1000)
     assert np.all(got == 0.0)
-
-
-@pytest.mark.parametrize("beyond", [1e-6, 0.05])
-def test_an_arm_beyond_a_limit_may_come_back(beyond: float) -> None:
-    """From a held position beyond a limit a trajectory that begins there, or a joint move, leads inwards."""
-    held = HOME.copy()
-    held[2] = LIMITS.upper[2] + beyond
-    for back in (points([1.0], [HOME], [ZERO]), points([0.0, 1.0], [held + 2e-4, HOME], [ZERO, ZERO])):
-        generator = TrajectoryGenerator(LIMITS, PERIOD, held)
-        generator.accept(back, 0, None)
-        assert generator.setpoints(0, 1200)[-1, 0] == pytest.approx(HOME)
-
-
-def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
-    """From beyond a limit neither a motion outwards nor one that turns back outwards is accepted."""
-    held = HOME.copy()
-    held[2] = LIMITS.upper[2] + 0.05
-    inwards, out_again = held.copy(), held.copy()
-    inwards[2], out_again[2] = LIMITS.upper[2] + 0.01, LIMITS.upper[2] + 0.04
-    generator = TrajectoryGenerator(LIMITS, PERIOD, held)
-    for bad in (points([1.0], [held + 0.02], [ZERO]), points([1.0, 2.0], [inwards, out_again], [ZERO, ZERO])):
-        with pytest.raises(TrajectoryError, match=r"joint_3 (gets a set-point|has the) position"):
-            generator.accept(bad, 0, None)
-    with pytest.raises(TrajectoryError, match="joint_3"):
-        TrajectoryGenerator(LIMITS, PERIOD, HOME).accept(points([2.0], [held], [ZERO]), 0, None)
 
 
 def test_a_delay_moves_the_running_trajectory_and_leaves_no_jump(generator: TrajectoryGenerator) -> None:
@@ -386,78 +149,3 @@ def test_a_trajectory_that_waits_at_rest_starts_in_time_after_a_delay(generator:
     generator.delay(2000, 5700)
     assert generator.setpoints(5700)[0, 0] == pytest.approx(HOME + 0.4)
     assert generator.setpoints(6200)[0, 0] == pytest.approx(HOME)
-
-
-class Reference:
-    """The generator's rules tick by tick, each set-point sampled from a generator that has one trajectory only."""
-
-    def __init__(self) -> None:
-        self.begin(HOME)
-
-    def begin(self, hold: Array) -> None:
-        """Hold a position, with nothing to follow."""
-        self.running, self.start = TrajectoryGenerator(LIMITS, PERIOD, hold), 0
-        self.length = 0
-        self.waiting: tuple[int, int, TrajectoryGenerator] | None = None
-
-    def setpoint(self, tick: int) -> Array:
-        """Return the set-point of a tick, the trajectory that waits begun if it is its time."""
-        if self.waiting is not None and tick >= self.waiting[0]:
-            (self.start, self.length, self.running), self.waiting = self.waiting, None
-        return self.running.setpoints(tick - self.start)[0]
-
-    def accept(self, to: Array, seconds: float, now: int, begin: int) -> None:
-        """Let a joint move to a point at rest begin at a tick."""
-        if self.waiting is not None and self.waiting[0] < now:
-            self.setpoint(now)
-        position, velocity, acceleration = self.running.setpoints(begin - self.start)[0]
-        both = TrajectoryPoints.create(
-            NAMES, NAMES, [0.0, seconds], [position, to], [velocity, ZERO], [acceleration, ZERO]
-        )
-        alone = TrajectoryGenerator(replace(LIMITS, acceleration=np.full(6, np.inf)), PERIOD, position)
-        alone.accept(both, 0, 0)
-        self.waiting = begin, round(seconds / PERIOD), alone
-
-    def delay(self, count: int, tick: int) -> None:
-        """Let ticks from `tick` on pass."""
-        if self.waiting is not None and self.waiting[0] < tick:
-            self.setpoint(tick)
-        resting = tick - self.start >= self.length
-        self.start += count
-        if self.waiting is not None:
-            begin, length, alone = self.waiting
-            self.waiting = max(begin, tick + count) if resting else begin + count, length, alone
-
-
-@settings(max_examples=80, deadline=None)
-@given(st.data())
-def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
-    """However trajectories, delays, resets and blocks follow each other, set-points are those of the rules."""
-    generator, reference, tick = TrajectoryGenerator(LIMITS, PERIOD, HOME), Reference(), 0
-    for _ in range(data.draw(st.integers(1, 12))):
-        what = data.draw(st.sampled_from(["run", "run", "accept", "accept", "delay", "reset"]))
-        count = data.draw(st.integers(1, 150))
-        if what == "run":
-            revision = generator.revision
-            ahead = generator.setpoints(tick, count)
-            wanted = np.array([reference.setpoint(tick + k) for k in range(count)])
-            assert ahead == pytest.approx(wanted, abs=1e-9)
-            assert generator.revision == revision
-            tick += count
-        elif what == "accept":
-            to, seconds = HOME + 0.001 * data.draw(st.integers(-50, 50)), 0.001 * data.draw(st.integers(150, 400))
-            begin = tick + data.draw(st.integers(0, 200))
-            target = TrajectoryPoints.create(NAMES, NAMES, [seconds], [to], [ZERO], [ZERO])
-            revision = generator.revision
-            assert generator.accept(target, tick, begin).begin == begin
-            assert generator.revision != revision
-            reference.accept(to, seconds, tick, begin)
-        elif what == "delay":
-            tick += count
-            generator.delay(count, tick)
-            reference.delay(count, tick - count)
-        else:
-            hold = generator.setpoints(tick)[0, 0]
-            tick = data.draw(st.integers(0, 1000))
-            generator.reset(hold)
-            reference.begin(hold)

@@ -114,7 +114,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
         ),
         ("--from-file nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
         ("--start 0.6 0 0.2 --end 0.6 0.1 0.2 --tool nowhere.yaml --dry-run", 2, "no file 'nowhere.yaml'"),
-        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", 2, "cannot be written"),
+        ("--from-file robots/rx90b/task.yaml --dry-run --output /nowhere/a.yaml", 2, "/nowhere does not exist; acc"),
         ("--from-file robots/rx90b/task.yaml --start-time -1", 2, "start time is -1 s"),
         ("--from-file robots/rx90b/task.yaml --node bad/-name", 2, "name is 'bad/-name' ("),
         ("--from-file robots/rx90b/task.yaml --ros-args -r", 2, "ROS arguments "),

@@ -132,7 +132,7 @@ def ringing(setup: Setup, joint: int) -> Setup:
 def test_divergence_is_an_error_that_names_joint_and_tick(shipped: Setup, joint: int) -> None:
     """A state beyond its speed limit ends the step with one line that names the joint and the tick."""
     plant = ringing(shipped, joint).plant()
-    with pytest.raises(DivergenceError) as caught:  # noqa: PT012
+    with pytest.raises(DivergenceError) as caught:  # noqa: PT012 - every sample up to then is a number
         for _ in range(400):
             plant.step(0.2 * shipped.drives.peak_torque)
             for sample in (*plant.motor_states(), *plant.joint_states(), *plant.friction_states()):

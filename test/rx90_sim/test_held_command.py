@@ -7,9 +7,9 @@ import struct
 import numpy as np
 import pytest
 
-held_command = pytest.importorskip("rx90_sim.node.held_command", reason="needs rclpy", exc_type=ImportError)
-from rx90_common.exchange.channel import Matches  # noqa: E402
-from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_sim.node import held_command
 
 CODEC = JointStateCodec(["a"])
 PERIOD = 250_000

@@ -10,8 +10,8 @@ if not hasattr(mujoco.MjsActuator, "set_to_dcmotor"):
     pytest.skip("this MuJoCo has no dcmotor with LuGre friction", allow_module_level=True)
 
 from benchmarks import mujoco_lugre as bench  # noqa: E402, after the check for MuJoCo
-from benchmarks.decoupled import decoupled_setup  # noqa: E402
-from rx90_emulator.loop.setup import Setup  # noqa: E402
+from benchmarks.decoupled import decoupled_setup  # noqa: E402, after the check for MuJoCo
+from rx90_emulator.loop.setup import Setup  # noqa: E402, after the check for MuJoCo
 
 
 @pytest.mark.parametrize("scenario", bench.SCENARIOS, ids=[s.name for s in bench.SCENARIOS])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -54,11 +55,12 @@ def run_both_ways(
     *,
     around: Sequence[str] = ("/usr/bin/env",),
     composed: bool = False,
+    burners: int = 0,
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
-    process.
+    process. So many `burners` take the processors while the simulation runs.
     """
     files = setup.files
     assert files is not None
@@ -87,8 +89,13 @@ def run_both_ways(
     # Only now: whoever sent the trajectory is gone before anybody records.
     recorder = processes.start("rx90_bag", "record", "--output", folder / "recorded")
     recorder.wait_for("ready: all")
+    burning = [processes.start(sys.executable, "-c", "print('up')\nwhile True: pass") for _ in range(burners)]
+    for burner in burning:
+        burner.wait_for("up")
     client.simulation.pause(False)
     assert simulation.wait() == 0
+    for burner in burning:
+        burner.signal(signal.SIGKILL)
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
     return compare_bags(folder / "recorded", folder / "closed_loop")

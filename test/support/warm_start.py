@@ -43,7 +43,7 @@ class WarmPopen(subprocess.Popen[Any]):
         super().__init__(args, *positional, **options)
 
     # subprocess offers no other place in which a process is made; these arguments are the same from Python 3.10 on.
-    def _execute_child(  # type: ignore[override]  # the stubs do not know it
+    def _execute_child(
         self, args: Any, executable: Any, preexec_fn: Any, close_fds: Any, pass_fds: Any, cwd: Any, env: Any,
         startupinfo: Any, creationflags: Any, shell: Any,
         p2cread: int, p2cwrite: int, c2pread: int, c2pwrite: int, errread: int, errwrite: int, *others: Any,

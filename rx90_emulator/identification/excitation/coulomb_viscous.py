@@ -7,7 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
+
+_SURE = 6.0  # deviations
 
 
 def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]:
@@ -22,6 +26,25 @@ def coulomb_viscous(problem: ExcitationProblem) -> tuple[tuple[str, ...], Array]
         along.append(run.evened(np.stack([np.sign(velocity), velocity], axis=2)))
     names = tuple(f"{name}.{part}" for name in problem.arm.element_names for part in ("tau_c", "c2"))
     return names, problem.element_rows(along)
+
+
+def check_signs(problem: ExcitationProblem) -> None:
+    """Refuse torques of an element that drive the motion instead of opposing it, beyond any doubt.
+
+    Raises:
+        IdentificationError: naming the element and its Coulomb torque.
+    """
+    columns = coulomb_viscous(problem)[1]
+    fit, first = solve(problem, np.hstack([problem.regressor, columns])), len(problem.names)
+    value, deviation, told = (part[first:].tolist() for part in (fit.value, fit.deviation, fit.determined))
+    for k, name in enumerate(problem.arm.element_names):
+        coulomb, viscous = 2 * k, 2 * k + 1
+        if told[coulomb] and told[viscous] and value[viscous] < 0.0 and value[coulomb] < -_SURE * deviation[coulomb]:
+            raise IdentificationError(
+                f"{name}: the torque does not oppose the motion (Coulomb torque {value[coulomb]:.3g} +- "
+                f"{deviation[coulomb]:.2g} Nm); accepted: efforts of the sign with which the drive moves the joint "
+                "(check the signs of gears and torque constants)"
+            )
 
 
 def coulomb_viscous_law(parameters: Array) -> Callable[[Array], Array]:

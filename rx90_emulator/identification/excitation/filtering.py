@@ -80,7 +80,8 @@ class Bandwidths:
             longest = max(stop - start for record in records for start, stop in _pieces(record.time))
             if longest < _SHORTEST:
                 raise IdentificationError(
-                    f"{records[0].source}: {longest} samples without a gap; accepted: {_SHORTEST} or more in a run"
+                    f"{records[0].source}: {longest} sample{'s' * (longest != 1)} without a gap; accepted: "
+                    f"{_SHORTEST} or more in a run"
                 )
             raise IdentificationError("no joint moves in any run; accepted: runs in which the joints move")
         crossing, motion = (float(np.median(column)) for column in zip(*found, strict=True))
@@ -309,6 +310,8 @@ def _rate(time: Array) -> float:
 
 def _pieces(time: Array) -> list[tuple[int, int]]:
     """Return the first sample and the one after the last of each piece without a gap."""
+    if len(time) < 2:
+        return [(0, len(time))]
     steps = np.diff(time)
     breaks = np.flatnonzero(steps > _GAP * np.median(steps)) + 1
     return list(pairwise([0, *breaks.tolist(), len(time)]))

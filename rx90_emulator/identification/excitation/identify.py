@@ -16,6 +16,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark, with_other
 from rx90_emulator.identification.excitation.consistency import make_consistent
+from rx90_emulator.identification.excitation.coulomb_viscous import check_signs
 from rx90_emulator.identification.excitation.elements import simulated_elements
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.identify import (
@@ -96,6 +97,7 @@ def identify_excitation(
     bandwidths = Bandwidths.of(fitted)
     problem = _problem(fitted, source, bandwidths, carried)
     _check_motion(problem, source)
+    check_signs(problem)
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None

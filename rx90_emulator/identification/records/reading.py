@@ -27,6 +27,7 @@ _FACTOR = 2.0  # largest ratio between a velocity and the change of its position
 _WINDOW = 0.1  # s, over which they are compared
 _STANDS = 1e-2  # rad/s, RMS, below which they are not compared
 _QUANTISED = 1000  # distinct velocities, below which they count as quantised
+_LARGEST = 1e9  # rad, rad/s, Nm or A
 _STORAGE = (".mcap", ".db3", ".bag")
 
 
@@ -44,8 +45,8 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
 
     Raises:
         BagError: if the bag cannot be read, is empty, or has no such topic or names.
-        IdentificationError: if positions or efforts are missing, time stamps go back, or velocities are not those of
-            the positions.
+        IdentificationError: if positions or efforts are missing or of a size that no joint reaches, time stamps go
+            back, or velocities are not those of the positions.
     """
     path = Path(path)
     series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
@@ -55,6 +56,8 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     missing = _missing(series.time)
     velocity = None if series.velocity is None else series.velocity[kept]
     position, effort = position[kept], effort[kept]
+    for name, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        _check_size(path, series, name, values)
     if layout.torque_constant is not None:
         effort = effort * layout.torque_constant
     if velocity is None:
@@ -93,6 +96,16 @@ def _required(path: Path, series: JointSeries, field: str) -> Array:
     if field == "effort" and not np.nan_to_num(values).any():
         raise IdentificationError(f"{path}: {series.topic} carries effort 0 throughout; accepted: measured efforts")
     return values
+
+
+def _check_size(path: Path, series: JointSeries, name: str, values: Array | None) -> None:
+    """Refuse numbers that no joint reaches, and efforts so small that their squares are none."""
+    most = 0.0 if values is None else float(np.abs(values).max(initial=0.0))
+    if most > _LARGEST or (name == "effort" and 0.0 < most < 1.0 / _LARGEST):
+        least = f"{1.0 / _LARGEST:g} to " if name == "effort" else "up to "
+        raise IdentificationError(
+            f"{path}: {series.topic}: the largest {name} is {most:.3g}; accepted: {least}{_LARGEST:g}"
+        )
 
 
 def _good_rows(path: Path, series: JointSeries, position: Array, effort: Array) -> NDArray[np.intp]:

@@ -12,6 +12,7 @@ from rx90_common.bags.importing.importing import import_logs
 from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
 
 TIME = np.array([0.5, 0.75, 1.25])
@@ -50,7 +51,8 @@ def rows(delimiter: str, decimal: str = ".", end: str = "") -> str:
     ("text", "encoding"),
     [
         (rows(","), "utf-8"),
-        (rows(", ", end=","), "utf-8-sig"),
+        (rows(", ", end=",")[:-1], "utf-8-sig"),
+        (rows(";", end=";a,b,c,1,2,3,4,d"), "utf-8"),
         (rows(";", ","), "utf-8"),
         ("time;q a;q b\n[s];[rad];[rad]\n" + rows(";"), "utf-16"),
         (" " + rows("\t    "), "utf-8"),
@@ -100,6 +102,22 @@ def test_stamps_of_the_wall_clock_are_exact(tmp_path: Path, unit: str, scale: in
     assert imported(tmp_path, PLAIN.replace("unit: s", f"unit: {unit}"), log).stamp_ns.tolist() == stamps
 
 
+def test_rows_of_a_rate_lie_at_the_nearest_ns(tmp_path: Path) -> None:
+    """Without a column of times rows are numbered by the rate, each rounded by itself."""
+    found = imported(tmp_path, PLAIN.replace("time: {column: 1, unit: s}", "rate: 3"), rows(","))
+    assert found.stamp_ns.tolist() == [0, 333_333_333, 666_666_667]
+
+
+@pytest.mark.parametrize(
+    ("times", "left"), [("0 9 1 3", "0 1 3"), ("5 0 1 2", "0 1 2"), ("0 3 2 1 4", "0 3 4"), ("9 8 1 2 7 3", "1 2 3")]
+)
+def test_times_out_of_order_cost_the_fewest_rows(tmp_path: Path, times: str, left: str) -> None:
+    """A longest increasing part is left, of several that with the shortest steps, whatever stands first."""
+    log = "\n".join(f"{time},1,2" for time in times.split())
+    found = imported(tmp_path, PLAIN, log, skip_corrupt=True)
+    assert found.stamp_ns.tolist() == [int(time) * 10**9 for time in left.split()]
+
+
 def test_several_logs_and_topics(tmp_path: Path) -> None:
     """Columns of several files that were written together become two topics of one bag."""
     mapping = """\
@@ -108,6 +126,8 @@ topics:
   joint_states: {names: [a], position: {columns: [q], unit: rad}, effort: {file: 2, columns: [2], unit: Nm}}
   reference: {names: [a], position: {file: 2, columns: [3], unit: deg}}
 """
+    with pytest.raises(BagError, match=r"^rows: .*log_0.csv 2, .*log_1.csv 1; accepted: logs of as many rows each"):
+        imported(tmp_path, mapping, "q\n1\n2", "10 5 180")
     first = imported(tmp_path, mapping, "q\n1\n2", "10 5 180\n20 6 90")
     assert (first.stamp_ns.tolist(), first.position.tolist()) == ([10**7, 2 * 10**7], [[1.0], [2.0]])  # type: ignore[union-attr]
     assert first.effort.tolist() == [[5.0], [6.0]]  # type: ignore[union-attr]
@@ -154,6 +174,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("[2, 3]", "[2]"), "1,2,3", "joint_states.position.columns is [2]; accepted: a list of 2, one for each name"),
         (("[2, 3]", "[2, 4]"), "1,2,3", "log.csv: no column 4; accepted: 1 to 3"),
         (("[2, 3]", "[2, qb]"), "t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
+        (("[2, 3]", "[2, qb]"), "t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
         (("[2, 3]", "[2, qb]"), "1,2,3", "log.csv: no column 'qb'; there are no names"),
         (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns is 0; accepted: the number of a column, from 1 on, or"),
         (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),

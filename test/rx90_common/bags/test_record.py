@@ -30,7 +30,6 @@ from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError
 
-pytest.importorskip("rclpy")
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[3]

@@ -11,9 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-
 from processes import wait_until
 from rclpy.node import Node
 from ros_client import own_node

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from bag_making import STORAGES, series
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 
@@ -65,20 +66,19 @@ def test_equal_calls_give_equal_files(tmp_path: Path, storage: str) -> None:
 
 def test_messages_are_those_of_rclpy(tmp_path: Path) -> None:
     """For rclpy a written message is the same JointState, and its own bytes differ in the padding alone."""
-    serialization = pytest.importorskip("rclpy.serialization")
     from sensor_msgs.msg import JointState
 
     written = series(2)
     write_joint_states(tmp_path / "bag", [written])
     with AnyReader([tmp_path / "bag"]) as reader:
         raw = [data for _, _, data in reader.messages()][1]
-    message = serialization.deserialize_message(raw, JointState)
+    message = deserialize_message(raw, JointState)
     expected = JointState(name=list(written.names))
     expected.header.stamp.nanosec = 1_000_000
     for field, values in written.fields.items():
         setattr(expected, field, values[1].tolist())
     assert message == expected
-    theirs = np.frombuffer(serialization.serialize_message(expected)[: len(raw)], dtype=np.uint8)
+    theirs = np.frombuffer(serialize_message(expected)[: len(raw)], dtype=np.uint8)
     ours = np.frombuffer(raw, dtype=np.uint8)
     assert len(theirs) == len(ours)
     different = np.flatnonzero(theirs != ours)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.base.errors import ExchangeError
@@ -78,13 +79,12 @@ def test_encoding_equals_the_one_of_rosbags(message):
 @given(messages())
 def test_encoding_equals_the_one_of_rclpy(message):
     """The same message is read by rclpy and written again, all but the padding that it leaves undefined."""
-    rclpy_serialization = pytest.importorskip("rclpy.serialization")
     from sensor_msgs.msg import JointState  # only where ROS is installed
 
     names, frame_id, stamp_ns, arrays = message
     codec = JointStateCodec(names, frame_id)
     raw = codec.encode(stamp_ns, *arrays)
-    read = rclpy_serialization.deserialize_message(raw, JointState)
+    read = deserialize_message(raw, JointState)
     assert (read.header.frame_id, read.name) == (frame_id, names)
     assert_same(
         (
@@ -94,7 +94,7 @@ def test_encoding_equals_the_one_of_rclpy(message):
         stamp_ns,
         arrays,
     )
-    written = rclpy_serialization.serialize_message(read)
+    written = serialize_message(read)
     assert 0 <= len(written) - len(raw) <= 15
     assert all(ours in (theirs, 0) for ours, theirs in zip(raw, written, strict=False))
     assert_same(codec.decode(written), stamp_ns, arrays)

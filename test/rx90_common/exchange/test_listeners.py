@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from rx90_common.exchange import listeners
 from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
-
-listeners = pytest.importorskip("rx90_common.exchange.listeners", reason="needs rclpy", exc_type=ImportError)
 
 
 class Topic:

@@ -10,13 +10,12 @@ from contextlib import closing
 
 import pytest
 from ros_client import Client
+from sensor_msgs.msg import JointState
 
-local_link = pytest.importorskip("rx90_common.exchange.local_link", reason="needs rclpy", exc_type=ImportError)
-from sensor_msgs.msg import JointState  # noqa: E402
-
-from rx90_common.base.errors import ConfigError, ExchangeError  # noqa: E402
-from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_common.exchange.qos import TICK_QOS  # noqa: E402
+from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.exchange import local_link
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.qos import TICK_QOS
 
 pytestmark = pytest.mark.ros
 QOS = TICK_QOS.profile
@@ -24,7 +23,7 @@ RAW = [JointStateCodec(["a"]).encode(tick) for tick in range(3)]
 
 
 @pytest.fixture
-def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - a domain of its own
     """Give a client on a domain of its own."""
     with closing(Client()) as started:
         yield started

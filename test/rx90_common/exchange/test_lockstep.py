@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import Rates
 from rx90_common.base.stamps import cdr_stamp_ns
-
-lockstep = pytest.importorskip("rx90_common.exchange.lockstep", reason="needs rclpy", exc_type=ImportError)
-from rx90_common.exchange.channel import Matches  # noqa: E402
-from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_common.exchange.motor_messages import MotorMessages, MotorStates  # noqa: E402
+from rx90_common.exchange import lockstep
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.motor_messages import MotorMessages, MotorStates
 
 PERIOD = 250_000
 CODEC = JointStateCodec(["a"])

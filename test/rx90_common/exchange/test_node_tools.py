@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
+from sensor_msgs.msg import JointState
 
-node_tools = pytest.importorskip("rx90_common.exchange.node_tools", reason="needs rclpy", exc_type=ImportError)
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from sensor_msgs.msg import JointState  # noqa: E402
+from rx90_common.exchange import node_tools
 
 
 @pytest.mark.ros
-def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001
+def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001 - a domain of its own
     """The files that a node takes from a robot folder are those of the folder, whether they are there or not."""
     (tmp_path / "drives.yaml").touch()
     client = Client()
@@ -26,7 +26,7 @@ def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: 
 
 
 @pytest.mark.ros
-def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001
+def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001 - a domain of its own
     """A subscriber that asks for more than is offered does not keep the others waiting."""
     client = Client()
     try:

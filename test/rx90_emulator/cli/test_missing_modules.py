@@ -37,8 +37,15 @@ CALLS = {
 """A call of each executable that begins its work, and packages without which that cannot be done."""
 
 CHILD = """
-import json, os, sys, tempfile
+import importlib, json, os, sys, tempfile
 from rx90_emulator.cli import frame
+
+# Each call does without one package: what takes time in importing the others is done once. Not rclpy: it has threads.
+for library in ("pinocchio", "rosbags.rosbag2", "scipy.optimize", "matplotlib.figure", "ruamel.yaml"):
+    importlib.import_module(library)
+own = set(sys.modules)
+importlib.import_module("rx90_common.exchange.motor_messages")  # numba, with all that its first function takes
+own = {name for name in set(sys.modules) - own if name.startswith("rx90_")}
 
 class Blocked:
     def __init__(self, package, broken):
@@ -55,6 +62,8 @@ for program, words, package, broken in json.load(sys.stdin):
         if child == 0:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             os.dup2(errors.fileno(), 2)
+            for name in [name for name in sys.modules if name.partition(".")[0] == package or name in own]:
+                del sys.modules[name]
             sys.meta_path.insert(0, Blocked(package, broken))
             try:
                 code = frame.run(program, words)

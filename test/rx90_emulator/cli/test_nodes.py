@@ -48,7 +48,7 @@ sys.exit(frame.stub())
 
 
 @pytest.fixture
-def start(tmp_path: Path, ros_domain: int):  # type: ignore[no-untyped-def]  # noqa: ARG001
+def start(tmp_path: Path, ros_domain: int):  # type: ignore[no-untyped-def]  # noqa: ARG001 - a domain of its own
     """Start the stub with arguments; it is killed at the end."""
     (tmp_path / "stub_node.py").write_text(NODE, encoding="utf-8")
     started: list[subprocess.Popen[str]] = []

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-command = pytest.importorskip("rx90_emulator.cli.demo")
-from rx90_common.base.errors import ConfigError  # noqa: E402
-from rx90_emulator.cli.frame import run  # noqa: E402
+from rx90_common.base.errors import ConfigError
+from rx90_emulator.cli import demo as command
+from rx90_emulator.cli.frame import run
 
 
 class Noon:

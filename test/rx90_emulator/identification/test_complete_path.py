@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
-import sys
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -15,9 +16,10 @@ import pytest
 from processes import Processes, wait_until
 
 from rx90_common.bags.reading import read_joint_states
-from rx90_common.base.errors import DONE, REFUSED, VERDICT_NO, IdentificationError
+from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
 from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
+from rx90_emulator.identification.experiments import job as experiments_job
 from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation
 from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
@@ -120,59 +122,57 @@ def fresh_motion(setup: Setup) -> Experiment:
     return Experiment("fresh", Kind.VALIDATION, motion.points(setup.robot.joint_names), 4)
 
 
-ON_NODES = """
-import sys
-import numpy as np
-from rx90_emulator.cli.frame import run
-from rx90_emulator.identification.experiments import job
-from rx90_emulator.identification.experiments.motion import Motion
-from rx90_emulator.identification.experiments.plan import Experiment, Kind
-from rx90_emulator.loop.setup import Setup
-robot, fourth = Setup.load().robot, np.eye(6)[3]
-cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
-cycle.sweep(fourth, 0.05, 0.3, 6.0)
-cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
-cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
-cycle.move(np.zeros(6), np.ones(6), 5.0)
-for speed in np.geomspace(0.041, 1.6, 5):
-    slide.sweep(fourth, speed, 0.7, 6.0)
-    slide.sweep(fourth, -speed, 0.7, 6.0)
-long.sweep(fourth, 1e-3, 400.0, 6.0)
-plan = [Experiment("cycle", Kind.PRESLIDING, cycle.points(robot.joint_names), 2),
-        Experiment("slide", Kind.SLIDING, slide.points(robot.joint_names), 10),
-        Experiment("long", Kind.SLIDING, long.points(robot.joint_names), 1)]
-print("planned", run("rx90_experiment", ["run", "--nodes", *sys.argv[2:]]), flush=True)
-job.make_plan = lambda *_: plan
-code = run("rx90_experiment", ["run", "--nodes", "--output", sys.argv[1]])
-print("ended with", code, flush=True)
-sys.exit(code)
-"""
-"""The command twice, shorter than --quick: planned excitation runs; then sweeps of one joint, the last too long."""
+def short_series(setup: Setup) -> list[Experiment]:
+    """Return sweeps of one joint, much less than --quick: joint 4, five speeds, 14 s; and one that is too long."""
+    names, fourth = setup.robot.joint_names, np.eye(6)[3]
+    cycle, slide, long = (Motion(np.zeros(6)) for _ in range(3))
+    cycle.sweep(fourth, 0.05, 0.3, 6.0)
+    cycle.oscillate(fourth, [2e-3], [1.0], 2.0)
+    cycle.oscillate(fourth, [1e-5] * 4, [3.0, 8.0, 14.0, 22.0], 2.0)
+    cycle.move(np.zeros(6), np.ones(6), 5.0)
+    for speed in np.geomspace(0.041, 1.6, 5):
+        slide.sweep(fourth, speed, 0.7, 6.0)
+        slide.sweep(fourth, -speed, 0.7, 6.0)
+    long.sweep(fourth, 1e-3, 400.0, 6.0)
+    return [
+        Experiment("cycle", Kind.PRESLIDING, cycle.points(names), 2),
+        Experiment("slide", Kind.SLIDING, slide.points(names), 10),
+        Experiment("long", Kind.SLIDING, long.points(names), 1),
+    ]
+
 
 EXCITATION = ExcitationOptions(runs=1, harmonics=3, period=1.0, periods=1, steps=2, validation=False)
 
 
 @pytest.mark.ros
-def test_experiments_run_on_the_real_nodes(processes: Processes, shipped: Setup, tmp_path: Path) -> None:
+def test_experiments_run_on_the_real_nodes(
+    processes: Processes,
+    shipped: Setup,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """From the recorder's bags of experiments on the real nodes comes a friction file with joint 4's parameters.
 
     A planned excitation run has the set-points and torques of the engine, to the bit. Ctrl-C in an experiment ends
     with 130, the one before it in the index, and no recorder left behind.
     """
-    processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
+    cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
     planned, cut = tmp_path / "planned", tmp_path / "cut"
-    words = ["--excitation", "--output", planned]
+    words = ["--excitation", "--output", str(planned)]
     for name in ("runs", "harmonics", "period", "periods", "steps"):
-        words += [f"--{name}", getattr(EXCITATION, name)]
-    experiments = processes.start(sys.executable, "-c", ON_NODES, cut, *words)
-    wait_until((cut / "long").exists, "the last bag")
-    assert "planned 0" in experiments.lines
-    experiments.signal(signal.SIGINT)
-    assert experiments.wait() == 130
-    assert experiments.lines[-2:] == ["rx90_experiment: interrupted; complete bags stay", "ended with 130"]
+        words += [f"--{name}", str(getattr(EXCITATION, name))]
+    assert run("rx90_experiment", ["run", "--nodes", *words]) == DONE
+    monkeypatch.setattr(experiments_job, "make_plan", lambda *_: short_series(shipped))
+    interrupt = threading.Thread(target=interrupt_once, args=[cut / "long"])
+    interrupt.start()
+    assert run("rx90_experiment", ["run", "--nodes", "--output", str(cut)]) == INTERRUPTED
+    interrupt.join()
+    cell.signal(signal.SIGINT)  # it would go on as fast as it can
+    assert capsys.readouterr().err.splitlines()[-1] == "rx90_experiment: interrupted; complete bags stay"
     done = read_index(cut)
     assert [bag.name for bag in (*done.presliding, *done.sliding)] == ["cycle", "slide"]
-    assert not [pid for pid, words in running() if str(cut) in words]
+    assert not [file for file in open_files() if str(cut) in file]
     check_against_the_engine(read_index(planned).excitation, shipped)
     output = tmp_path / "friction.yaml"
     bags = ["--sliding", cut / "slide", "--presliding", cut / "cycle", "--output", output]
@@ -201,8 +201,14 @@ def check_against_the_engine(bags: Sequence[Path], setup: Setup) -> None:
             assert np.array_equal(expected[rows], getattr(found, quantity)[there]), (name, quantity)
 
 
-def running() -> Iterator[tuple[str, str]]:
-    """Yield id and command line of every process."""
-    for process in Path("/proc").glob("[0-9]*"):
+def interrupt_once(bag: Path) -> None:
+    """Send this process a Ctrl-C as soon as a bag is there."""
+    wait_until(bag.exists, "the last bag")
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def open_files() -> Iterator[str]:
+    """Yield the path of every file that a process has open."""
+    for link in Path("/proc").glob("[0-9]*/fd/*"):
         with suppress(OSError):
-            yield process.name, (process / "cmdline").read_text(encoding="utf-8", errors="replace")
+            yield str(link.readlink())

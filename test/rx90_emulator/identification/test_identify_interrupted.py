@@ -69,10 +69,10 @@ def test_an_interrupt_leaves_everything(
 
 @pytest.fixture
 def small_files() -> Iterator[int]:
-    """Let no file grow beyond what is returned, as on a disk that is full."""
+    """Let no file grow beyond what is returned, as on a disk that is full; more than the tests' own log may need."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
-    yield 100
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size := 10_000_000, before[1]))
+    yield size
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 

@@ -46,7 +46,7 @@ def record(time: Array, velocity: Array, torque: Array, name: str = "bag") -> Jo
     """Return the record of one joint; positions are the integral of the velocity that was."""
     position = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time))])
     columns = (values[:, None] for values in (position, velocity, torque))
-    return JointRecord(("hinge",), time, *columns, Path(name), name)  # type: ignore[misc]
+    return JointRecord(("hinge",), time, *columns, Path(name), name)
 
 
 def sweep(speed: float, rng: np.random.Generator, begin: float, friction: Friction, ripple: float) -> JointRecord:

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-free_running = pytest.importorskip("rx90_controller.node.free_running", reason="needs rclpy", exc_type=ImportError)
-from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius  # noqa: E402
-from rx90_common.exchange.channel import Matches  # noqa: E402
-from rx90_common.exchange.joint_state_cdr import JointStateCodec  # noqa: E402
-from rx90_common.exchange.lockstep import LockstepController  # noqa: E402
-from rx90_common.exchange.motor_messages import MotorMessages  # noqa: E402
-from rx90_common.exchange.pacing import Pacer  # noqa: E402
-from rx90_common.exchange.topics import MOTOR_NAMES  # noqa: E402
-from rx90_controller.node.servo_loop import ServoLoop  # noqa: E402
-from rx90_emulator.loop.setup import Setup  # noqa: E402
-from rx90_sim.node import held_command  # noqa: E402
+from benchmarks.command_delay import HOME, Loop, constant, in_turns, motion, run, spectral_radius
+from rx90_common.exchange.channel import Matches
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.lockstep import LockstepController
+from rx90_common.exchange.motor_messages import MotorMessages
+from rx90_common.exchange.pacing import Pacer
+from rx90_common.exchange.topics import MOTOR_NAMES
+from rx90_controller.node import free_running
+from rx90_controller.node.servo_loop import ServoLoop
+from rx90_emulator.loop.setup import Setup
+from rx90_sim.node import held_command
 
 Array = NDArray[np.float64]
 TICKS = 5000

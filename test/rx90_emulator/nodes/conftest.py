@@ -10,7 +10,7 @@ from ros_client import Client
 
 
 @pytest.fixture
-def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001
+def client(ros_domain: int) -> Iterator[Client]:  # noqa: ARG001 - a domain of its own
     """Give a client on the test's domain."""
     with closing(Client()) as started:
         yield started

@@ -81,7 +81,7 @@ def plan_excitation(
         raise IdentificationError("the setup was not read from files; accepted: one of load_setup")
     home = _home(setup)
     columns = ExcitationColumns.of(setup, _noise(setup, options))
-    workspace = Workspace.of(setup.robot, options.walls)
+    workspace = Workspace.of(setup.robot, options.walls, home)
     _check_home(workspace, home, options)
     limits = MotionLimits(setup, workspace, options.clearance, options.share, options.share)
     count = len(columns.names)

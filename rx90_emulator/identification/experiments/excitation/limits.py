@@ -10,6 +10,7 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_emulator.identification.experiments.excitation.information import SMOOTH, Motion
+from rx90_emulator.identification.experiments.excitation.self_collision import GAP
 from rx90_emulator.identification.experiments.excitation.workspace import Workspace
 from rx90_emulator.identification.experiments.load import Motors, friction_torque
 from rx90_emulator.loop.setup import Setup
@@ -104,12 +105,18 @@ class MotionLimits:
         )
 
     def nearness(self, position: Array) -> tuple[float, Array]:
-        """Return what it costs to be too near to the walls, and its derivative by the position, shape (m, n)."""
+        """Return what it costs to be too near to walls or itself, and its derivative by the position, shape (m, n)."""
         value, slope = 0.0, np.zeros_like(position)
         for distance, by_position in self.workspace.distances(position):
             missing = np.maximum((self.clearance + _ROOM - distance) / _LENGTH, 0.0)
             value += float(np.sum(missing**2))
             slope -= 2.0 / _LENGTH * np.einsum("ms,msn->mn", missing, by_position)
+        arm, gap = self.workspace.arm, GAP + _ROOM
+        near = arm.near(position, gap)
+        distance = arm.distances(position[near])
+        missing = np.maximum((gap - distance) / _LENGTH, 0.0)
+        value += float(np.sum(missing**2))
+        slope[near] -= 2.0 / _LENGTH * np.einsum("ms,msn->mn", missing, arm.slopes(position[near], distance, gap))
         return value, slope
 
     def kept(self, motion: Motion, rigid: Array) -> bool:
@@ -119,8 +126,9 @@ class MotionLimits:
         return within and self.clear(motion[0])
 
     def clear(self, position: Array) -> bool:
-        """Return whether positions, rad, shape (m, n), are far enough from the walls."""
-        return all(distance >= self.clearance for distance, _ in self.workspace.lowest(position))
+        """Return whether the arm is far enough from the walls and from itself at positions, rad, shape (m, n)."""
+        free = all(distance >= self.clearance for distance, _ in self.workspace.lowest(position))
+        return free and not len(self.workspace.arm.near(position))
 
     def worst(self, motion: Motion, rigid: Array) -> str:
         """Return in words which limit a motion exceeds most at its samples."""
@@ -128,6 +136,8 @@ class MotionLimits:
         for wall, (distance, name) in zip(self.workspace.walls, self.workspace.lowest(motion[0]), strict=True):
             if distance < self.clearance:
                 return f"{name} comes as near to {wall.name} as {distance:.3g} m"
+        if len(self.workspace.arm.near(motion[0])):
+            return "the arm touches itself"
         shares = {name: np.abs(share).max(axis=0) for name, share in self.shares(motion, torque).items()}
         name = max(shares, key=lambda one: float(shares[one].max()))
         joint = int(np.argmax(shares[name]))

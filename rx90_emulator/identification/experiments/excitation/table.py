@@ -47,8 +47,10 @@ def describe_excitation(plan: ExcitationPlan) -> str:
         "in % of the value in the robot's files, else in SI units:"
     )
     lines += _parameter_lines(plan)
-    if plan.options.walls and plan.workspace.shapes.meshes:
-        lines.append(f"meshes do not count for the walls: those of {', '.join(plan.workspace.shapes.meshes)}")
+    if plan.workspace.shapes.meshes:
+        lines.append(f"meshes do not count for collisions: those of {', '.join(plan.workspace.shapes.meshes)}")
+    if plan.workspace.arm.uncounted:
+        lines.append(f"too near to each other at home to count: {', '.join(plan.workspace.arm.uncounted)}")
     total = sum(run.experiment.duration for run in plan.runs)
     lines.append(f"{len(plan.runs)} runs, {total:.0f} s of motion ({total / 60.0:.1f} min)")
     return "\n".join(lines)

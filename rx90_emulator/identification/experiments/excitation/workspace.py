@@ -1,4 +1,4 @@
-"""How far an arm's shapes stay from planes: a table, walls.
+"""How far an arm's shapes stay from planes, a table or walls, and from each other.
 
 The shapes are those of `<collision>` in the URDF, tool included: boxes, cylinders and spheres, whose point nearest to a
 plane is exact. Beside them count the centres of the joints and the tool centre point. Meshes do not; who plans is told.
@@ -14,11 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.rotations import axis_rotation
 from rx90_emulator.identification.experiments.excitation.options import Wall
+from rx90_emulator.identification.experiments.excitation.self_collision import SelfCollision
 
 _MOVES = 1e-6  # m: a shape whose distance to a plane changes less over the joints' ranges is not moved towards it
 
@@ -116,19 +118,22 @@ class Workspace:
         shapes: of the arm.
         walls: the planes.
         movable: shapes that count for each plane: not what only turns in place, such as a shoulder over a table.
+        arm: pairs of shapes that are to stay apart.
     """
 
     shapes: ArmShapes
     walls: tuple[Wall, ...]
     movable: tuple[Index, ...]
+    arm: SelfCollision
 
     @classmethod
-    def of(cls, robot: RobotModel, walls: Sequence[Wall]) -> Workspace:
-        """Return the workspace of an arm."""
+    def of(cls, robot: RobotModel, walls: Sequence[Wall], home: ArrayLike) -> Workspace:
+        """Return the workspace of an arm whose runs begin at home, rad, shape (n,)."""
         shapes = ArmShapes.of(robot)
         poses = np.random.default_rng(0).uniform(robot.lower, robot.upper, (50, len(robot.joint_names)))
         spread = [np.ptp(shapes.nearest(poses, wall)[0], axis=0) for wall in walls]
-        return cls(shapes, tuple(walls), tuple(np.flatnonzero(width > _MOVES) for width in spread))
+        movable = tuple(np.flatnonzero(width > _MOVES) for width in spread)
+        return cls(shapes, tuple(walls), movable, SelfCollision.of(robot, home))
 
     def distances(self, position: Array) -> list[tuple[Array, Array]]:
         """Return distances and derivatives as `ArmShapes.nearest`, of the shapes that count, for each plane."""

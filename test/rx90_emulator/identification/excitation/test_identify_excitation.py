@@ -92,6 +92,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
         motion = position * moves, velocity * moves
         write(folder / name, "/joint_states", NAMES, RATE, (*motion, bench.torque(motion)))
     bench.bag("short", 5, seconds=0.5)
+    motion = fourier(6, 20.0)
+    write(folder / "single", "/joint_states", NAMES, RATE, [values[:1] for values in (*motion, bench.torque(motion))])
+    write(folder / "negative", "/joint_states", NAMES, RATE, (*motion, -bench.torque(motion)))
     return bench
 
 
@@ -229,6 +232,8 @@ def test_an_interrupt_leaves_nothing(
         (["still"], "no joint moves in any run; accepted"),
         (["half"], "elbow at rest in all runs; accepted: runs in which all joints move, or --fallback"),
         (["short"], "samples without a gap; accepted"),
+        (["single"], "single: 1 sample without a gap; accepted"),
+        (["negative"], r"the torque does not oppose the motion \(Coulomb torque -.*\); accepted: efforts of the sign"),
     ],
 )
 def test_what_cannot_be_identified_is_refused(
