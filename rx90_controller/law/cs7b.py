@@ -74,6 +74,7 @@ class CS7B:
         self.reference()
         self.tracking_error()
         self.details()
+        self.trajectory.warm_up()
         self.reset(rest)
 
     @property

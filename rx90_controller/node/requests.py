@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.trajectory import Schedule
-from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
+from rx90_controller.trajectory.message import check_horizon, check_joint_names, points_from_message, start_tick
 
 
 class Log(Protocol):
@@ -109,11 +109,7 @@ class Requests:
         Raises:
             TrajectoryError: if it is further ahead than the horizon.
         """
-        rates, now = self._cs7b.rates, self._cs7b.position_tick
+        rates = self._cs7b.rates
         start = start_tick(trajectory, rates.position_hz)
-        if start is not None and start - now > self._horizon * rates.position_hz:
-            raise TrajectoryError(
-                f"start time {start / rates.position_hz:.3f} s, the controller's time is "
-                f"{now / rates.position_hz:.3f} s; accepted: 0 for now, or simulated time within {self._horizon:g} s"
-            )
+        check_horizon(start, self._cs7b.position_tick, self._horizon, rates.position_period)
         return start

@@ -43,12 +43,13 @@ class JointLimits:
         """Return how far positions, rad, shape (..., 6), lie beyond the limits; 0 within."""
         return np.asarray(np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0))
 
-    def check_points(self, tables: tuple[Array, Array | None, Array | None], allowed: Array) -> None:
+    def check_points(self, tables: tuple[Array, Array | None, Array | None], allowed: Array, number: int = 0) -> None:
         """Check the points themselves: a spline through points within the limits has finite coefficients.
 
         Args:
             tables: positions, velocities and accelerations of n points, each of shape (n, 6) or None.
             allowed: how far beyond the position limits a point may lie, rad, shape (6,).
+            number: of the first point, for refusals.
 
         Raises:
             TrajectoryError: naming point, joint, value and limit of the first one outside.
@@ -58,12 +59,14 @@ class JointLimits:
             if table is not None and found is not None:
                 row, joint = found
                 raise TrajectoryError(
-                    f"point {row}: {self.names[joint]} has the {quantity.what} {table[row, joint]:.6g} "
+                    f"point {number + row}: {self.names[joint]} has the {quantity.what} {table[row, joint]:.6g} "
                     f"{quantity.unit}; accepted: {quantity.accepted(row, joint)}"
                 )
 
-    def check_start(self, held: Array, first: Array, period: float) -> None:
+    def check_start(self, held: Array, first: Array, period: float, number: int = 0) -> None:
         """Check that the velocity of the first set-point, shape (3, 6), follows on the one that is `held` there.
+
+        `number` is that of the first point.
 
         Raises:
             TrajectoryError: naming the joint whose velocity would jump, both velocities and what is accepted.
@@ -73,16 +76,16 @@ class JointLimits:
         if found is not None:
             joint = found[1]
             raise TrajectoryError(
-                f"point 0: {self.names[joint]} starts at {first[1, joint]:.6g} rad/s, the set-point there moves at "
-                f"{held[1, joint]:.6g} rad/s; accepted: within {allowed[joint]:.6g} rad/s, or a first point later "
+                f"point {number}: {self.names[joint]} starts at {first[1, joint]:.6g} rad/s, the set-point there moves "
+                f"at {held[1, joint]:.6g} rad/s; accepted: within {allowed[joint]:.6g} rad/s, or a first point later "
                 "than the start"
             )
 
-    def check(self, setpoints: Array, times: Array, knots: Array, allowed: Array) -> Array:
+    def check(self, setpoints: Array, times: Array, knots: Array, allowed: Array, number: int = 0) -> Array:
         """Check every set-point that will be sent, and the steps from one to the next.
 
-        Points closer to each other than two set-points can hide a jump from every sampled derivative. What passes is
-        a motion within the accelerations, also between its set-points. It ends within the position limits, and
+        Points closer to each other than two set-points can hide a jump from every sampled derivative. What passes
+        ends within the position limits, and
         therefore could, wherever it is, be braked to rest before it reaches them.
 
         Args:
@@ -91,6 +94,7 @@ class JointLimits:
             knots: times of the trajectory's points, s, shape (n,), to say which one is meant.
             allowed: how far beyond the limits the first set-point may lie, rad, shape (6,); none may lie further
                 beyond than the one before.
+            number: of the first point, for refusals.
 
         Returns:
             How far beyond the limits the next set-point may lie, rad, shape (6,).
@@ -101,9 +105,9 @@ class JointLimits:
         q, v, a = setpoints[:, 0], setpoints[:, 1], setpoints[:, 2]
         step = np.diff(times)[:, None]
         last = knots.size - 1
-        point = np.minimum(np.searchsorted(knots, times), last)
+        point = number + np.minimum(np.searchsorted(knots, times), last)
         # At a knot the derivatives are already those of the way to the next point.
-        after = np.minimum(np.searchsorted(knots, times, side="right"), last)
+        after = number + np.minimum(np.searchsorted(knots, times, side="right"), last)
         reach = np.minimum.accumulate(np.vstack([allowed, self.outside(q)]), axis=0)
         position, velocity, acceleration = self._quantities(self.lower - reach[:-1], self.upper + reach[:-1])
         self._refuse(position, q, times, point)

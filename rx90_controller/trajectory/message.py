@@ -11,7 +11,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.cdr_reader import CdrReader
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_controller.trajectory.points import joint_order
+from rx90_controller.trajectory.points import check_joints
 
 _LEAST_POINT = 4 * len(POINT_FIELDS) + 8  # bytes: four empty sequences and a time
 
@@ -33,8 +33,12 @@ def check_trajectory_bytes(raw: bytes) -> None:
         reader.duration(f"points[{i}].time_from_start")
 
 
-def points_from_message(robot_joints: Sequence[str], message: Any) -> TrajectoryPoints:
+def points_from_message(
+    robot_joints: Sequence[str], message: Any, *, partial: bool = False, moving_end: bool = False
+) -> TrajectoryPoints:
     """Return the points of a JointTrajectory in the robot's joint order.
+
+    `partial` and `moving_end` are those of `TrajectoryPoints.create`.
 
     Raises:
         TrajectoryError: naming joint, index of the point and reason.
@@ -49,16 +53,18 @@ def points_from_message(robot_joints: Sequence[str], message: Any) -> Trajectory
         [point.positions for point in message.points],
         [point.velocities for point in message.points],
         [point.accelerations for point in message.points],
+        partial=partial,
+        moving_end=moving_end,
     )
 
 
-def check_joint_names(robot_joints: Sequence[str], message: Any) -> None:
-    """Check that a JointTrajectory names the robot's joints, each once, in any order.
+def check_joint_names(robot_joints: Sequence[str], message: Any, *, partial: bool = False) -> None:
+    """Check that a JointTrajectory names the robot's joints, each once, in any order; all of them unless `partial`.
 
     Raises:
         TrajectoryError: naming the joint that does not fit.
     """
-    joint_order(robot_joints, list(message.joint_names))
+    check_joints(robot_joints, list(message.joint_names), partial=partial)
 
 
 def start_tick(message: Any, position_hz: int) -> int | None:
@@ -67,6 +73,19 @@ def start_tick(message: Any, position_hz: int) -> int | None:
     if nanoseconds == 0:
         return None
     return int(-(-nanoseconds * position_hz // NANOSECONDS))
+
+
+def check_horizon(start: int | None, now: int, horizon: float, period: float) -> None:
+    """Check that a start tick, None for now, is not further ahead than a horizon, s; the period is in s.
+
+    Raises:
+        TrajectoryError: naming the start, the present time and what is accepted.
+    """
+    if start is not None and (start - now) * period > horizon:
+        raise TrajectoryError(
+            f"start time {start * period:.3f} s, the controller's time is {now * period:.3f} s; accepted: 0 for now, "
+            f"or simulated time within {horizon:g} s"
+        )
 
 
 def _seconds(duration: Any) -> float:

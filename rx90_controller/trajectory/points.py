@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.quoting import quoted
+from rx90_controller.trajectory.spline import Bounds, interpolate
 
 LONGEST = 3600.0
 """The longest trajectory, s: each of its set-points is checked before it may start."""
 _SHORTEST_STEP = 0.5e-9  # s; messages have whole nanoseconds
+
+
+class Way(NamedTuple):
+    """The spline between points: coefficients of its pieces, shape (n - 1, 6, 6), and bounds of them."""
+
+    coefficients: Array
+    bounds: Bounds
 
 
 @dataclass(frozen=True)
@@ -25,12 +34,18 @@ class TrajectoryPoints:
         position: rad, shape (n, 6).
         velocity: rad/s, shape (n, 6), or None if no point carries velocities.
         acceleration: rad/s^2, shape (n, 6), or None if no point carries accelerations.
+        named: which joints the points are of, shape (6,); the values of the others are 0 and mean nothing.
+        first: number of the first point in the trajectory that was sent.
+        way: between the points, if `prepared` has computed it.
     """
 
     times: Array
     position: Array
     velocity: Array | None
     acceleration: Array | None
+    named: Mask = field(default_factory=lambda: np.ones(6, dtype=np.bool_))
+    first: int = 0
+    way: Way | None = None
 
     @classmethod
     def create(
@@ -41,18 +56,31 @@ class TrajectoryPoints:
         position: Sequence[Sequence[float]],
         velocity: Sequence[Sequence[float]],
         acceleration: Sequence[Sequence[float]],
+        *,
+        partial: bool = False,
+        moving_end: bool = False,
     ) -> TrajectoryPoints:
         """Check raw points, joints in any order; an empty vector, or none at all, means "not given".
+
+        Args:
+            robot_joints: names of the six joints.
+            joint_names: in the order of the vectors.
+            times: from the start, s.
+            position: rad, of each point.
+            velocity: rad/s, likewise.
+            acceleration: rad/s^2, likewise.
+            partial: whether some of the joints may be missing.
+            moving_end: whether the last point may have a velocity.
 
         Raises:
             TrajectoryError: naming joint, index of the point and reason.
         """
         robot_joints, joint_names, times = list(robot_joints), list(joint_names), list(times)
-        order = joint_order(robot_joints, joint_names)
+        check_joints(robot_joints, joint_names, partial=partial)
         _check_times(times)
-        named = [joint_names[i] for i in order]
+        columns = [robot_joints.index(name) for name in joint_names]
         tables = {
-            what: _table(what, values, len(times), order, named)
+            what: _table(what, values, len(times), columns, joint_names)
             for what, values in (
                 ("positions", position),
                 ("velocities", velocity),
@@ -60,20 +88,51 @@ class TrajectoryPoints:
             )
         }
         if tables["positions"] is None:
-            raise TrajectoryError("point 0: no positions; accepted: six positions in every point")
+            raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")
         if tables["accelerations"] is not None and tables["velocities"] is None:
             raise TrajectoryError("point 0: accelerations without velocities; accepted: velocities too")
-        _check_rest_at_end(tables["velocities"], named)
+        if not moving_end:
+            _check_rest_at_end(tables["velocities"], robot_joints)
+        named = np.isin(np.arange(6), columns)
         return cls(
             np.array(times, dtype=np.float64),
             tables["positions"],
             tables["velocities"],
             tables["accelerations"],
+            named,
         )
 
+    def prepared(self) -> TrajectoryPoints:
+        """Return them with the way between them computed, so that to take them needs less time."""
+        if self.velocity is None:
+            return self
+        coefficients = interpolate(self.times, self.position, self.velocity, self.acceleration).coefficients
+        return replace(self, way=Way(coefficients, Bounds.of(coefficients, np.diff(self.times))))
 
-def joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list[int]:
-    """Return where each of the robot's joints stands among the names.
+    def after(self, time: float) -> TrajectoryPoints:
+        """Return the points later than a time, s, with times from there on."""
+        kept = self.times > time + _SHORTEST_STEP
+        velocity, acceleration = (None if t is None else t[kept] for t in (self.velocity, self.acceleration))
+        dropped = int(np.count_nonzero(~kept))
+        return replace(
+            self,
+            times=self.times[kept] - time,
+            position=self.position[kept],
+            velocity=velocity,
+            acceleration=acceleration,
+            first=self.first + dropped,
+            way=None if self.way is None else self.way._replace(coefficients=self.way.coefficients[dropped:]),
+        )
+
+    def held_at(self, position: Array) -> TrajectoryPoints:
+        """Return points whose joints that are not named hold a position, rad, shape (6,)."""
+        if self.named.all():
+            return self
+        return replace(self, position=np.where(self.named, self.position, position), way=None)
+
+
+def check_joints(robot_joints: Sequence[str], joint_names: Sequence[str], *, partial: bool = False) -> None:
+    """Check that names are those of the robot's joints, each once, in any order; all of them unless `partial`.
 
     Raises:
         TrajectoryError: for a name that is unknown, stands twice or is missing.
@@ -84,9 +143,10 @@ def joint_order(robot_joints: Sequence[str], joint_names: Sequence[str]) -> list
         if joint_names.count(name) > 1:
             raise TrajectoryError(f"joint {quoted(name)} stands {joint_names.count(name)} times; accepted: once")
     for name in robot_joints:
-        if name not in joint_names:
+        if name not in joint_names and not partial:
             raise TrajectoryError(f"joint {quoted(name)} is missing; accepted: all of {', '.join(robot_joints)}")
-    return [list(joint_names).index(name) for name in robot_joints]
+    if not joint_names:
+        raise TrajectoryError(f"no joints; accepted: {', '.join(robot_joints)}")
 
 
 def _check_times(times: Sequence[float]) -> None:
@@ -109,21 +169,26 @@ def _check_times(times: Sequence[float]) -> None:
         raise TrajectoryError("one point at time_from_start 0; accepted: a point later than the start")
 
 
-def _table(what: str, rows: Sequence[Sequence[float]], points: int, order: list[int], names: list[str]) -> Array | None:
+def _table(
+    what: str, rows: Sequence[Sequence[float]], points: int, columns: list[int], names: list[str]
+) -> Array | None:
+    """Return the vectors of all points with their values in the columns of their joints, shape (n, 6)."""
     if len(rows) not in (0, points):
         raise TrajectoryError(f"{what} of {len(rows)} points; accepted: of {points}, as many as there are times")
     given = [len(row) > 0 for row in rows]
     if not any(given):
         return None
     for i, row in enumerate(rows):
-        if len(row) != len(order):
+        if len(row) != len(columns):
             raise TrajectoryError(
-                f"point {i}: {len(row)} {what}; accepted: {len(order)} in every point, or none in any"
+                f"point {i}: {len(row)} {what}; accepted: {len(columns)} in every point, or none in any"
             )
-    table = np.array(rows, dtype=np.float64)[:, order]
-    if not np.isfinite(table).all():
-        i, joint = np.argwhere(~np.isfinite(table))[0]
-        raise TrajectoryError(f"point {i}: {what} of {names[joint]} is {table[i, joint]}; accepted: a finite number")
+    values = np.array(rows, dtype=np.float64)
+    if not np.isfinite(values).all():
+        i, k = np.argwhere(~np.isfinite(values))[0]
+        raise TrajectoryError(f"point {i}: {what} of {names[k]} is {values[i, k]}; accepted: a finite number")
+    table = np.zeros((points, 6))
+    table[:, columns] = values
     return table
 
 

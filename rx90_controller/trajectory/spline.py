@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,50 @@ class Spline:
         return setpoints
 
 
+class Bounds(NamedTuple):
+    """What positions rad, velocities rad/s and accelerations rad/s^2 lie between, shape (3, 6) each."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, coefficients: Array, span: Array) -> Bounds:
+        """Return bounds of pieces, shape (n, 6 powers, 6 joints), over spans, s, shape (n,); infinite for no numbers.
+
+        Between its ends a polynomial lies within its control points as a Bezier curve (Farin 2002, chapter 5).
+        """
+        bounds = cls(np.full((3, 6), np.inf), np.full((3, 6), -np.inf))
+        _control_points(coefficients, span, *bounds)
+        return bounds
+
+
+@kernel
+def _control_points(coefficients: Array, span: Array, low: Array, high: Array) -> None:
+    """Lower `low` and raise `high`, shape (3, 6), to the control points of all pieces."""
+    scaled = np.empty(6)
+    for k in range(span.size):
+        for j in range(6):
+            for row in range(3):
+                degree = 5 - row
+                factor = 1.0
+                for i in range(degree + 1):
+                    # The derivative's coefficient, by the share of the span.
+                    scaled[i] = coefficients[k, i + row, j] * factor
+                    factor *= span[k]
+                    for d in range(row):
+                        scaled[i] *= i + row - d
+                # Differences of the control points, upwards: b_m = sum of C(m, i)/C(degree, i) scaled_i.
+                for m in range(degree + 1):
+                    value, share = 0.0, 1.0
+                    for i in range(m + 1):
+                        value += share * scaled[i]
+                        share *= (m - i) / (degree - i) if i < degree else 0.0
+                    if not abs(value) < np.inf:
+                        low[row, j], high[row, j] = -np.inf, np.inf
+                    low[row, j] = min(low[row, j], value)
+                    high[row, j] = max(high[row, j], value)
+
+
 @kernel
 def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array, setpoints: Array) -> None:
     """Write the set-points at `times` into `setpoints`, shape (m, 3, 6)."""
@@ -58,6 +103,11 @@ def sample_spline(knots: Array, coefficients: Array, final: Array, times: Array,
             setpoints[m, 0, j] = c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
             setpoints[m, 1, j] = c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
             setpoints[m, 2, j] = 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
+
+
+def resting(position: Array) -> Spline:
+    """Return the spline that holds a position, rad, shape (6,)."""
+    return Spline(np.zeros(1), np.zeros((0, 6, 6)), position)
 
 
 def interpolate(times: Array, position: Array, velocity: Array, acceleration: Array | None) -> Spline:

@@ -1,0 +1,177 @@
+"""What runs and what waits: motions on the ticks of the position loop, and the speed at which they are followed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory.motion import FollowedPath, Path
+from rx90_controller.trajectory.spline import resting
+
+
+class Progress(NamedTuple):
+    """How far a trajectory is: time on its path from its begin, negative before, and that of its last point, s."""
+
+    time: float
+    last: float
+
+
+class End(NamedTuple):
+    """The position tick in which a motion has come to its end, and whether it was a stop."""
+
+    tick: int
+    stop: bool
+
+
+class Motions:
+    """One motion that runs or holds, and one that may wait for its start.
+
+    Attributes:
+        revision: changes whenever set-points that were sampled in advance may be out of date.
+        factor: what `set_speed_scaling` was given last, 1 in the beginning.
+    """
+
+    def __init__(self, limits: JointLimits, period: float, hold: Array) -> None:
+        """Hold `hold`, rad, shape (6,); `period` is that of the position loop, s."""
+        self.limits = limits
+        self.period = period
+        self.revision = 0
+        self.factor = 1.0
+        self.reset(hold)
+
+    def reset(self, hold: Array) -> None:
+        """Drop every trajectory and hold a position, rad, shape (6,)."""
+        rest = Path.of(resting(np.array(hold, dtype=np.float64)))
+        self._current = FollowedPath(0, rest, self.period, announced=True)
+        self._next: FollowedPath | None = None
+        self.revision += 1
+
+    def delay(self, count: int, now: int) -> None:
+        """Shift the running trajectory by `count` ticks, which passed without set-points up to tick `now`.
+
+        A trajectory that is to follow it is shifted as well, because it begins where the running one will then be. If
+        the arm rests, it keeps its start tick, or starts now if that has passed.
+        """
+        self._promote(now - count)
+        resting = not self._current.runs(now - count)
+        self._current.delay(count)
+        if self._next is not None:
+            self._next.delay(max(now - self._next.start, 0) if resting else count)
+        self.revision += 1
+
+    def setpoints(self, tick: int, count: int = 1) -> Array:
+        """Return the set-points of `count` position ticks from `tick` on, shape (count, 3, 6).
+
+        Ticks must not go back to before the last `accept`.
+        """
+        if self._next is None:
+            return self._current.setpoints(tick, count)
+        head = min(max(self._next.start - tick, 0), count)
+        before = self._current.setpoints(tick, head)
+        return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
+
+    def moving(self, tick: int) -> bool:
+        """Return whether a trajectory runs, is held on its path, or waits for its start at position tick `tick`."""
+        return (self._next or self._current).runs(tick)
+
+    def ended(self, tick: int) -> End | None:
+        """Return when a trajectory or a stop has come to its end, once for each that does.
+
+        To be called in every position tick. A trajectory that another one has replaced has no end.
+        """
+        self._promote(tick)
+        motion = self._current
+        if motion.announced or not motion.over(tick):
+            return None
+        motion.announced = True
+        return End(tick if motion.laws else motion.end, motion.path.stop)
+
+    def state(self, tick: float) -> Array:
+        """Return the set-point of the running trajectory at a time in position ticks, whole or not, shape (3, 6).
+
+        In the past as far as the running trajectory goes back, in the future as it is with the present scaling.
+
+        Raises:
+            TrajectoryError: for a time before that.
+        """
+        motion = self._effective(tick)
+        if not tick >= motion.since:
+            raise TrajectoryError(
+                f"time {tick * self.period:.6g} s; accepted: from {motion.since * self.period:.6g} s on, where the "
+                "running motion begins"
+            )
+        state: Array = motion.states(np.array([tick], dtype=np.float64))[0]
+        return state
+
+    def progress(self, tick: int) -> Progress:
+        """Return how far the trajectory that was taken last is at a position tick."""
+        motion = self._next or self._current
+        return Progress(motion.at(tick)[0] - motion.path.begin, motion.path.last - motion.path.begin)
+
+    def speed_scaling(self, tick: int) -> float:
+        """Return the speed along the path at a position tick, as a share of the trajectory's own; at rest `factor`."""
+        motion = self._effective(tick)
+        return motion.at(tick)[1] if motion.runs(tick) else self.factor
+
+    def set_speed_scaling(self, factor: float, now: int) -> None:
+        """Follow trajectories at `factor` of their speed, in [0, 1], from position tick `now` on; 0 holds on the path.
+
+        Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
+        What waits behind a running motion comes later by as much as that one is slowed down; what waits at rest keeps
+        its start. Stops are not slowed down. It stays over `reset`.
+
+        Raises:
+            TrajectoryError: if the factor is not a number in [0, 1].
+        """
+        if not 0.0 <= factor <= 1.0:
+            raise TrajectoryError(f"speed scaling {factor:g}; accepted: a number in [0, 1]")
+        self._promote(now)
+        if factor == self.factor:
+            return
+        self.factor = factor
+        motion, waiting = self._effective(now), self._next
+        acceleration = self.limits.acceleration
+        if motion.runs(now) and not motion.fixed:
+            if waiting is not None and motion is not waiting:
+                self._current, self._next = motion.over_to(waiting.path, waiting.start), None
+                motion = self._current
+            motion.go_at(factor, acceleration, now)
+        elif waiting is not None and motion is not waiting:
+            waiting.go_at(factor, acceleration, waiting.start, 1.0 if motion.runs(waiting.start) else factor)
+        self.revision += 1
+
+    def _effective(self, tick: float) -> FollowedPath:
+        """Return the motion whose set-point a tick gets."""
+        return self._current if self._next is None or tick < self._next.start else self._next
+
+    def _promote(self, tick: int) -> None:
+        """Make a trajectory that began before position tick `tick` the running one."""
+        if self._next is not None and self._next.start < tick:
+            self._current, self._next = self._next, None
+
+    def _base(self, now: int) -> FollowedPath:
+        """Return the running motion without what waits for its start."""
+        motion = self._current
+        if motion.before is None or motion.at(now)[0] >= motion.path.begin:
+            return motion
+        base = motion.on(motion.before)
+        base.go_at(self.factor, self.limits.acceleration, now)
+        return base
+
+    def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> None:
+        """Follow a path from a tick on, behind `base`, at its rate, or at `factor` from rest, or at a given one."""
+        self.revision += 1
+        acceleration, scaled = self.limits.acceleration, base.laws or self.factor != 1.0
+        if scaled and begin > now and base.runs(now) and not base.fixed:
+            # Where the running motion will be at that tick changes with the scaling: both become one path.
+            self._current, self._next = base.over_to(path, begin), None
+            self._current.go_at(self.factor, acceleration, now)
+            return
+        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=path.stop)
+        if not path.stop:
+            rate = base.at(begin)[1] if rate is None and base.runs(begin) else rate
+            self._next.go_at(self.factor, acceleration, begin, self.factor if rate is None else rate)

@@ -1,0 +1,506 @@
+"""The contract of FollowJointTrajectory without ROS: what is refused, tolerances, and how a goal ends."""
+
+from __future__ import annotations
+
+import copy
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rx90_common.base.errors import ConfigError
+from rx90_controller.goals.execution import Phase
+from rx90_controller.goals.goal import GoalOptions, check_goal
+from rx90_controller.goals.results import GoalError, ResultCode
+from rx90_controller.goals.runner import Event, GoalRunner
+from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
+PERIOD = 1e-3
+HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
+ZERO = np.zeros(6)
+DEFAULTS = GoalTolerances.defaults(
+    NAMES, goal_time=0.5, stopped_velocity_tolerance=0.02, trajectory={"joint_2": 0.05}, goal={"joint_3": 0.01}
+)
+
+
+def stamp(seconds: float) -> SimpleNamespace:
+    """Return a Time or Duration."""
+    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
+    return SimpleNamespace(sec=sec, nanosec=nanosec)
+
+
+def tolerance(name: str, position: float = 0.0, velocity: float = 0.0, acceleration: float = 0.0) -> SimpleNamespace:
+    """Return a JointTolerance."""
+    return SimpleNamespace(name=name, position=position, velocity=velocity, acceleration=acceleration)
+
+
+def message(to: Array | None = None, seconds: float = 0.6, **changed: Any) -> SimpleNamespace:
+    """Return a goal of a move to a pose at rest; parts of it, or of its trajectory, are changed."""
+    point = SimpleNamespace(
+        positions=list(HOME + 0.2 if to is None else to),
+        velocities=[0.0] * 6,
+        accelerations=[],
+        effort=[],
+        time_from_start=stamp(seconds),
+    )
+    trajectory = SimpleNamespace(header=SimpleNamespace(stamp=stamp(0.0)), joint_names=list(NAMES), points=[point])
+    goal = SimpleNamespace(
+        trajectory=trajectory,
+        multi_dof_trajectory=SimpleNamespace(joint_names=[], points=[]),
+        path_tolerance=[],
+        component_path_tolerance=[],
+        goal_tolerance=[],
+        component_goal_tolerance=[],
+        goal_time_tolerance=stamp(0.0),
+    )
+    for name, value in changed.items():
+        for part in (goal, trajectory, point):
+            if hasattr(part, name):
+                setattr(part, name, value)
+        if name == "stamp":
+            trajectory.header.stamp = stamp(value)
+    return goal
+
+
+def checked(goal: SimpleNamespace, **options: bool) -> Any:
+    """Return a checked goal."""
+    return check_goal(goal, NAMES, DEFAULTS, GoalOptions(**options), 1000)
+
+
+def two(first: float, second: float) -> list[SimpleNamespace]:
+    """Return two points at times, s."""
+    points = message().trajectory.points * 2
+    points = [copy.copy(point) for point in points]
+    points[0].time_from_start, points[1].time_from_start = stamp(first), stamp(second)
+    return points
+
+
+def uneven() -> list[SimpleNamespace]:
+    """Return two points of which one alone has velocities."""
+    points = two(0.5, 1.0)
+    points[0].velocities = []
+    return points
+
+
+REFUSED: dict[str, tuple[dict[str, Any], ResultCode, str]] = {
+    "no joints": ({"joint_names": []}, ResultCode.INVALID_JOINTS, "'joint_1' is missing; accepted: all of joint_1"),
+    "wrong joints": ({"joint_names": ["a", *NAMES[1:]]}, ResultCode.INVALID_JOINTS, "unknown joint 'a'; accepted:"),
+    "one too many": ({"joint_names": [*NAMES, "b"]}, ResultCode.INVALID_JOINTS, "unknown joint 'b'; accepted:"),
+    "repeated": ({"joint_names": [*NAMES[:5], "joint_1"]}, ResultCode.INVALID_JOINTS, "'joint_1' stands 2 times"),
+    "a subset": ({"joint_names": list(NAMES[:5])}, ResultCode.INVALID_JOINTS, "'joint_6' is missing; accepted: all"),
+    "no points": ({"points": []}, ResultCode.INVALID_GOAL, "no points; accepted: at least one"),
+    "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, ResultCode.INVALID_GOAL, "joint_2 ends at 0.1 rad/s"),
+    "equal times": ({"points": two(1.0, 1.0)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 1 s after 1 s"),
+    "falling times": ({"points": two(1.0, 0.5)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 0.5 s after 1 s"),
+    "a time before the start": ({"points": two(-1.0, 0.5)}, ResultCode.INVALID_GOAL, "time_from_start -1 s; accepted"),
+    "no positions": ({"positions": []}, ResultCode.INVALID_GOAL, "no positions; accepted: positions of all"),
+    "few positions": ({"positions": [0.0] * 5}, ResultCode.INVALID_GOAL, "5 positions; accepted: 6"),
+    "many velocities": ({"velocities": [0.0] * 7}, ResultCode.INVALID_GOAL, "7 velocities; accepted: 6"),
+    "few accelerations": ({"accelerations": [0.0]}, ResultCode.INVALID_GOAL, "1 accelerations; accepted: 6"),
+    "velocities in one point": ({"points": uneven()}, ResultCode.INVALID_GOAL, "point 0: 0 velocities; accepted: 6"),
+    "effort": ({"effort": [1.0] * 6}, ResultCode.INVALID_GOAL, "point 0: carries effort; accepted:"),
+    "not a number": ({"positions": [0.0] * 5 + [np.nan]}, ResultCode.INVALID_GOAL, "of joint_6 is nan; accepted"),
+    "more than joints": (
+        {"multi_dof_trajectory": SimpleNamespace(joint_names=["base"], points=[])},
+        ResultCode.INVALID_GOAL,
+        "multi_dof_trajectory is given; accepted: an empty one",
+    ),
+    "components": (
+        {"component_path_tolerance": [SimpleNamespace()]},
+        ResultCode.INVALID_GOAL,
+        "component_path_tolerance of 1 joints; accepted: none",
+    ),
+    "tolerance of an unknown joint": (
+        {"path_tolerance": [tolerance("elbow", 0.1)]},
+        ResultCode.INVALID_JOINTS,
+        "path_tolerance: joint 'elbow' is unknown; accepted: joint_1",
+    ),
+    "tolerance twice": (
+        {"goal_tolerance": [tolerance("joint_1", 0.1)] * 2},
+        ResultCode.INVALID_JOINTS,
+        "goal_tolerance: joint 'joint_1' stands twice; accepted:",
+    ),
+    "negative tolerance": (
+        {"goal_tolerance": [tolerance("joint_1", 0.1, -0.5)]},
+        ResultCode.INVALID_GOAL,
+        "goal_tolerance: velocity of joint_1 is -0.5 rad/s; accepted: a finite number > 0, 0 for the default, -1 for",
+    ),
+    "infinite tolerance": (
+        {"path_tolerance": [tolerance("joint_1", 0.1, 0.0, np.inf)]},
+        ResultCode.INVALID_GOAL,
+        "path_tolerance: acceleration of joint_1 is inf rad/s^2; accepted: a finite",
+    ),
+    "negative goal time": (
+        {"goal_time_tolerance": stamp(-0.5)},
+        ResultCode.INVALID_GOAL,
+        "goal_time_tolerance is -0.5 s; accepted: a finite number > 0",
+    ),
+}
+
+
+@pytest.mark.parametrize(("changed", "code", "words"), REFUSED.values(), ids=REFUSED)
+def test_a_bad_goal_is_refused_with_its_code(changed: dict[str, Any], code: ResultCode, words: str) -> None:
+    """Each fault of a goal gives the code of the action and one line with the value and what is accepted."""
+    with pytest.raises(GoalError) as caught:
+        checked(message(**changed))
+    assert caught.value.code is code
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_options_take_what_is_refused_without_them() -> None:
+    """A subset of the joints and a velocity at the end are taken where they are allowed; no joints never are."""
+    some = message(joint_names=["joint_4", "joint_2"], positions=[0.4, 0.2], velocities=[0.5, 0.0])
+    allowed = {"allow_partial_joints_goal": True, "allow_nonzero_velocity_at_trajectory_end": True}
+    points = checked(some, **allowed).points
+    assert points.named.tolist() == [False, True, False, True, False, False]
+    assert points.position[0, [1, 3]].tolist() == [0.2, 0.4]
+    assert points.velocity[0, [1, 3]].tolist() == [0.0, 0.5]
+    for missing in allowed:
+        with pytest.raises(GoalError):
+            checked(some, **{name: value for name, value in allowed.items() if name != missing})
+    with pytest.raises(GoalError, match="no joints; accepted: joint_1"):
+        checked(message(joint_names=[]), **allowed)
+
+
+def test_tolerances_are_the_defaults_unless_the_goal_says_otherwise() -> None:
+    """0 is the default, -1 none, another number the goal's own; the next goal begins from the defaults again."""
+    own = checked(
+        message(
+            path_tolerance=[tolerance("joint_2", -1.0, 0.3), tolerance("joint_1", 0.02, 0.0, 5.0)],
+            goal_tolerance=[tolerance("joint_3", 0.0, -1.0), tolerance("joint_6", 0.004)],
+            goal_time_tolerance=stamp(-1.0),
+        )
+    ).tolerances
+    none = np.inf
+    path = [[0.02, none] + [none] * 4, [none, 0.3] + [none] * 4, [5.0] + [none] * 5]
+    goal = [[none, none, 0.01, none, none, 0.004], [0.02, 0.02, none, 0.02, 0.02, 0.02], [none] * 6]
+    assert own.path.tolist() == path
+    assert own.goal.tolist() == goal
+    assert own.goal_time == none
+    after = checked(message(goal_time_tolerance=stamp(0.25))).tolerances
+    assert after.path.tolist() == [[none, 0.05] + [none] * 4, [none] * 6, [none] * 6]
+    assert after.goal.tolist() == [[none, none, 0.01] + [none] * 3, [0.02] * 6, [none] * 6]
+    assert after.goal_time == 0.25
+    assert checked(message()).tolerances.goal_time == 0.5
+
+
+def test_defaults_are_those_of_the_original() -> None:
+    """Without parameters there is no tolerance but 0.01 rad/s at the goal, and a goal may take for ever."""
+    plain = GoalTolerances.defaults(NAMES)
+    assert np.all(plain.path == np.inf)
+    assert np.all(plain.goal[[0, 2]] == np.inf)
+    assert np.all(plain.goal[1] == 0.01)
+    assert plain.goal_time == np.inf
+    for bad in ({"goal_time": -1.0}, {"trajectory": {"joint_1": np.nan}}, {"goal": {"elbow": 0.1}}):
+        with pytest.raises(ConfigError, match=r"^constraints.* accepted: "):
+            GoalTolerances.defaults(NAMES, **bad)
+
+
+class Arm:
+    """A runner, its generator, and an arm whose state is the set-point plus an error that a test sets."""
+
+    def __init__(self, **options: bool) -> None:
+        self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        self.runner = GoalRunner(self.trajectory, GoalOptions(**options), 10.0)
+        self.tick = 0
+        self.off, self.off_speed = ZERO.copy(), ZERO.copy()
+        self.setpoints: list[Array] = []
+
+    def offer(self, key: str, goal: SimpleNamespace, inactive: str = "") -> Event | None:
+        """Offer a goal now; return the event of the one before."""
+        return self.runner.offer(key, checked(goal), self.tick, inactive)[1]
+
+    def run(self, ticks: int) -> list[Event]:
+        """Run ticks; return the events."""
+        events = []
+        for _ in range(ticks):
+            desired = self.trajectory.setpoints(self.tick)[0]
+            self.setpoints.append(desired)
+            event = self.runner.step(self.tick, desired, desired[0] - self.off, desired[1] - self.off_speed)
+            events += [event] if event is not None else []
+            self.tick += 1
+        return events
+
+    def stopped_smoothly(self) -> bool:
+        """Return whether the velocities never stepped by more than the accelerations allow, and the arm rests."""
+        speed = np.array(self.setpoints)[:, 1]
+        return bool((np.abs(np.diff(speed, axis=0)) <= 20.0 * PERIOD * (1 + 1e-6)).all() and not speed[-1].any())
+
+
+def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:
+    """From waiting to running to succeeded, with code 0; then the last point is held and no goal is active."""
+    arm = Arm()
+    assert arm.offer("a", message(stamp=0.1)) is None
+    arm.run(100)
+    assert arm.runner.active == "a"
+    assert arm.runner.feedback is None
+    assert arm.run(600) == []
+    event = arm.run(1)[0]
+    assert event.key == "a"
+    assert event.outcome == (Phase.SUCCEEDED, ResultCode.SUCCESSFUL, event.outcome.text, 700)
+    assert event.outcome.text == "goal reached at 0.7 s, 0 s after the last point"
+    assert arm.runner.active is None
+    assert arm.runner.feedback is None
+    assert arm.run(500) == []
+    assert np.all(arm.setpoints[-1] == [HOME + 0.2, ZERO, ZERO])
+
+
+def test_feedback_says_what_is_wanted_and_what_is() -> None:
+    """Desired, actual and error at the last tick, in time of the trajectory and of the clock, which scaling parts."""
+    arm = Arm()
+    arm.off[1], arm.off_speed[1] = 0.01, 0.1
+    arm.trajectory.set_speed_scaling(0.5, 0)
+    arm.offer("a", message())
+    arm.run(301)
+    feedback = arm.runner.feedback
+    assert feedback is not None
+    assert feedback.tick == 300
+    assert feedback.desired[0] == pytest.approx(HOME + 0.2 * (3 * 0.25**2 - 2 * 0.25**3))
+    assert feedback.error[0] == pytest.approx(arm.off)
+    assert feedback.error[1] == pytest.approx(arm.off_speed)
+    assert feedback.actual[:2] == pytest.approx(feedback.desired[:2] - feedback.error[:2])
+    # The measured acceleration is the difference of the velocities over a tick.
+    assert feedback.actual[2] == pytest.approx(feedback.desired[2], abs=0.05)
+    assert (feedback.desired_time, feedback.actual_time) == pytest.approx((0.15, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("goal", "row", "amount", "said"),
+    [
+        ({"path_tolerance": [tolerance("joint_4", 0.02)]}, 0, 0.03, "position error 0.03 rad, accepted up to 0.02 rad"),
+        (
+            {"path_tolerance": [tolerance("joint_4", 0.0, 0.3)]},
+            1,
+            -0.4,
+            "velocity error -0.4 rad/s, accepted up to 0.3 rad/s",
+        ),
+    ],
+)
+@pytest.mark.parametrize("at", [0, 250])
+def test_a_path_tolerance_holds_from_the_first_sample_on(
+    goal: dict[str, Any], row: int, amount: float, said: str, at: int
+) -> None:
+    """Beyond it in any sample: code -4 with joint, amount, limit and time, and a stop along the path."""
+    arm = Arm()
+    arm.offer("a", message(**goal))
+    assert arm.run(at) == []
+    (arm.off, arm.off_speed)[row][3] = amount
+    event = arm.run(1)[0]
+    assert event.outcome[:2] == (Phase.ABORTED, ResultCode.PATH_TOLERANCE_VIOLATED)
+    time = f"{at * PERIOD:g} s"
+    assert event.outcome.text == f"joint_4: {said} along the path, at {time}, {time} on the trajectory"
+    assert arm.run(300) == []
+    assert arm.stopped_smoothly()
+    assert np.abs(arm.setpoints[-1][0] - HOME).max() < 0.15
+
+
+def test_an_acceleration_beyond_its_tolerance_is_found() -> None:
+    """A jump of the measured velocity over a tick is an acceleration."""
+    arm = Arm()
+    arm.offer("a", message(path_tolerance=[tolerance("joint_1", 0.0, 0.0, 8.0)]))
+    assert arm.run(100) == []
+    arm.off_speed[0] = 0.02
+    event = arm.run(1)[0]
+    assert event.outcome.code is ResultCode.PATH_TOLERANCE_VIOLATED
+    assert event.outcome.text.startswith("joint_1: acceleration error 19.99 rad/s^2, accepted up to 8 rad/s^2 along")
+
+
+def test_what_is_furthest_beyond_its_tolerance_is_named() -> None:
+    """Of several violations the largest in terms of its limit is told; a value that is none counts as the largest."""
+    for wrong, joint in ((0.5, "joint_2"), (np.nan, "joint_5")):
+        arm = Arm()
+        arm.offer("a", message(path_tolerance=[tolerance("joint_5", 0.4), tolerance("joint_2", 0.1)]))
+        arm.off[1], arm.off[4] = 0.5, wrong
+        assert arm.run(1)[0].outcome.text.startswith(f"{joint}: position error")
+
+
+def test_a_goal_is_reached_once_its_tolerances_hold() -> None:
+    """Past the last point it settles, and succeeds within goal_time; path tolerances no longer count."""
+    arm = Arm()
+    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
+    arm.run(600)
+    arm.off[2], arm.off[1] = 0.011, 0.06
+    assert arm.run(150) == []
+    assert arm.runner.active == "a"
+    arm.off[2] = 0.009
+    assert arm.run(1)[0].outcome.text == "goal reached at 0.75 s, 0.15 s after the last point"
+
+
+def test_a_goal_that_is_not_reached_in_time_is_aborted() -> None:
+    """After goal_time: code -5 with joint, amount, limit and time; exactly goal_time is still in time."""
+    arm = Arm()
+    arm.offer("a", message(goal_time_tolerance=stamp(0.2)))
+    arm.off[2] = 0.011
+    assert arm.run(801) == []
+    event = arm.run(1)[0]
+    assert event.outcome[:2] == (Phase.ABORTED, ResultCode.GOAL_TOLERANCE_VIOLATED)
+    assert event.outcome.text == (
+        "joint_3: position error 0.011 rad, accepted up to 0.01 rad at the goal, 0.201 s after the last point, "
+        "at 0.801 s, 0.801 s on the trajectory"
+    )
+    arm.run(100)
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+
+
+def test_without_goal_time_a_goal_settles_for_ever() -> None:
+    """With goal_time 0 in defaults and goal, the stopped-velocity tolerance alone decides, however long it takes."""
+    arm = Arm()
+    goal = check_goal(message(), NAMES, GoalTolerances.defaults(NAMES), GoalOptions(), 1000)
+    arm.runner.offer("a", goal, 0)
+    arm.off_speed[0] = 0.011
+    assert arm.run(5000) == []
+    arm.off_speed[0] = 0.009
+    assert arm.run(1)[0].outcome.phase is Phase.SUCCEEDED
+
+
+@pytest.mark.parametrize("at", [1, 123, 300, 599])
+def test_a_cancelled_goal_stops_along_the_path(at: int) -> None:
+    """CANCELED at once; the arm comes to rest on the straight way between the poses, and holds."""
+    arm, way = Arm(), np.array([0.2, 0.1, -0.1, 0.3, 0.2, 0.4])
+    arm.offer("a", message(HOME + way))
+    arm.run(at)
+    event = arm.runner.cancel(arm.tick)
+    assert event is not None
+    assert event.key == "a"
+    assert event.outcome[:2] == (Phase.CANCELED, ResultCode.SUCCESSFUL)
+    assert event.outcome.text.startswith(f"cancelled; stopping from {at * PERIOD:g} s on, at rest at ")
+    assert arm.runner.cancel(arm.tick) is None
+    assert arm.run(300) == []
+    assert arm.stopped_smoothly()
+    share = (np.array(arm.setpoints)[:, 0] - HOME) / way
+    assert np.abs(share - share[:, :1]).max() < 1e-9
+    assert arm.trajectory.ended(arm.tick) is not None
+
+
+def test_a_new_goal_pre_empts_the_one_before() -> None:
+    """The one before ends with code -1; a refused one leaves it and its set-points as they are."""
+    arm = Arm()
+    arm.offer("a", message())
+    arm.run(200)
+    with pytest.raises(GoalError) as caught:
+        arm.offer("b", message(HOME + 9.0))
+    assert caught.value.code is ResultCode.INVALID_GOAL
+    assert arm.runner.active == "a"
+    event = arm.offer("c", message(HOME - 0.1, 0.9))
+    assert event is not None
+    assert event == ("a", (Phase.ABORTED, ResultCode.INVALID_GOAL, "pre-empted by a new goal, at 0.2 s", 200))
+    ended = arm.run(1000)
+    assert [(each.key, each.outcome.phase) for each in ended] == [("c", Phase.SUCCEEDED)]
+    assert arm.stopped_smoothly()
+    assert np.all(arm.setpoints[-1][0] == HOME - 0.1)
+
+
+def test_tolerances_of_a_goal_end_with_it() -> None:
+    """A goal without tolerances of its own has the defaults, whatever the one before had."""
+    arm = Arm()
+    arm.offer("a", message(path_tolerance=[tolerance("joint_2", -1.0)]))
+    arm.off[1] = 0.06
+    assert arm.run(300) == []
+    arm.offer("b", message())
+    event = arm.run(1)[0]
+    assert event.key == "b"
+    assert event.outcome.code is ResultCode.PATH_TOLERANCE_VIOLATED
+
+
+def test_what_ends_the_following_ends_the_goal() -> None:
+    """Brakes, a reset or a deactivation: code -1 with the reason; what the arm does is left to who says so."""
+    arm = Arm()
+    assert arm.runner.drop("the torque is off", 0) is None
+    arm.offer("a", message())
+    arm.run(100)
+    event = arm.runner.drop("the torque is off", arm.tick)
+    assert event == ("a", (Phase.ABORTED, ResultCode.INVALID_GOAL, "the torque is off, at 0.1 s", 100))
+    arm.run(600)
+    assert np.all(arm.setpoints[-1][0] == HOME + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("goal", "inactive", "code", "words"),
+    [
+        ({}, "the controller is disabled; accepted: after ~/enable", ResultCode.INVALID_GOAL, "is disabled; accepted"),
+        (
+            {"stamp": 0.2},
+            "",
+            ResultCode.OLD_HEADER_TIMESTAMP,
+            "the last point is at 0.8 s, the controller's",
+        ),
+        (
+            {"stamp": 11.5},
+            "",
+            ResultCode.INVALID_GOAL,
+            "start time 11.500 s, the controller's time is 1.000 s; accepted",
+        ),
+        ({"seconds": 0.01}, "", ResultCode.INVALID_GOAL, "point 0: joint_1 gets a set-point velocity"),
+        ({"to": HOME + 2.0 * np.eye(6)[4]}, "", ResultCode.INVALID_GOAL, "joint_5 has the position 2.5 rad"),
+    ],
+)
+def test_what_cannot_be_followed_now_is_refused(
+    goal: dict[str, Any], inactive: str, code: ResultCode, words: str
+) -> None:
+    """Not active, all in the past, too far ahead, beyond a limit: refused with its code, and nothing moves."""
+    arm = Arm()
+    arm.run(1000)
+    with pytest.raises(GoalError) as caught:
+        arm.offer("a", message(**goal), inactive)
+    assert caught.value.code is code
+    assert words in str(caught.value)
+    assert arm.runner.active is None
+    arm.run(100)
+    assert np.all(np.array(arm.setpoints) == [HOME, ZERO, ZERO])
+
+
+def test_a_goal_held_on_its_path_goes_on_and_succeeds() -> None:
+    """Scaled to 0 in mid-motion no time passes on the trajectory; scaled up again it ends as it would have."""
+    arm = Arm()
+    arm.offer("a", message())
+    arm.run(200)
+    arm.trajectory.set_speed_scaling(0.0, arm.tick)
+    assert arm.run(3000) == []
+    held = arm.runner.feedback
+    assert held is not None
+    assert held.desired_time < 0.3
+    arm.trajectory.set_speed_scaling(1.0, arm.tick)
+    assert [each.outcome.phase for each in arm.run(800)] == [Phase.SUCCEEDED]
+    assert arm.stopped_smoothly()
+
+
+def test_a_goal_may_start_where_the_path_is_now() -> None:
+    """With allow_trajectory_replacement a first point at the start may lie elsewhere; without, it may not."""
+    both = two(0.0, 0.8)
+    for allowed in (False, True):
+        arm = Arm(allow_trajectory_replacement=allowed)
+        arm.offer("a", message())
+        arm.run(300)
+        goal = message(points=both)
+        if allowed:
+            arm.offer("b", goal)
+            assert [each.outcome.phase for each in arm.run(900)] == [Phase.SUCCEEDED]
+            assert arm.stopped_smoothly()
+        else:
+            with pytest.raises(GoalError, match=r"starts at .* accepted: within"):
+                arm.offer("b", goal)
+
+
+def test_the_same_calls_give_the_same_numbers() -> None:
+    """Set-points, events and feedback are the same to the last bit from run to run."""
+    runs = []
+    for _ in range(2):
+        arm = Arm()
+        arm.offer("a", message(stamp=0.05, path_tolerance=[tolerance("joint_6", 0.04)]))
+        arm.run(150)
+        arm.trajectory.set_speed_scaling(0.37, arm.tick)
+        arm.run(150)
+        arm.off[5] = 0.05
+        events = arm.run(300)
+        runs.append((np.array(arm.setpoints), events))
+    assert np.array_equal(runs[0][0], runs[1][0])
+    assert runs[0][1] == runs[1][1]
+    assert len(runs[0][1]) == 1

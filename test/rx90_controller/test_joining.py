@@ -1,0 +1,227 @@
+"""Trajectories joined to a path: without a jump, points of the past left out, joints that are not named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import process_time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly
+
+from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory import JointLimits, PastError, TrajectoryGenerator, TrajectoryPoints
+
+Array = NDArray[np.float64]
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+MOST = np.array([18.0, 12.0, 12.0, 40.0, 40.0, 60.0])
+LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
+PERIOD = 1e-3
+HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
+ZERO = np.zeros(6)
+
+
+def points(
+    times: Sequence[float],
+    position: Sequence[Array],
+    velocity: Sequence[Array] | None = None,
+    names: Sequence[str] = NAMES,
+    *,
+    moving_end: bool = False,
+) -> TrajectoryPoints:
+    """Return checked points of some joints or all."""
+    none: list[list[float]] = [[]] * len(times)
+    return TrajectoryPoints.create(
+        NAMES, names, times, position, velocity or none, none, partial=True, moving_end=moving_end
+    )
+
+
+@pytest.fixture
+def generator() -> TrajectoryGenerator:
+    """Return a generator that moves every joint by 0.4 rad in a second, from tick 0 on."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    generator.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
+    return generator
+
+
+def within_limits(setpoints: Array) -> None:
+    """See that velocities are those of the positions, and that no step of them is more than the accelerations allow."""
+    q, v = setpoints[:, 0], setpoints[:, 1]
+    assert (np.abs(np.diff(v, axis=0)) <= MOST * PERIOD * (1 + 1e-6)).all()
+    assert (np.abs(np.diff(q, axis=0) - PERIOD * (v[1:] + v[:-1]) / 2.0) <= MOST * PERIOD**2 / 4.0 * (1 + 1e-6)).all()
+
+
+def hermite(times: Sequence[float], rows: Sequence[Sequence[Array]]) -> BPoly:
+    """Return the piecewise polynomial with positions and derivatives at times, by SciPy."""
+    return BPoly.from_derivatives(times, np.asarray(rows))
+
+
+def test_a_first_point_at_the_begin_makes_no_jump(generator: TrajectoryGenerator) -> None:
+    """A point at time 0 within the start tolerance is left out: the motion goes on from the set-point itself."""
+    generator.setpoints(0, 1200)
+    near = HOME + 0.4 + 9e-4
+    generator.join(points([0.0, 0.5], [near, HOME], [ZERO, ZERO]), 1200, None, anywhere=False)
+    got = generator.setpoints(1199, 700)
+    within_limits(got)
+    curve = hermite([0.0, 0.5], [[HOME + 0.4, ZERO], [HOME, ZERO]])
+    assert got[1:501, 0] == pytest.approx(curve(np.arange(500) * PERIOD), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "velocity", "words"),
+    [
+        (HOME + 0.402, ZERO, "point 0: joint_1 starts at 0.502 rad, the set-point there is 0.5 rad; accepted: within"),
+        (HOME + 0.4, ZERO + 0.5, "point 0: joint_1 starts at 0.5 rad/s, the set-point there moves at 0 rad/s"),
+    ],
+)
+def test_a_first_point_elsewhere_needs_leave(
+    generator: TrajectoryGenerator, first: Array, velocity: Array, words: str
+) -> None:
+    """A point at the begin away from the set-point, or from its velocity, is refused; with leave it is left out."""
+    generator.setpoints(0, 1200)
+    there = points([0.0, 0.5], [first, HOME], [velocity, ZERO])
+    with pytest.raises(TrajectoryError) as caught:
+        generator.join(there, 1200, None, anywhere=False)
+    assert str(caught.value).startswith(words)
+    assert np.all(generator.setpoints(1200, 10)[:, 0] == HOME + 0.4)
+    generator.join(there, 1200, None, anywhere=True)
+    within_limits(generator.setpoints(1199, 700))
+    assert np.all(generator.setpoints(1800)[0, 0] == HOME)
+
+
+def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None:
+    """From a stamp in the past the motion goes to the points that are still to come, at their times."""
+    way = [HOME + 0.05, HOME + 0.2, HOME + 0.3, HOME + 0.1]
+    velocity = [ZERO + 0.2, ZERO + 0.3, ZERO + 0.1, ZERO]
+    generator.join(points([0.1, 0.3, 0.8, 1.2], way, velocity), 400, 100, anywhere=False)
+    got = generator.setpoints(399, 1500)
+    within_limits(got)
+    before = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
+    rows = [[before(0.4), before(0.4, 1)], [way[2], velocity[2]], [way[3], ZERO]]
+    curve = hermite([0.4, 0.9, 1.3], rows)
+    assert got[1:901, 0] == pytest.approx(curve(0.4 + np.arange(900) * PERIOD), abs=1e-9)
+    assert np.all(got[902:, 0] == way[3])
+
+
+def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
+    """It says when its last point was; the running motion goes on."""
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
+    for start in (0, 100):
+        with pytest.raises(PastError) as caught:
+            generator.join(points([0.1, 0.3], [HOME, HOME], [ZERO, ZERO]), 400, start, anywhere=True)
+        last = start * PERIOD + 0.3
+        wanted = f"the last point is at {last:g} s, the controller's time is 0.4 s; accepted: points later than that"
+        assert str(caught.value) == wanted
+    assert np.array_equal(generator.setpoints(400, 800), twin.setpoints(400, 800))
+
+
+def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenerator) -> None:
+    """Behind points that were left out, a refused one bears its number in what was sent."""
+    way, rest = [HOME + 0.1, HOME + 0.2, HOME + 5.0], [ZERO] * 3
+    with pytest.raises(TrajectoryError, match=r"^point 2: joint_1 has the position 5.1 rad"):
+        generator.join(points([0.1, 0.2, 3.0], way, rest), 400, 100, anywhere=False)
+    with pytest.raises(TrajectoryError, match=r"^point 2: joint_1 gets a set-point"):
+        generator.join(points([0.1, 0.2, 0.301], [*way[:2], HOME - 0.5], rest), 400, 100, anywhere=False)
+
+
+@given(at=st.integers(1, 999), factor=st.sampled_from([1.0, 0.6, 0.05, 0.0]), ahead=st.sampled_from([0, 0, 150]))
+@settings(max_examples=25, deadline=None)
+def test_a_replacement_is_continuous_at_any_speed(at: int, factor: float, ahead: int) -> None:
+    """Joined anywhere to a running motion at any scaling, now or later, position and velocity go on without a jump."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    generator.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
+    generator.set_speed_scaling(factor, max(at - 20, 1))
+    got = [generator.setpoints(0, at)]
+    start = at + ahead if ahead else None
+    generator.join(points([1.2, 2.0], [HOME, HOME + 0.2], [ZERO, ZERO]), at, start, anywhere=False)
+    got.append(generator.setpoints(at, 300))
+    generator.set_speed_scaling(1.0, at + 300)
+    got.append(generator.setpoints(at + 300, 4000))
+    within_limits(np.concatenate(got))
+    assert np.all(got[-1][-1] == [HOME + 0.2, ZERO, ZERO])
+
+
+def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:
+    """At rest they stay to the bit; in motion they brake with their acceleration, and the named ones go their way."""
+    other = [0, 2, 3, 5]
+    names = ["joint_5", "joint_2"]
+    target = np.array([0.3, -0.5])
+    generator.join(points([1.0], [target], [np.zeros(2)], names), 500, None, anywhere=False)
+    got = generator.setpoints(499, 1600)
+    within_limits(got)
+    moving = hermite([0.0, 1.0], [[HOME, ZERO], [HOME + 0.4, ZERO]])
+    position, velocity = moving(0.5), moving(0.5, 1)
+    assert got[-1, 0, other] == pytest.approx((position + velocity**2 / (2.0 * MOST))[other], abs=1e-9)
+    named = hermite([0.0, 1.0], [[position[[4, 1]], velocity[[4, 1]]], [target, np.zeros(2)]])
+    assert got[1:1001][:, 0, [4, 1]] == pytest.approx(named(np.arange(1000) * PERIOD), abs=1e-9)
+    generator.join(points([1.0], [HOME[:1]], None, NAMES[:1]), 2200, None, anywhere=False)
+    still = generator.setpoints(2200, 1200)
+    assert np.all(still[:, :, 1:] == still[0, :, 1:])
+    assert still[-1, 0, 0] == HOME[0]
+
+
+def test_joints_that_are_not_named_may_follow_the_running_trajectory(generator: TrajectoryGenerator) -> None:
+    """With leave to replace, they go on to where the running trajectory leads them, as it would have."""
+    twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    twin.accept(points([1.0], [HOME + 0.4], [ZERO]), 0, None)
+    generator.join(points([0.6], [HOME[1:2] + 0.3], [np.zeros(1)], NAMES[1:2]), 500, None, anywhere=True)
+    got = generator.setpoints(500, 1000)
+    within_limits(np.concatenate([twin.setpoints(499), got]))
+    rest = [0, 2, 3, 4, 5]
+    assert got[:, 0, rest] == pytest.approx(twin.setpoints(500, 1000)[:, 0, rest], abs=1e-12)
+    assert np.all(got[601:, 0, 1] == HOME[1] + 0.3)
+
+
+def test_a_last_point_with_a_velocity_is_passed_and_braked_behind(generator: TrajectoryGenerator) -> None:
+    """Where that is allowed, the last point is met with its velocity, and each joint comes to rest behind it."""
+    generator.setpoints(0, 1200)
+    velocity = np.array([0.4, -0.3, 0.2, 0.5, -0.5, 0.6])
+    last = HOME + 0.5
+    with pytest.raises(TrajectoryError, match=r"joint_6 ends at 0\.6 rad/s; accepted: 0, the arm rests"):
+        points([0.6], [last], [velocity])
+    generator.accept(points([0.6], [last], [velocity], moving_end=True), 1200, None)
+    got = generator.setpoints(1199, 1500)
+    within_limits(got)
+    assert got[601, :2] == pytest.approx(np.array([last, velocity]), abs=1e-9)
+    assert got[-1, 0] == pytest.approx(last + velocity * np.abs(velocity) / (2.0 * MOST), abs=1e-9)
+    assert generator.progress(1800) == pytest.approx((0.6, 0.6))
+
+
+def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerator) -> None:
+    """Points within a tick that no set-point sees are refused: at a lower speed the motion would show them."""
+    generator.setpoints(0, 1200)
+    aside = HOME + 0.4 + [0, 0, 0, 1e-4, 0, 0]
+    way = [HOME + 0.4, aside, HOME + 0.4, HOME + 0.4]
+    with pytest.raises(TrajectoryError) as caught:
+        generator.accept(points([0.1002, 0.1005, 0.1008, 0.5], way, [ZERO] * 4), 1200, None)
+    said = str(caught.value)
+    assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
+    assert said.endswith("at 0.1002 s; accepted: [-40, 40]")
+
+
+def test_many_points_do_not_slow_a_tick_down() -> None:
+    """A tick of a slowed trajectory of 10,000 points takes about as long as one of a hundred."""
+    spent = []
+    for count in (100, 10_000):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        times = np.arange(1, count + 1) * 0.01
+        turn = 2.0 * np.pi / times[-1]
+        way = HOME + 0.1 * (1.0 - np.cos(turn * times))[:, None]
+        velocity = 0.1 * turn * np.sin(turn * times)[:, None] + ZERO
+        velocity[-1] = 0.0
+        generator.accept(points(times.tolist(), list(way + ZERO), list(velocity)), 0, None)
+        generator.set_speed_scaling(0.5, 100)
+        best = np.inf
+        for _ in range(5):
+            begin = process_time()
+            for tick in range(200, 800, 4):
+                generator.setpoints(tick)
+                generator.ended(tick)
+                generator.progress(tick)
+            best = min(best, process_time() - begin)
+        spent.append(best)
+    assert spent[1] < 2.0 * spent[0]
