@@ -37,6 +37,9 @@ class TickChannel(Protocol):
     def wake(self) -> None:
         """Make the current or the next `receive` return at once; callable from every thread."""
 
+    def close(self) -> None:
+        """Let another end take this one's place, once nobody calls the others any more."""
+
     def matches(self) -> Matches:
         """Count who is there to receive, and who to send."""
 

@@ -60,6 +60,10 @@ class CS7B:
         self.trajectory.reset(hold)
         self.tick = tick
 
+    def change(self, law: np.ndarray[Any, Any]) -> None:
+        """Take other constants, shape (1,), CONTROLLER_DTYPE, from the next tick on; integrators go on as they are."""
+        self.law[:] = law
+
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
         self.tick += count * self.rates.ratio

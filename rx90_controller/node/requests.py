@@ -53,10 +53,14 @@ class Requests:
         while self._reports:
             self._reports.popleft()()
 
+    def later(self, call: Callable[[], None]) -> None:
+        """Have `report` call this, in its turn."""
+        self._reports.append(call)
+        self._log.wake()
+
     def note(self, text: str, *, wrong: bool = False) -> None:
         """Note a line."""
-        self._reports.append(partial(self._log.error if wrong else self._log.info, text))
-        self._log.wake()
+        self.later(partial(self._log.error if wrong else self._log.info, text))
 
     def note_end(self) -> None:
         """Note the end of a trajectory, if it is in this tick of the position loop."""

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
+
+import numpy as np
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
@@ -53,6 +57,7 @@ class ServoLoop:
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
         self._waiting: Any = None
+        self._changes: list[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = []
         self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
@@ -78,6 +83,8 @@ class ServoLoop:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
+            if self._changes and cs7b.on_position_tick:
+                self._change(stamp_ns)
             if self._released or not self.enabled:
                 self._released = False
                 self._requests.note_dropped("the torque is off")
@@ -94,6 +101,12 @@ class ServoLoop:
             self._trip(cs7b.fault)
             cs7b.reset(states.position, cs7b.tick)
             return False
+
+    def _change(self, stamp_ns: int) -> None:
+        for law, effective in self._changes:
+            self._cs7b.change(law)
+            self._requests.later(partial(effective, stamp_ns))
+        self._changes.clear()
 
     def after_command(self, stamp_ns: int) -> None:
         """Publish what the last step has left: after its command, for which the simulation waits."""
@@ -125,6 +138,16 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
+
+    def change(self, law: np.ndarray[Any, Any], effective: Callable[[int], None]) -> None:
+        """Let other constants of the law count from the next tick of the position loop on, with which all of it begins.
+
+        Args:
+            law: shape (1,), CONTROLLER_DTYPE.
+            effective: called by `report` with that tick's time, ns.
+        """
+        with self._lock:
+            self._changes.append((law, effective))
 
     # The executor's thread.
 
