@@ -89,7 +89,7 @@ class SimulatedArm:
         node, parameters = self._node, self._parameters
         text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
         if parameters.time_mode == LOCK_STEP:
-            text += f", real_time_factor {self.ticks.pacer.factor:g}"
+            text += f", real_time_factor {node.get_parameter('real_time_factor').value:g}"
         text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
         if self.ticks.control.paused:
             text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
