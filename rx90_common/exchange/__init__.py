@@ -5,6 +5,7 @@ __all__ = [
     "cdr_reader",
     "channel",
     "client_node",
+    "control_messages",
     "environment",
     "joint_state_cdr",
     "lifecycle",

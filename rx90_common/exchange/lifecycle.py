@@ -39,6 +39,9 @@ class Managed(TickingNode, Protocol):
     def cleanup(self) -> None:
         """Let go of all that was loaded; also after a `configure` that was refused."""
 
+    def leave(self) -> None:
+        """End `tick_loop` soon; `stop` follows, which is not called from within a callback."""
+
 
 _Member = TypeVar("_Member", bound=Managed)
 
@@ -120,12 +123,10 @@ class ManagedNode(LifecycleNode):
         return self._try("clean up", self._clean_up)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the process, with exit code 0, after what the state asks for."""
+        """End the process, with exit code 0."""
         if state.state_id == State.PRIMARY_STATE_ACTIVE:
             self._try("deactivate", self._managed.deactivate)
-        if state.state_id != State.PRIMARY_STATE_UNCONFIGURED:
-            self._try("clean up", self._clean_up)
-        self._managed.stop()
+        self._managed.leave()
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:

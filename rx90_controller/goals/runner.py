@@ -78,6 +78,17 @@ class GoalRunner:
         self.active, self._execution = key, Execution(goal.tolerances, self._trajectory.period)
         return schedule, ended
 
+    def check_future(self, goal: Goal, now: int) -> None:
+        """Check whether a goal, offered at position tick `now`, would have a point left.
+
+        Raises:
+            GoalError: OLD_HEADER_TIMESTAMP if all its points lie in the past.
+        """
+        try:
+            self._trajectory.left(goal.points, now, goal.start)
+        except PastError as error:
+            raise GoalError(ResultCode.OLD_HEADER_TIMESTAMP, str(error)) from error
+
     def step(self, tick: int, desired: Array, position: Array, velocity: Array) -> Event | None:
         """Compare the set-point of a position tick with the measured state; return the end of the goal, if it is now.
 

@@ -30,6 +30,7 @@ class CS7B:
         law: compiled constants, shape (1,), CONTROLLER_DTYPE.
         state: compiled state, shape (1,), LAW_STATE_DTYPE.
         command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
+        setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).
         fault: what the supervision has found since the last reset, if anything; who drives motors switches them off.
     """
 
@@ -49,6 +50,8 @@ class CS7B:
         self._error = np.zeros((3, 6))
         self._details = np.zeros((3, 6))
         self.command: Array = self.state["command"][0]
+        self.setpoint = np.zeros((3, 6))
+        self._measured = (np.zeros(6), np.zeros(6))
         self.fault: DriveFault | None = None
 
     def reset(self, position: Array, tick: int = 0) -> None:
@@ -103,7 +106,8 @@ class CS7B:
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
-            tripped = position_loop(self.law, self.state, self._setpoint(tick), position, velocity)
+            self.setpoint, self._measured = self._setpoint(tick), (position, velocity)
+            tripped = position_loop(self.law, self.state, self.setpoint, position, velocity)
             if tripped:
                 self.note_fault()
         velocity_loop(self.law, self.state, velocity)
@@ -139,6 +143,16 @@ class CS7B:
         position, velocity, torque = self._reference
         to_joint_torque(self._gear, self.state["feed_forward"][0], torque)
         return position, velocity, torque
+
+    def measured(self) -> tuple[Array, Array]:
+        """Return positions rad and velocities rad/s of the joints in the last position tick, new arrays of shape (6,).
+
+        To be called before what `step` was given is changed.
+        """
+        position, velocity = np.empty(6), np.empty(6)
+        to_joint(self._gear, self._measured[0], position)
+        to_joint(self._gear, self._measured[1], velocity)
+        return position, velocity
 
     def tracking_error(self) -> tuple[Array, Array, Array]:
         """Return position error rad, velocity error rad/s, commanded torque Nm, joint side, shape (6,).

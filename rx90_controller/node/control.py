@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -45,10 +46,15 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.node.action import make_action, make_controller_state
+from rx90_controller.node.goal_parameters import declare_goal_parameters
 from rx90_controller.node.law_parameters import LawParameters
 from rx90_controller.node.serving import Serving
-from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.message import check_trajectory_bytes
+
+if TYPE_CHECKING:
+    from rx90_controller.node.controller_state import ControllerState
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
@@ -69,8 +75,10 @@ def declare_decimation(node: Node) -> int:
 class ControllerOutputs:
     """What the loops did, as topics, and lines for the user; called by the ticking thread."""
 
-    def __init__(self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str) -> None:
-        self._node, self._cs7b = node, cs7b
+    def __init__(
+        self, node: Node, channel: TickChannel, cs7b: CS7B, robot_name: str, state: ControllerState | None
+    ) -> None:
+        self._node, self._cs7b, self._state = node, cs7b, state
         self.ready = (
             f"ready: {plain(robot_name)}, velocity loops at {cs7b.rates.base_hz} Hz, position loops at "
             f"{cs7b.rates.position_hz} Hz, states on {channel.subscribe_topic}, trajectories on "
@@ -95,6 +103,7 @@ class ControllerOutputs:
             self._error,
             self._accepted,
             *(publisher for publisher, _ in self._details),
+            *([state.publisher] if state is not None else []),
             channel.publisher,
         )
         self._log = node.get_logger()
@@ -114,6 +123,8 @@ class ControllerOutputs:
             self._error.publish(self._encode_error(stamp_ns))
         if stamp_ns % self._detail_ns == 0:
             self._publish_details(stamp_ns)
+        if self._state is not None and stamp_ns % self._state.period_ns == 0:
+            self._state.publish(stamp_ns)
 
     def _publish_details(self, stamp_ns: int) -> None:
         self._cs7b.details()
@@ -170,17 +181,21 @@ class Control:
         rates = declare_rates(self.node)
         robot, self._cs7b, self._law = self._build(files, rates)
         cs7b = self._cs7b
-        self._channel = channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
-        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name)
+        channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
+        goals = declare_goal_parameters(self.node, cs7b.joint_names, rates)
+        state = make_controller_state(self.node, cs7b, goals)
+        outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name, state)
         self.publishers = outputs.publishers
-        self._loop = ServoLoop(cs7b, outputs, declare_horizon(self.node))
-        self._loop.enabled = False
+        self._loop = ServoLoop(cs7b, outputs, declare_horizon(self.node), goals.monitor_ticks)
+        self._loop.active = self._loop.enabled = False
         self._law.change_with(self._loop.change)
+        with self._loop.between_ticks() as requests:
+            requests.options = goals.options
+            requests.scale(goals.scaling)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
         self._pacer = Pacer(rates.period, 1.0)
         self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info, plain(robot.model.name))
-        self._active = False
         self._complaints = ThrottledLog(outputs.error)
         self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         if not local:
@@ -188,6 +203,7 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
+        self._action = make_action(self.node, self._loop, goals, cs7b, channel)
         self._diagnostics = Diagnostics(self.node, self._status)
 
     def _build(self, files: RobotFiles, rates: Rates) -> tuple[RobotModel, CS7B, LawParameters]:
@@ -203,19 +219,18 @@ class Control:
 
     def activate(self) -> None:
         """Give the motors torque: hold the arm, follow trajectories."""
-        self._active = True
-        self._loop.enable(True)
+        self._loop.activate(True)
 
     def deactivate(self) -> None:
         """End the motion; torque off, brakes closed. Ticks are answered all the same, and time goes on."""
-        self._active = False
-        self._loop.enable(False)
+        self._loop.activate(False)
+        self._loop.report()
         self._log.info("inactive: torque off, brakes closed")
 
     def close(self) -> None:
-        """Give exchange and parameters back, once nothing ticks any more."""
-        self._channel.close()
-        self._law.forget()
+        """End the action, once nothing ticks any more; what else it has made of the node is destroyed by others."""
+        if self._action is not None:
+            self._action.close()
 
     # The ticking thread.
 
@@ -243,6 +258,11 @@ class Control:
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+
+    def take_leave(self) -> None:
+        """Send what there is to say before the node ends; not from within a callback."""
+        if self._action is not None:
+            self._action.end()
         self._loop.report()
 
     # Topics, services and diagnostics, on the executor's thread.
@@ -256,8 +276,8 @@ class Control:
             pass  # ends `tick_loop`
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        if request.data and not self._active:
-            response.message = "the node is inactive; accepted: in state active"
+        if request.data and not self._loop.active:
+            response.message = INACTIVE
             return response
         self._loop.enable(request.data)
         response.success = True
@@ -287,7 +307,7 @@ class Control:
             return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
         if not self._loop.running:
             return DiagnosticStatus.WARN, "waiting for the simulation", values
-        if not self._active:
+        if not self._loop.active:
             return DiagnosticStatus.OK, "inactive", values
         moving = cs7b.trajectory.moving(cs7b.position_tick)
         return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values

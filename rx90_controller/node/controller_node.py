@@ -12,9 +12,10 @@ from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.lifecycle import ManagedNode, TickThread, started
 from rx90_common.exchange.node_tools import declare_rates
-from rx90_common.exchange.tick_channel import MakeChannel
+from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_controller.node.control import Control, declare_decimation, declare_horizon
+from rx90_controller.node.law_parameters import forget_law_parameters
 
 
 class ControllerNode:
@@ -34,7 +35,7 @@ class ControllerNode:
         self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = (), *, local: bool = False
     ) -> None:
         self.node = ManagedNode("rx90_controller", own_args, self)
-        self._make_channel, self._local = make_channel, local
+        self._ends, self._local = Ends(make_channel), local
         self._thread = TickThread()
         self._control: Control | None = None
         self._time_mode: TimeMode | None = None
@@ -56,7 +57,7 @@ class ControllerNode:
             Rx90Error: for files and parameters that are refused, a second controller, or a simulation in this process
                 that does not fit.
         """
-        self._control = control = Control(self.node, self._files(), self._make_channel, local=self._local)
+        self._control = control = Control(self.node, self._files(), self._ends.make, local=self._local)
         if self._time_mode is not None:
             control.follow(self._time_mode)
         if self._local:
@@ -80,6 +81,8 @@ class ControllerNode:
             control, self._control = self._control, None
         if control is not None:
             control.close()
+        self._ends.close()
+        forget_law_parameters(self.node)
 
     # A simulation in this process.
 
@@ -115,9 +118,15 @@ class ControllerNode:
         """
         self._thread.loop()
 
-    def stop(self) -> None:
+    def leave(self) -> None:
         """End `tick_loop` soon."""
         self._thread.stop()
+
+    def stop(self) -> None:
+        """End `tick_loop` soon, and send what there is to say."""
+        self._thread.stop()
+        if self._control is not None:
+            self._control.take_leave()
 
 
 def spin(args: Sequence[str]) -> None:

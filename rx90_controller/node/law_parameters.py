@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from rclpy.node import Node
+
 from rx90_common.base.config import Section, load_yaml
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
@@ -36,6 +38,13 @@ _USUAL: Final = {"feed_forward.viscous_exponent": [1.0] * 6}
 """Where the file leaves a key out."""
 
 
+def forget_law_parameters(node: Node) -> None:
+    """Undeclare the parameters, if they are declared: another file has other values."""
+    for name in _ABOUT:
+        if node.has_parameter(name):
+            node.undeclare_parameter(name)
+
+
 class LawParameters:
     """A controller file's values as parameters of the node: declared with the file's values, checked as the file is.
 
@@ -63,12 +72,6 @@ class LawParameters:
         """Let the parameters be set: `change` gets the constants, and what to call with the time of their effect."""
         group = ChangeGroup(tuple(_ABOUT), lambda values: self._record(self._read(values)), change)
         self._node.changes.allow(group)
-
-    def forget(self) -> None:
-        """Undeclare the parameters: another file may have others."""
-        for name in _ABOUT:
-            if self._node.has_parameter(name):
-                self._node.undeclare_parameter(name)
 
     def _of_file(self, name: str) -> Any:
         section, _, key = name.partition(".")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
+from rx90_controller.node.goal_requests import GoalRequests
 from rx90_controller.node.requests import Log, Requests
+
+INACTIVE: Final = "the controller is inactive; accepted: in state active"
 
 
 class Outputs(Log, Protocol):
@@ -39,24 +43,26 @@ class ServoLoop:
         cs7b: the control law, warmed up.
         outputs: get what it does, and what became of a trajectory.
         horizon: how far ahead of its own time, s, a trajectory may start.
+        monitor_ticks: position ticks from one feedback of a goal to the next.
 
     Attributes:
         command: see `CS7B`.
+        active: whether the node is.
         enabled: whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
     """
 
-    def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float) -> None:
+    def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
         self._cs7b, self._outputs = cs7b, outputs
         self._requests = Requests(cs7b, outputs, horizon)
+        self._goals = GoalRequests(cs7b, self._requests, horizon, monitor_ticks)
         self._lock = threading.Lock()
         self.command = cs7b.command
-        self.enabled = True
+        self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
-        self._waiting: Any = None
         self._changes: list[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = []
         self._unpublished = False  # whether the position loop has left something
 
@@ -70,14 +76,15 @@ class ServoLoop:
         """Hold the arm where it is; a trajectory that waited for the first states begins."""
         with self._lock:
             if self.running:
-                self._requests.note_dropped(f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding")
+                reason = f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding"
+                self._requests.note_dropped(reason)
+                self._goals.drop(reason)
             else:
                 self._requests.note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
             self.running = True
-            waiting, self._waiting = self._waiting, None
-            if waiting is not None:
-                self._requests.take(waiting, enabled=self.enabled)
+            self._requests.begin(self.inactive)
+            self._goals.begin(self.inactive)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -105,7 +112,7 @@ class ServoLoop:
     def _change(self, stamp_ns: int) -> None:
         for law, effective in self._changes:
             self._cs7b.change(law)
-            self._requests.later(partial(effective, stamp_ns))
+            self._requests.post(partial(effective, stamp_ns))
         self._changes.clear()
 
     def after_command(self, stamp_ns: int) -> None:
@@ -116,12 +123,14 @@ class ServoLoop:
     def _publish(self, stamp_ns: int) -> None:
         if self._unpublished:
             self._unpublished = False
+            self._goals.step()
             self._outputs.publish(stamp_ns)
 
     def _trip(self, fault: DriveFault) -> None:
         self.enabled, self.fault = False, fault
         text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
         self._requests.note(text, wrong=True)
+        self._goals.drop(f"{fault}; torque off, brakes closed")
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
@@ -138,6 +147,29 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
+                self._goals.drop("the torque is off")
+
+    def activate(self, on: bool) -> None:
+        """Follow the node into its state active, where the torque is on, or out of it."""
+        self.active = on
+        self.enable(on)
+
+    @property
+    def inactive(self) -> str:
+        """Return why nothing can be followed now, and what is accepted; empty if something can."""
+        if not self.active:
+            return INACTIVE
+        if self.fault is not None:
+            return f"{self.fault}; torque off; accepted: after a call of ~/enable with true"
+        if not self.enabled:
+            return "the controller is disabled; accepted: after a call of ~/enable with true"
+        return "the torque comes back with the next tick; accepted: from then on" if self._released else ""
+
+    @contextmanager
+    def between_ticks(self) -> Iterator[GoalRequests]:
+        """Give the goals; no tick is run until the block is left."""
+        with self._lock:
+            yield self._goals
 
     def change(self, law: np.ndarray[Any, Any], effective: Callable[[int], None]) -> None:
         """Let other constants of the law count from the next tick of the position loop on, with which all of it begins.
@@ -162,12 +194,11 @@ class ServoLoop:
         One without points stops the arm.
         """
         with self._lock:
-            if self.running:
-                self._requests.take(trajectory, enabled=self.enabled)
-            else:
-                instead = ", in place of the one that waited" if self._waiting is not None else ""
-                self._waiting = trajectory
-                self._requests.note(f"a trajectory waits for the simulation's first tick{instead}")
+            if not self.running:
+                self._requests.wait(trajectory)
+            elif not self._requests.take(trajectory, self.inactive):
+                return
+            self._goals.drop("replaced by a trajectory on the topic")
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

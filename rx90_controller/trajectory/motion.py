@@ -87,7 +87,7 @@ class FollowedPath:
             setpoints[:, 2] = setpoints[:, 2] * (rate * rate) + slope * changes[:, None] + 0.0
         return setpoints
 
-    def at(self, tick: int) -> tuple[float, float]:
+    def at(self, tick: float) -> tuple[float, float]:
         """Return the time on the path at a tick, s, and its rate."""
         if not self.laws:
             return (tick - self.start) * self.period, 1.0
@@ -99,7 +99,7 @@ class FollowedPath:
         entry: Array = self.path.spline.sample(np.array([self.at(tick)[0]]))[0]
         return entry
 
-    def runs(self, tick: int) -> bool:
+    def runs(self, tick: float) -> bool:
         """Return whether it is not at its end at a tick."""
         return self.at(tick)[0] < self.path.spline.duration
 

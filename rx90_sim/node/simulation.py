@@ -13,7 +13,7 @@ from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.lifecycle import ManagedNode, TickThread, started
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
-from rx90_common.exchange.tick_channel import MakeChannel
+from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_sim.node.arm import SimulatedArm
 from rx90_sim.node.parameters import read_parameters
@@ -34,7 +34,7 @@ class Simulation:
 
     def __init__(self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = ()) -> None:
         self.node = ManagedNode("rx90_sim", own_args, self)
-        self._make_channel = make_channel
+        self._ends = Ends(make_channel)
         self._thread = TickThread()
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
@@ -67,7 +67,7 @@ class Simulation:
             Rx90Error: for files and parameters that are refused, and a second simulation.
         """
         parameters = read_parameters(self.node)
-        self._arm = arm = SimulatedArm(self.node, self._files(), parameters, self._make_channel, self._step_ticks)
+        self._arm = arm = SimulatedArm(self.node, self._files(), parameters, self._ends.make, self._step_ticks)
         arm.ticks.listeners.ask(self._also_listening)
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
@@ -97,9 +97,8 @@ class Simulation:
         """Let go of the robot."""
         self._thread.finish()
         self._follow(None)
-        arm, self._arm = self._arm, None
-        if arm is not None:
-            arm.ticks.close()
+        self._arm = None
+        self._ends.close()
 
     # Its ticking thread, and the end.
 
@@ -110,6 +109,10 @@ class Simulation:
             DivergenceError: naming joint and tick.
         """
         self._thread.loop()
+
+    def leave(self) -> None:
+        """End `tick_loop` soon."""
+        self._thread.stop()
 
     def stop(self) -> None:
         """End `tick_loop` soon."""

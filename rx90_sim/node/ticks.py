@@ -52,7 +52,6 @@ class Ticks:
         self._lock_step = parameters.time_mode == LOCK_STEP
         self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
-        # Behind all that may be refused: it locks the topic.
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._heartbeat = Heartbeat(self._publications.repeat)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
@@ -80,10 +79,6 @@ class Ticks:
     def next_stamp_ns(self) -> int:
         """Return the simulated time, ns, from which on at the latest a change counts that is made now."""
         return (self._plant.tick + 1) * self._period_ns
-
-    def close(self) -> None:
-        """Give the exchange back, once `run` has returned."""
-        self._channel.close()
 
     @property
     def time(self) -> float:

@@ -1,0 +1,179 @@
+"""The action FollowJointTrajectory of the controller node; to be imported where control_msgs is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
+from rclpy.node import Node
+
+from rx90_common.base.rates import Rates
+from rx90_controller.goals.execution import Feedback, Outcome, Phase
+from rx90_controller.goals.goal import Goal, check_goal
+from rx90_controller.goals.results import GoalError
+from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.node.action_messages import feedback_message, result_message
+from rx90_controller.node.servo_loop import ServoLoop
+
+_LOOK = 0.5  # s between two looks for the simulation, while there is a goal
+_PATIENCE = 2.0  # s without one, after which the goal is given up
+_KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
+_FAREWELL = 10  # turns of the executor that the last results may take
+
+
+class _Server(ActionServer):
+    """rclpy's server, for goals that others execute and that have ended when it is told.
+
+    Its own way is a function that runs while a goal does: it would keep the executor, or, if it waits for something,
+    be called again and again, which takes a whole core (rclpy 7).
+    """
+
+    def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
+        """Do nothing: the goal is executed by the thread that ticks."""
+
+    def finish(self, handle: ServerGoalHandle, end: Callable[[ServerGoalHandle], Any]) -> None:
+        """Send the result that `end` returns once it has given the goal its last state."""
+        super().notify_execute(handle, end)
+
+
+class _Sender:
+    """One goal's way back to who has sent it.
+
+    Args:
+        server: that has the goal.
+        handle: of the goal.
+        feedback: makes the action's feedback.
+    """
+
+    def __init__(self, server: _Server, handle: ServerGoalHandle, feedback: Callable[[Feedback], Any]) -> None:
+        self._server, self._handle, self._feedback = server, handle, feedback
+
+    def went(self, feedback: Feedback) -> None:
+        """Send feedback."""
+        self._handle.publish_feedback(self._feedback(feedback))
+
+    def ended(self, outcome: Outcome) -> None:
+        """Send the result."""
+        self._server.finish(self._handle, partial(_end, outcome))
+
+
+def _end(outcome: Outcome, handle: ServerGoalHandle) -> Any:
+    """Give a goal its last state and return its result."""
+    {Phase.SUCCEEDED: handle.succeed, Phase.ABORTED: handle.abort, Phase.CANCELED: handle.canceled}[outcome.phase]()
+    return result_message(outcome)
+
+
+class FollowJointTrajectoryAction:
+    """The action server: goals are checked and answered on the executor's thread, and followed by the one that ticks.
+
+    What can be seen by a goal itself, and what is sent to a controller that is not active, is rejected. What depends on
+    where the arm then is (start, limits) is accepted and aborted at once: a result has a text, a rejection has none.
+
+    Args:
+        node: whose action it is.
+        loop: follows the goals.
+        tolerances: where a goal has none of its own.
+        rates: of the loops.
+        simulation_there: tells whether there is a simulation.
+
+    Attributes:
+        tolerances: may be changed for the next goal.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        loop: ServoLoop,
+        tolerances: GoalTolerances,
+        rates: Rates,
+        simulation_there: Callable[[], bool],
+    ) -> None:
+        self.tolerances = tolerances
+        self._node, self._loop, self._simulation_there = node, loop, simulation_there
+        self._position_hz = rates.position_hz
+        self._feedback = partial(feedback_message, names=tolerances.names, tick_ns=rates.period_ns * rates.ratio)
+        self._senders: dict[bytes, _Sender] = {}  # of the goals that a client may still cancel
+        self._checked: Goal | None = None  # the goal that is accepted next
+        self._seen = time.monotonic()  # when the simulation was there
+        self._server = _Server(
+            node,
+            FollowJointTrajectory,
+            "~/follow_joint_trajectory",
+            execute_callback=_end,
+            goal_callback=self._on_goal,
+            handle_accepted_callback=self._on_accepted,
+            cancel_callback=self._on_cancel,
+            result_timeout=_KEPT,
+        )
+        self._timer = node.create_timer(_LOOK, self._look)
+
+    def end(self) -> None:
+        """End the active goal because the node ends, and send its result."""
+        with self._loop.between_ticks() as goals:
+            goals.drop("the controller ends")
+        self._loop.report()
+        for _ in range(_FAREWELL):
+            if self._node.executor is not None:
+                self._node.executor.spin_once(timeout_sec=0.0)
+
+    def close(self) -> None:
+        """Serve no more goals; those that there were have ended."""
+        self._server.destroy()
+
+    # Requests of clients, in the order in which they come.
+
+    def _on_goal(self, message: Any) -> GoalResponse:
+        """Check a goal."""
+        loop = self._loop
+        with loop.between_ticks() as goals:
+            options = goals.options
+        try:
+            # Not between two ticks: a long one takes longer than these.
+            goal = check_goal(message, self.tolerances.names, self.tolerances, options, self._position_hz)
+            with loop.between_ticks() as goals:
+                goals.check(goal, loop.inactive or self._missing())
+        except GoalError as error:
+            with loop.between_ticks() as goals:
+                goals.refuse(error)
+            return GoalResponse.REJECT
+        self._checked = goal
+        return GoalResponse.ACCEPT
+
+    def _missing(self) -> str:
+        if self._loop.running or self._simulation_there():
+            return ""
+        return "there is no simulation; accepted: once there is one"
+
+    def _on_accepted(self, handle: ServerGoalHandle) -> None:
+        """Follow the goal that was checked just before, once its client has got the answer."""
+        loop, goal, trajectory = self._loop, self._checked, handle.request.trajectory
+        assert goal is not None
+        handle.execute()
+        sender = _Sender(self._server, handle, self._feedback)
+        self._senders[bytes(handle.goal_id.uuid)] = sender
+        with loop.between_ticks() as goals:
+            if loop.running:
+                goals.take(sender, goal, trajectory, loop.inactive)
+            else:
+                goals.wait(sender, goal, trajectory)
+
+    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        """Cancel a goal; where its end is on the way already, its client gets that."""
+        sender = self._senders.get(bytes(handle.goal_id.uuid))
+        if sender is not None:
+            with self._loop.between_ticks() as goals:
+                goals.cancel(sender)
+        return CancelResponse.ACCEPT
+
+    def _look(self) -> None:
+        """Give the goal up whose simulation is gone."""
+        now = time.monotonic()
+        with self._loop.between_ticks() as goals:
+            if not goals.pending or self._simulation_there():
+                self._seen = now
+            elif now - self._seen > _PATIENCE:
+                goals.drop(f"the simulation is gone, for more than {_PATIENCE:g} s", halt=True)
