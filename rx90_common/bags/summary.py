@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.topics import tells_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -16,6 +19,11 @@ from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 
 _GAP = 1.5  # times the median interval between two messages
 _ENOUGH_FOR_GAPS = 3
+_VALUES = (
+    "", "bool", "integer", "double", "string",
+    "byte_array", "bool_array", "integer_array", "double_array", "string_array",
+)  # fmt: skip
+"""The fields of a rcl_interfaces/ParameterValue by its type, without the ending."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,16 @@ class TopicSummary:
 
 
 @dataclass(frozen=True)
+class ParameterChange:
+    """A parameter of a node that was changed while it ran; it counts from this stamp on. The value is JSON."""
+
+    node: str
+    name: str
+    value: str
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
 class BagSummary:
     """What a bag holds.
 
@@ -63,6 +81,7 @@ class BagSummary:
         compression: what is compressed in it: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
         size: of its files in bytes.
         topics: by name.
+        changes: of parameters, in the order of the messages.
         notes: what was read otherwise than the bag says.
     """
 
@@ -71,6 +90,7 @@ class BagSummary:
     compression: str
     size: int
     topics: tuple[TopicSummary, ...]
+    changes: tuple[ParameterChange, ...]
     notes: tuple[str, ...]
 
     @property
@@ -90,18 +110,32 @@ def summarise(path: Path | str) -> BagSummary:
         if not topics:
             raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
+        changes: list[ParameterChange] = []
         for topic, log_ns, data in bag.messages(topics):
             times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
+            if tells_changes(topic.name, topic.msgtype):
+                changes += _changes(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
         summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
         size = sum(file.stat().st_size for file in files)
-        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(bag.notes))
+        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
 
 
 def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
     if not topic.is_ros1:
         return max(0, cdr_stamp_ns(data))
     return message_time_ns(bag.deserialize(topic, data).header.stamp)
+
+
+def _changes(event: Any) -> list[ParameterChange]:
+    stamp = message_time_ns(event.stamp)
+    return [ParameterChange(event.node, each.name, _value(each.value), stamp) for each in event.changed_parameters]
+
+
+def _value(value: Any) -> str:
+    """Return what a rcl_interfaces/ParameterValue holds as JSON, null for nothing."""
+    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
+    return json.dumps(held.tolist() if isinstance(held, np.ndarray) else held)
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:

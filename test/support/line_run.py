@@ -75,8 +75,8 @@ def run_both_ways(
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
     of_simulation = {
-        "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.5 if rests else 0.0, "paused": True,
-        "robot": str(files.urdf.parent),
+        "initial_position": pose, "duration": START + plan.duration, "paused": True,
+        "real_time_factor": 0.5 if rests else 0.0, "robot": str(files.urdf.parent),
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
     sections = {"rx90_sim": of_simulation, "rx90_controller": of_controller}

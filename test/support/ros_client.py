@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
-from processes import TIMEOUT
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from processes import TIMEOUT
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
