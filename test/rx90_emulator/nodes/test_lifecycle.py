@@ -109,10 +109,8 @@ def test_a_pair_goes_through_its_states(processes: Processes, client: Client) ->
         assert "Traceback" not in process.output
 
 
-def commands_of_two_laws(
-    setup: Setup, before: CS7BParameters, after: CS7BParameters, *, first: int
-) -> list[list[float]]:
-    """Return the motor torques while the arm holds `POSE`, plant and law stepped here, with other gains from a tick on."""
+def commands_of_two_laws(setup: Setup, before: CS7BParameters, after: CS7BParameters, first: int) -> list[list[float]]:
+    """Return the motor torques while the arm holds `POSE`, with plant and law stepped here: `after` from a tick on."""
     plant, cs7b = setup.plant(), setup.cs7b()
     plant.reset(POSE)
     commands = []
