@@ -10,7 +10,7 @@ unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_I
 
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
-	@echo "make action   build control_msgs into the environment, for the controller's action FollowJointTrajectory"
+	@echo "make action   build control_msgs and tf2_msgs into the environment, for the action FollowJointTrajectory and for /tf"
 	@echo "make test     run all tests"
 	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
 	@echo "make bench    measure speed and accuracy into out/bench.json"

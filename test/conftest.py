@@ -16,6 +16,7 @@ import yaml
 # reads this once, when it is imported, and so do the processes that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from rx90_common.base.requirements import missing_module
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
@@ -52,6 +53,15 @@ def needs_action() -> None:
 
     if line := missing_control_msgs():
         (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(line)
+
+
+@pytest.fixture(scope="session")
+def needs_tf() -> None:
+    """Skip where tf2_msgs is not there, which a compiler is needed for; fail where ACTION_REQUIRED is set."""
+    try:
+        import tf2_msgs.msg  # noqa: F401
+    except ImportError as error:
+        (pytest.fail if os.environ.get("ACTION_REQUIRED") else pytest.skip)(missing_module(error) or str(error))
 
 
 @pytest.fixture

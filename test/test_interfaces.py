@@ -1,10 +1,11 @@
-"""The definitions in interfaces/: the types are those of ROS 2 Jazzy's control_msgs; and how they are built."""
+"""The definitions in interfaces/: the types are those of ROS 2 Jazzy; and how they are built."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -33,6 +34,13 @@ JAZZY = {
 }
 
 
+def hash_in(library: Path, package: str, name: str) -> bytes:
+    """Return the type hash in a package's library of C structs."""
+    function = getattr(ctypes.PyDLL(str(library)), f"{package}__{name.replace('/', '__')}__get_type_hash")
+    function.restype = ctypes.c_void_p
+    return ctypes.string_at(function(None), 33)
+
+
 @pytest.fixture(scope="module")
 def library(needs_action: None) -> Path:  # noqa: ARG001
     """Return the library of the C structs."""
@@ -43,13 +51,17 @@ def library(needs_action: None) -> Path:  # noqa: ARG001
 
 def test_the_types_are_those_of_jazzy(library: Path) -> None:
     """The built package has the type hashes (REP 2016) of Jazzy's control_msgs: same fields, types and order."""
-    loaded = ctypes.PyDLL(str(library))
-    found = {}
-    for name in JAZZY:
-        function = getattr(loaded, f"control_msgs__{name.replace('/', '__')}__get_type_hash")
-        function.restype = ctypes.c_void_p
-        found[name] = ctypes.string_at(function(None), 33)
+    found = {name: hash_in(library, "control_msgs", name) for name in JAZZY}
     assert found == {name: b"\x01" + bytes.fromhex(expected) for name, expected in JAZZY.items()}
+
+
+def test_transforms_are_those_of_jazzy(needs_tf: None) -> None:  # noqa: ARG001
+    """The type hash of the built tf2_msgs/TFMessage is that of Jazzy's, as rosbags has it."""
+    import tf2_msgs
+
+    library = Path(tf2_msgs.__file__).with_name("libtf2_msgs__rosidl_generator_c.so")
+    expected = get_typestore(Stores.ROS2_JAZZY).hash_rihs01("tf2_msgs/msg/TFMessage").removeprefix("RIHS01_")
+    assert hash_in(library, "tf2_msgs", "msg/TFMessage") == b"\x01" + bytes.fromhex(expected)
 
 
 def test_the_constants_are_those_of_jazzy(needs_action: None) -> None:  # noqa: ARG001
@@ -72,11 +84,10 @@ def test_another_reader_understands_the_bytes(needs_action: None) -> None:  # no
 
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in ("JointTolerance", "JointComponentTolerance"):
-        text = (interfaces.DEFINITIONS / f"msg/{name}.msg").read_text(encoding="utf-8")
+        text = (interfaces.DEFINITIONS / f"control_msgs/msg/{name}.msg").read_text(encoding="utf-8")
         store.register(get_types_from_msg(text, f"control_msgs/msg/{name}"))
-    goal_text = (
-        (interfaces.DEFINITIONS / "action/FollowJointTrajectory.action").read_text(encoding="utf-8").split("---")[0]
-    )
+    file = interfaces.DEFINITIONS / "control_msgs/action/FollowJointTrajectory.action"
+    goal_text = file.read_text(encoding="utf-8").split("---")[0]
     full = re.sub(r"^(?=Joint\w*Tolerance)", "control_msgs/msg/", goal_text, flags=re.MULTILINE)
     store.register(get_types_from_msg(full, "control_msgs/action/Goal"))
 
@@ -122,17 +133,14 @@ def test_a_second_build_does_nothing(library: Path) -> None:
 
 def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A build counts for the definitions it was made from, and for no others."""
-    for path in interfaces.definitions():
-        copy = tmp_path / path.relative_to(interfaces.DEFINITIONS)
-        copy.parent.mkdir(exist_ok=True)
-        copy.write_bytes(path.read_bytes())
-    stamp = tmp_path / "rx90_emulator.stamp"
-    stamp.write_text(interfaces.inputs(), encoding="utf-8")
+    shutil.copytree(interfaces.DEFINITIONS, tmp_path, dirs_exist_ok=True)
+    for package in interfaces.PACKAGES:
+        (tmp_path / package / "rx90_emulator.stamp").write_text(interfaces.inputs(package), encoding="utf-8")
     monkeypatch.setattr(interfaces, "DEFINITIONS", tmp_path)
-    assert interfaces.is_built(tmp_path)
-    with (tmp_path / "msg/SpeedScalingFactor.msg").open("a") as stream:
+    assert interfaces.unbuilt(tmp_path) == []
+    with (tmp_path / "control_msgs/msg/SpeedScalingFactor.msg").open("a") as stream:
         stream.write("float64 more\n")
-    assert not interfaces.is_built(tmp_path)
+    assert interfaces.unbuilt(tmp_path) == ["control_msgs"]
 
 
 @pytest.mark.parametrize(
@@ -140,7 +148,12 @@ def test_a_changed_definition_is_built_again(tmp_path: Path, monkeypatch: pytest
     [
         (os, "environ", {"CXX": "/no/g++ -O0"}, r"no C\+\+ compiler \(/no/g\+\+\); accepted: .* apt install g\+\+$"),
         (sysconfig, "get_path", lambda _: "/no", r"no headers of Python 3\.\d+; accepted: .* python3\.\d+-dev$"),
-        (sys, "base_prefix", sys.prefix, "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs$"),
+        (
+            sys,
+            "base_prefix",
+            sys.prefix,
+            "belongs to no virtual environment; .* apt install ros-jazzy-control-msgs ros-jazzy-tf2-msgs$",
+        ),
     ],
 )
 def test_what_a_build_needs_is_asked_for_in_one_line(
@@ -150,6 +163,6 @@ def test_what_a_build_needs_is_asked_for_in_one_line(
     monkeypatch.setenv("CXX", sys.executable)  # that is there
     monkeypatch.setattr(owner, name, value)
     with pytest.raises(UnsuitableError, match=said) as caught:
-        interfaces.build(tmp_path / "control_msgs")
+        interfaces.build(interfaces.PACKAGES, tmp_path)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.iterdir())

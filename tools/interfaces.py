@@ -1,6 +1,6 @@
-"""Build control_msgs into the virtual environment whose interpreter runs this; do nothing where it is built already.
+"""Build control_msgs and tf2_msgs into the virtual environment whose interpreter runs this, where that is not done yet.
 
-No package registry has control_msgs. rclpy's wheels bring what generates it and what it is linked with; from outside
+No package registry has them. rclpy's wheels bring what generates it and what it is linked with; from outside
 come a C++ compiler and, for the time of the build, empy 3.3.4: the generators' templates do not work with a newer one.
 The generated C and C++ is what rclpy on Fast DDS needs and no more. Its libraries lie beside the Python classes and
 carry the path to those of the wheels (RPATH).
@@ -25,8 +25,8 @@ from pathlib import Path
 
 from tools.environment import ROOT, UnsuitableError, alone
 
-PACKAGE = "control_msgs"
-DEFINITIONS = ROOT / "interfaces" / PACKAGE
+PACKAGES = ("control_msgs", "tf2_msgs")
+DEFINITIONS = ROOT / "interfaces"
 # The packages whose types the definitions use, and those that rosidl adds to services and actions.
 USED = (
     *("action_msgs", "builtin_interfaces", "geometry_msgs", "service_msgs", "std_msgs", "trajectory_msgs"),
@@ -37,23 +37,22 @@ MODULE = "typesupport_c"
 LOG = ROOT / "build" / "interfaces.log"
 _RUNTIME = (*(f"rosidl_{name}" for name in (*LIBRARIES[1:], MODULE, "runtime_c")), "rcutils", "fastcdr")
 _EMPY = "empy==3.3.4"
-_CHECK = "from rx90_common.exchange.control_messages import missing_control_msgs as m; raise SystemExit(m())"
 
 
 def main() -> int:
-    """Build it if it is not built; 1 with one line when that cannot be done."""
-    target = Path(sysconfig.get_path("purelib")) / PACKAGE
-    if is_built(target):
+    """Build what is not built; 1 with one line when that cannot be done."""
+    site = Path(sysconfig.get_path("purelib"))
+    if not unbuilt(site):
         return 0
     (ROOT / "build").mkdir(exist_ok=True)
     try:
         with alone(ROOT / "build" / "interfaces.lock"):
-            if not is_built(target):  # by another that held the lock
+            if packages := unbuilt(site):  # not by another that held the lock
                 start = time.monotonic()
-                build(target)
-                _say(f"{PACKAGE} built into {target} in {time.monotonic() - start:.0f} s")
+                build(packages, site)
+                _say(f"{' and '.join(packages)} built into {site} in {time.monotonic() - start:.0f} s")
     except UnsuitableError as error:
-        _say(f"{PACKAGE} is not built, the action stays off: {error}")
+        _say(f"{' and '.join(unbuilt(site))} not built, what needs them stays off: {error}")
         return 1
     except KeyboardInterrupt:
         _say("interrupted; the next run builds it")
@@ -61,29 +60,34 @@ def main() -> int:
     return 0
 
 
-def is_built(target: Path) -> bool:
-    """Tell whether a package folder was built whole from what there is now."""
-    stamp = _stamp(target)
-    return stamp.is_file() and stamp.read_text(encoding="utf-8") == inputs()
+def unbuilt(site: Path) -> list[str]:
+    """Return the packages that were not built whole, into this folder of packages, from what there is now."""
+    stamps = {package: _stamp(site / package) for package in PACKAGES}
+    return [
+        package
+        for package, stamp in stamps.items()
+        if not (stamp.is_file() and stamp.read_text(encoding="utf-8") == inputs(package))
+    ]
 
 
-def inputs() -> str:
+def inputs(package: str) -> str:
     """Return a hash of what the build depends on: definitions, this file, interpreter, versions of ROS's wheels."""
     digest = hashlib.sha256(sys.version.encode())
-    for path in (Path(__file__), *definitions()):
+    for path in (Path(__file__), *definitions(package)):
         digest.update(f"{path.name} {path.stat().st_size} ".encode() + path.read_bytes())
     wheels = Path(sysconfig.get_path("purelib")).glob("ros_*.dist-info")
     digest.update(" ".join(sorted(path.name for path in wheels)).encode())
     return digest.hexdigest()
 
 
-def definitions() -> list[Path]:
-    """Return the interface files of the package."""
-    return sorted(path for kind in ("action", "msg", "srv") for path in (DEFINITIONS / kind).glob(f"*.{kind}"))
+def definitions(package: str) -> list[Path]:
+    """Return the interface files of a package."""
+    kinds = ("action", "msg", "srv")
+    return sorted(path for kind in kinds for path in (DEFINITIONS / package / kind).glob(f"*.{kind}"))
 
 
-def build(target: Path) -> None:
-    """Generate, compile and put a package into its folder.
+def build(packages: Sequence[str], site: Path) -> None:
+    """Generate and compile packages, and put them into the folder of packages.
 
     Raises:
         UnsuitableError: in one line, where something is missing or a step fails.
@@ -91,17 +95,24 @@ def build(target: Path) -> None:
     if sys.prefix == sys.base_prefix:
         raise UnsuitableError(
             f"{sys.executable} belongs to no virtual environment; accepted: make action, "
-            "or with ROS installed sudo apt install ros-jazzy-control-msgs"
+            "or with ROS installed sudo apt install ros-jazzy-control-msgs ros-jazzy-tf2-msgs"
         )
     compiler = find_compiler()
-    _say(f"building {PACKAGE} with {compiler[0]}")
-    with tempfile.TemporaryDirectory(prefix="interfaces-", dir=ROOT / "build") as name:
-        folder = Path(name)
+    _say(f"building {' and '.join(packages)} with {compiler[0]}")
+    with tempfile.TemporaryDirectory(prefix="interfaces-", dir=ROOT / "build") as temporary:
+        folder = Path(temporary)
         _run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--target", str(folder / "empy"), _EMPY])
-        generate(folder, folder / "empy")
-        _install(compile_package(folder, compiler), target)
-    _run([sys.executable, "-c", _CHECK])
-    _stamp(target).write_text(inputs(), encoding="utf-8")
+        sys.path.insert(0, str(folder / "empy"))
+        # One redirection for all: empy puts itself between standard output and what it was at first.
+        with LOG.open("w", encoding="utf-8") as log, contextlib.redirect_stdout(log):
+            for package in packages:
+                generate(package, folder / package)
+        for package in packages:
+            _install(compile_package(package, folder / package, compiler), site / package)
+            kinds = sorted({path.parent.name for path in definitions(package)})
+            modules = [f"{package}.{package}_s__rosidl_{MODULE}", *(f"{package}.{kind}" for kind in kinds)]
+            _run([sys.executable, "-c", f"import {', '.join(modules)}"])
+            _stamp(site / package).write_text(inputs(package), encoding="utf-8")
 
 
 def find_compiler() -> list[str]:
@@ -121,9 +132,8 @@ def find_compiler() -> list[str]:
     return command
 
 
-def generate(sources: Path, empy: Path) -> None:
-    """Write the C, C++ and Python sources of the definitions: a folder for each library, in it the package's."""
-    sys.path.insert(0, str(empy))
+def generate(package: str, sources: Path) -> None:
+    """Write the C, C++ and Python sources of a package: a folder for each library, in it one of the package's name."""
     os.environ["AMENT_PREFIX_PATH"] = sys.prefix
     from rosidl_adapter.action import convert_action_to_idl
     from rosidl_adapter.msg import convert_msg_to_idl
@@ -137,62 +147,61 @@ def generate(sources: Path, empy: Path) -> None:
 
     convert = {".action": convert_action_to_idl, ".msg": convert_msg_to_idl, ".srv": convert_srv_to_idl}
     used = [str(Path(sys.prefix, "share", name)) for name in USED]
-    described = sources / "idl" / PACKAGE
-    with LOG.open("w", encoding="utf-8") as log, contextlib.redirect_stdout(log):
-        files = []
-        for path in definitions():
-            own = path.relative_to(DEFINITIONS)
-            idl = convert[path.suffix](DEFINITIONS, PACKAGE, own, described / own.parent)
-            files.append(f"{described}:{idl.relative_to(described)}")
-        hashes = HashTypeDescription("hash").generate_type_hashes(PACKAGE, files, used, described)
-        GenerateC("c").generate(PACKAGE, files, used, sources / "generator_c" / PACKAGE, type_description_files=hashes)
-        cdr = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
-        for folder, generator in (
-            ("typesupport_fastrtps_c", GenerateFastRTPSCTypesupport("fastrtps_c")),
-            ("typesupport_introspection_c", GenerateIntrospectionCTypesupport("introspection_c")),
-            (MODULE, GenerateCTypesupport("c", typesupport_implementations=cdr)),
-            (MODULE, GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"])),
-        ):
-            generator.generate(PACKAGE, files, used, sources / folder / PACKAGE)
+    folder, described = DEFINITIONS / package, sources / "idl" / package
+    files = []
+    for path in definitions(package):
+        own = path.relative_to(folder)
+        idl = convert[path.suffix](folder, package, own, described / own.parent)
+        files.append(f"{described}:{idl.relative_to(described)}")
+    hashes = HashTypeDescription("hash").generate_type_hashes(package, files, used, described)
+    GenerateC("c").generate(package, files, used, sources / "generator_c" / package, type_description_files=hashes)
+    cdr = ["rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"]
+    for library, generator in (
+        ("typesupport_fastrtps_c", GenerateFastRTPSCTypesupport("fastrtps_c")),
+        ("typesupport_introspection_c", GenerateIntrospectionCTypesupport("introspection_c")),
+        (MODULE, GenerateCTypesupport("c", typesupport_implementations=cdr)),
+        (MODULE, GeneratePython("py", typesupport_implementations=["rosidl_typesupport_c"])),
+    ):
+        generator.generate(package, files, used, sources / library / package)
 
 
-def compile_package(sources: Path, compiler: Sequence[str]) -> Path:
-    """Compile the generated sources and link them; return the Python package.
+def compile_package(name: str, sources: Path, compiler: Sequence[str]) -> Path:
+    """Compile the generated sources of a package and link them; return the folder of the Python package.
 
     Three libraries, as ROS names them, and the module that the Python classes load. rosidl opens the first two by
     name at run time, and finds them loaded: the module is linked with them.
     """
-    package = sources / MODULE / PACKAGE
+    folder = sources / MODULE / name
     # One translation unit of a library's C++: nine tenths of the time go into headers that each file includes.
     units = {
         library: [_one_unit(sources / library, "*.cpp"), *(sources / library).rglob("*.c")]
         for library in (*LIBRARIES, MODULE)
     }
-    command = [*compiler, "-c", "-fPIC", "-O1", *(f"-I{folder}" for folder in _include_folders(sources))]
+    command = [*compiler, "-c", "-fPIC", "-O1", *(f"-I{path}" for path in _include_folders(sources))]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         all_units = [unit for own in units.values() for unit in own]
         list(pool.map(lambda unit: _compile(command, unit), all_units))
 
     # RPATH, not the newer RUNPATH: it also holds where the libraries of the wheels look for each other.
     rpath = f"-Wl,-rpath,{':'.join(['$ORIGIN', *_origin_paths()])}"
-    paths = ["-Wl,--disable-new-dtags", rpath, f"-L{package}", f"-L{sys.prefix}/lib"]
+    paths = ["-Wl,--disable-new-dtags", rpath, f"-L{folder}", f"-L{sys.prefix}/lib"]
     kinds = (*LIBRARIES, "generator_py", "typesupport_c")
-    wheels = [f"-l{name}__rosidl_{kind}" for name in USED for kind in kinds] + [f"-l{name}" for name in _RUNTIME]
+    wheels = [f"-l{used}__rosidl_{kind}" for used in USED for kind in kinds] + [f"-l{used}" for used in _RUNTIME]
     linked: list[str] = []
     for library, own in units.items():
-        name = f"lib{PACKAGE}__rosidl_{library}.so" if library != MODULE else f"{PACKAGE}_s__rosidl_{MODULE}.so"
+        file = f"lib{name}__rosidl_{library}.so" if library != MODULE else f"{name}_s__rosidl_{MODULE}.so"
         objects = [f"{unit}.o" for unit in own]
-        options = [*paths, "-Wl,--no-as-needed", *linked, "-Wl,--as-needed", *wheels, f"-Wl,-soname,{name}"]
-        _run([*compiler, "-shared", "-s", *objects, *options, "-o", str(package / name)])
-        linked.append(f"-l:{name}")
-    return package
+        options = [*paths, "-Wl,--no-as-needed", *linked, "-Wl,--as-needed", *wheels, f"-Wl,-soname,{file}"]
+        _run([*compiler, "-shared", "-s", *objects, *options, "-o", str(folder / file)])
+        linked.append(f"-l:{file}")
+    return folder
 
 
 def _origin_paths() -> list[str]:
-    """Return the folders of the wheels' libraries as the package sees them; some wheels have one of their own."""
+    """Return the folders of the wheels' libraries as a package sees them; some wheels have one of their own."""
     purelib = Path(sysconfig.get_path("purelib"))
     folders = [Path(sys.prefix, "lib"), *sorted(purelib.glob("ros_*.libs"))]
-    return [f"$ORIGIN/{os.path.relpath(folder, purelib / PACKAGE)}" for folder in folders]
+    return [f"$ORIGIN/{os.path.relpath(folder, purelib / 'package')}" for folder in folders]
 
 
 def _one_unit(folder: Path, pattern: str) -> Path:

@@ -74,9 +74,10 @@ def _accepted(module: str) -> str:
     # A system's own Python that is managed by its packages refuses pip; a virtual environment does not.
     folder = Path(sysconfig.get_path("stdlib"))
     managed = sys.prefix == sys.base_prefix and (folder / "EXTERNALLY-MANAGED").is_file()
-    if module == "control_msgs":  # in no registry of pip
+    if module in {"control_msgs", "tf2_msgs"}:  # in no registry of pip
         sourced = os.environ.get("ROS_DISTRO") == "jazzy"
-        return "sudo apt install ros-jazzy-control-msgs" if sourced else "make action, in the project's folder"
+        package = f"ros-jazzy-{module.replace('_', '-')}"
+        return f"sudo apt install {package}" if sourced else "make action, in the project's folder"
     if is_ros(module):
         return "a sourced ROS 2 Jazzy" + ("" if managed else f", or {_pip(_ROS_FROM_PIP)}")
     source = SOURCES[module]

@@ -6,6 +6,7 @@ __all__ = [
     "drives",
     "inverse",
     "kinematics",
+    "link_transforms",
     "rigid_torque",
     "robot",
     "robot_files",

@@ -13,7 +13,7 @@ import pinocchio as pin
 from rx90_common.base.arrays import Array
 from rx90_common.description.chain import RigidChain, rigid_chain
 from rx90_common.description.tool import MOUNT_LINK, TCP_LINK, attach, load_tool
-from rx90_common.description.urdf import JOINT_COUNT, UrdfFile
+from rx90_common.description.urdf import JOINT_COUNT, Placement, UrdfFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +30,7 @@ class RobotModel:
         max_effort: (6,) Nm.
         chain: the same arm for compiled code.
         tcp_frame: the link whose frame is the tool centre point.
+        placements: the frames of all joints, fixed ones and the tool's too.
     """
 
     joint_names: tuple[str, ...]
@@ -41,6 +42,7 @@ class RobotModel:
     max_effort: Array
     chain: RigidChain
     tcp_frame: str
+    placements: tuple[Placement, ...]
 
 
 def load_robot(urdf: Path, tool: Path | None = None) -> RobotModel:
@@ -63,7 +65,8 @@ def load_robot(urdf: Path, tool: Path | None = None) -> RobotModel:
     limits = np.array([(lim.lower, lim.upper, lim.velocity, lim.effort) for lim in file.limits.values()])
     lower, upper, velocity, effort = (np.ascontiguousarray(column) for column in limits.T)
     frame = _tcp_frame(file, model, tool is not None)
-    return RobotModel(names, text, model, lower, upper, velocity, effort, rigid_chain(file, frame), frame)
+    chain, placements = rigid_chain(file, frame), tuple(file.placements())
+    return RobotModel(names, text, model, lower, upper, velocity, effort, chain, frame, placements)
 
 
 def _tcp_frame(file: UrdfFile, model: Any, has_tool: bool) -> str:

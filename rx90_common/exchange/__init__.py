@@ -24,4 +24,5 @@ __all__ = [
     "tick_channel",
     "time_mode",
     "topics",
+    "transform_cdr",
 ]

@@ -51,9 +51,7 @@ def _surely_within(spline: Spline, points: TrajectoryPoints, limits: JointLimits
         # Left is what leads to the first point.
         coefficients, span, bounds = coefficients[:1], span[:1], [points.way.bounds]
     bounds.append(Bounds.of(coefficients, span))
-    low = np.array([limits.lower, -limits.velocity, -limits.acceleration])
-    high = np.array([limits.upper, limits.velocity, limits.acceleration])
-    return all(bool((each.low >= low).all() and (each.high <= high).all()) for each in bounds)
+    return all(limits.contain(*each) for each in bounds)
 
 
 def _check_between(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> None:

@@ -125,7 +125,8 @@ class TrajectoryGenerator(Motions):
         base = self._base(now)
         # At once from what the arm does; later along the path, whose speed may have changed by then.
         position, velocity, _ = base.setpoints(now, 1)[0] if begin == now else base.entry(begin)
-        return self._run(base, Path.of(stop(position, velocity, self.limits.acceleration), stop=True), now, begin)
+        rate = None if begin == now else self._rate(base, begin)
+        return self._run(base, Path.of(stop(position, velocity, self.limits.acceleration), stop=True), begin, rate)
 
     def halt(self, now: int) -> Schedule:
         """Come to rest on the path, within the accelerations, from position tick `now` on, and hold.
@@ -144,7 +145,7 @@ class TrajectoryGenerator(Motions):
         spline = base.halted(now, acceleration, _PATIENCE * math.ceil(shortest / self.period) + 2)
         if spline is None:
             spline = stop(position, velocity, acceleration)
-        return self._run(base, Path.of(spline, stop=True), now, now)
+        return self._run(base, Path.of(spline, stop=True), now, None)
 
     def _begin(self, now: int, start: int | None) -> int:
         begin = now if start is None else start
@@ -159,7 +160,7 @@ class TrajectoryGenerator(Motions):
     def _take(self, points: TrajectoryPoints, now: int, begin: int, *, follow: bool) -> Schedule:
         """Check a trajectory and run it; joints that it does not name hold, or follow the running one."""
         limits, base, partial = self.limits, self._base(now), not points.named.all()
-        time, rate = base.at(begin)
+        rate = self._rate(base, begin)
         # Held on the path, the arm rests, and may go elsewhere from there.
         rests = begin == now and rate == 0.0 and not (follow and partial)
         held = base.setpoints(begin, 1)[0] if rests else base.entry(begin)
@@ -173,12 +174,16 @@ class TrajectoryGenerator(Motions):
         if points.velocity is not None and points.velocity[-1].any():
             spline = braked(spline, points.velocity[-1], limits)
         if partial:
-            others = remainder(base.path.spline, time) if follow else stop(held[0], held[1], limits.acceleration)
+            others = (
+                remainder(base.path.spline, base.at(begin)[0])
+                if follow
+                else stop(held[0], held[1], limits.acceleration)
+            )
             spline = merged(spline, others, ~points.named)
         limits.check_start(held, spline.sample(np.zeros(1))[0], self.period, points.first)
         check_spline(spline, self.period, points, limits, allowed)
-        return self._run(base, Path.of(spline, last), now, begin, rate=self.factor if rests else None)
+        return self._run(base, Path.of(spline, last), begin, self.factor if rests else rate)
 
-    def _run(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> Schedule:
-        self._follow(base, path, now, begin, rate=rate)
+    def _run(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
+        self._follow(base, path, begin, rate)
         return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.miss)

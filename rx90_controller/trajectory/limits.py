@@ -43,6 +43,12 @@ class JointLimits:
         """Return how far positions, rad, shape (..., 6), lie beyond the limits; 0 within."""
         return np.asarray(np.maximum(np.maximum(self.lower - position, position - self.upper), 0.0))
 
+    def contain(self, low: Array, high: Array) -> bool:
+        """Return whether all between two bounds of position, velocity and acceleration, shape (3, 6), is within."""
+        quantities = self._quantities(self.lower, self.upper)
+        pairs = np.stack([low, high], axis=1)
+        return all(each.first_outside(pair) is None for each, pair in zip(quantities, pairs, strict=True))
+
     def check_points(self, tables: tuple[Array, Array | None, Array | None], allowed: Array, number: int = 0) -> None:
         """Check the points themselves: a spline through points within the limits has finite coefficients.
 

@@ -89,10 +89,10 @@ class FollowedPath:
 
     def at(self, tick: float) -> tuple[float, float]:
         """Return the time on the path at a tick, s, and its rate."""
-        if not self.laws:
-            return (tick - self.start) * self.period, 1.0
-        times, rates, _ = self._times(np.array([float(tick)]))
-        return float(times[0]), float(rates[0])
+        for law in reversed(self.laws):
+            if tick >= law.tick:
+                return law.point(tick)
+        return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
         """Return position and its derivatives by the time on the path at a tick, shape (3, 6)."""
@@ -164,7 +164,7 @@ class FollowedPath:
 
     def on(self, path: Path, before: Path | None = None) -> FollowedPath:
         """Return it on another path, whose past is the same."""
-        return replace(self, path=path, before=before, announced=False, laws=list(self.laws))
+        return replace(self, path=path, before=before, laws=list(self.laws))
 
     def over_to(self, path: Path, tick: int) -> FollowedPath:
         """Return it going over to another path where it will, by its present rate, be at a tick."""

@@ -122,7 +122,7 @@ class Motions:
 
         Also while one runs: the time on its path then runs slower or faster, as quickly as the accelerations allow.
         What waits behind a running motion comes later by as much as that one is slowed down; what waits at rest keeps
-        its start. Stops are not slowed down. It stays over `reset`.
+        its start. A stop that begins at once is not slowed down. It stays over `reset`.
 
         Raises:
             TrajectoryError: if the factor is not a number in [0, 1].
@@ -162,16 +162,13 @@ class Motions:
         base.go_at(self.factor, self.limits.acceleration, now)
         return base
 
-    def _follow(self, base: FollowedPath, path: Path, now: int, begin: int, *, rate: float | None = None) -> None:
-        """Follow a path from a tick on, behind `base`, at its rate, or at `factor` from rest, or at a given one."""
+    def _rate(self, base: FollowedPath, begin: int) -> float:
+        """Return the rate at which something begins behind a motion: that of the motion, or `factor` from rest."""
+        return base.at(begin)[1] if base.runs(begin) else self.factor
+
+    def _follow(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> None:
+        """Follow a path from a tick on, behind `base`, from a rate on; None for full speed whatever the scaling is."""
         self.revision += 1
-        acceleration, scaled = self.limits.acceleration, base.laws or self.factor != 1.0
-        if scaled and begin > now and base.runs(now) and not base.fixed:
-            # Where the running motion will be at that tick changes with the scaling: both become one path.
-            self._current, self._next = base.over_to(path, begin), None
-            self._current.go_at(self.factor, acceleration, now)
-            return
-        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=path.stop)
-        if not path.stop:
-            rate = base.at(begin)[1] if rate is None and base.runs(begin) else rate
-            self._next.go_at(self.factor, acceleration, begin, self.factor if rate is None else rate)
+        self._current, self._next = base, FollowedPath(begin, path, self.period, fixed=rate is None)
+        if rate is not None:
+            self._next.go_at(self.factor, self.limits.acceleration, begin, rate)

@@ -13,7 +13,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_controller.trajectory.spline import Spline, sample_spline
 
-_BLOCK = 256  # ticks that are computed at once, at least
+_BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
 
 
@@ -54,6 +54,14 @@ class PathTime:
         ahead = (since - row) * self._period
         change = (rates[np.minimum(row + 1, last)] - rates[row]) / self._period
         return times[row] + ahead * (rates[row] + 0.5 * ahead * change), rates[row] + ahead * change, change
+
+    def point(self, tick: int) -> tuple[float, float]:
+        """Return time, s, and rate at a tick, as `at`, in a fraction of its time."""
+        since = tick - self.tick
+        self._extend(since + 1)
+        row = min(since, self._series.shape[1] - 1)
+        time, rate = self._series[:, row].tolist()
+        return time + (since - row) * self._period * rate, rate
 
     def settles(self, within: int) -> int | None:
         """Return after how many ticks the wanted rate, or the end of the path, is reached; None if they are more."""

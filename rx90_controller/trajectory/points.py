@@ -106,7 +106,9 @@ class TrajectoryPoints:
         """Return them with the way between them computed, so that to take them needs less time."""
         if self.velocity is None:
             return self
-        coefficients = interpolate(self.times, self.position, self.velocity, self.acceleration).coefficients
+        # What overflows is beyond the limits, and refused by them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            coefficients = interpolate(self.times, self.position, self.velocity, self.acceleration).coefficients
         return replace(self, way=Way(coefficients, Bounds.of(coefficients, np.diff(self.times))))
 
     def after(self, time: float) -> TrajectoryPoints:

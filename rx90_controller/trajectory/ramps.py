@@ -139,17 +139,16 @@ def _pieces(start: Array, ramp: Array, around: Array, first: Array, final: Array
         miss: by how much points are missed, rad.
     """
     stops = np.append(start[1:], start[-1] + ramp[-1])
-    times, rows, here = [], [], first
-    for k in range(len(start)):
-        before, after = around[k], around[k + 1]
-        zero = np.zeros(6)
-        if ramp[k] > 0.0:
-            times.append(start[k])
-            rows.append([here, before, (after - before) / (2.0 * ramp[k]), zero, zero, zero])
-            here = here + (before + after) * (ramp[k] / 2.0)
-        cruise = stops[k] - (start[k] + ramp[k])
-        if cruise > 0.0:
-            times.append(start[k] + ramp[k])
-            rows.append([here, after, zero, zero, zero, zero])
-            here = here + after * cruise
-    return Spline(np.array([*times, stops[-1]]), np.array(rows), final, miss)
+    before, after = around[:-1], around[1:]
+    cruise = stops - (start + ramp)
+    # Each ramp, then what follows it at constant velocity; those of no duration are left out.
+    kept = np.column_stack([ramp > 0.0, cruise > 0.0]).ravel()
+    times = np.column_stack([start, start + ramp]).ravel()[kept]
+    velocity = np.stack([before, after], axis=1).reshape(-1, 6)[kept]
+    bend = np.zeros((2 * len(start), 6))
+    bend[::2] = (after - before) / np.where(ramp > 0.0, 2.0 * ramp, 1.0)[:, None]
+    ways = np.stack([(before + after) * (ramp / 2.0)[:, None], after * cruise[:, None]], axis=1).reshape(-1, 6)[kept]
+    coefficients = np.zeros((len(times), 6, 6))
+    coefficients[:, 0] = np.cumsum(np.concatenate([first[None], ways[:-1]]), axis=0)
+    coefficients[:, 1], coefficients[:, 2] = velocity, bend[kept]
+    return Spline(np.append(times, stops[-1]), coefficients, final, miss)

@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
-                      "which takes some times as long")  # fmt: skip
+                      "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
                       "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
                       "drive gains (docs/excitation.md)")  # fmt: skip

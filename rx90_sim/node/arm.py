@@ -20,6 +20,7 @@ from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import SimulationParameters, build_plant
 from rx90_sim.node.ticks import Ticks
+from rx90_sim.node.transforms import Transforms
 
 _REQUEST_TIMEOUT = 5.0  # s
 
@@ -53,7 +54,8 @@ class SimulatedArm:
         self._node, self._parameters, self._step_ticks = node, parameters, step_ticks
         robot, self._plant = build_plant(node, files, parameters)
         self._robot_name = plain(robot.model.name)
-        self.ticks = Ticks(node, self._plant, parameters, make_channel)
+        transforms = Transforms.of_parameters(node, robot, self._plant, parameters)
+        self.ticks = Ticks(node, self._plant, parameters, make_channel, transforms)
         self._description = node.create_publisher(String, "robot_description", LATCHED_QOS.profile)
         self._description.publish(String(data=robot.urdf))
         self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)

@@ -25,6 +25,7 @@ class SimulationParameters:
     rates: Rates
     joint_state_rate: int
     clock_rate: int
+    tf_rate: int
     time_mode: str
     real_time_factor: float
     command_timeout: float
@@ -59,6 +60,10 @@ def read_parameters(node: Node) -> SimulationParameters:
             node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
         ),
         clock_rate=declare(node, "clock_rate", 50, "rate of /clock, Hz", low=1, high=20000),
+        tf_rate=declare(
+            node, "tf_rate", 0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them",
+            low=0, high=20000,
+        ),
         time_mode=declare(
             node, "time_mode", LOCK_STEP, "lock_step: wait for the controller in every tick; free_running: wall clock"
         ),

@@ -7,26 +7,31 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from rx90_common.base.rates import NANOSECONDS, Rates, ticks_per
+from rx90_common.base.rates import NANOSECONDS, ticks_per
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
+from rx90_sim.node.parameters import SimulationParameters
+from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
 
 class Publications:
-    """joint_states, friction_states and /clock; called by the ticking thread."""
+    """joint_states, friction_states, /clock and, where there are any, the transforms; called by the ticking thread."""
 
-    def __init__(self, node: Node, plant: Plant, rates: Rates, state_hz: int, clock_hz: int) -> None:
+    def __init__(
+        self, node: Node, plant: Plant, parameters: SimulationParameters, transforms: Transforms | None
+    ) -> None:
         """Make the publishers.
 
         Raises:
             ConfigError: if a rate does not divide the base rate.
         """
-        self._plant = plant
+        rates = parameters.rates
+        self._plant, self._transforms = plant, transforms
         self._period_ns = rates.period_ns
-        self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, state_hz)
-        self._clock_ticks = ticks_per("clock_rate", rates.base_hz, clock_hz)
+        self._state_ticks = ticks_per("joint_state_rate", rates.base_hz, parameters.joint_state_rate)
+        self._clock_ticks = ticks_per("clock_rate", rates.base_hz, parameters.clock_rate)
         self._encode_joints = JointStateCodec(plant.joint_names).encoder(*plant.joint_states())
         self._encode_friction = JointStateCodec(plant.friction_names).encoder(*plant.friction_states())
         self._joints = publish(node, JointState, "joint_states", STATE_QOS.profile)
@@ -38,7 +43,8 @@ class Publications:
     @property
     def publishers(self) -> tuple[Publisher, ...]:
         """Return the publishers."""
-        return self._joints, self._friction, self._clock
+        own = (self._joints, self._friction, self._clock)
+        return own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
         """Publish what is due in the plant's current tick."""
@@ -54,6 +60,8 @@ class Publications:
                 self._plant.friction_states()
                 self._friction_sample = self._encode_friction(stamp)
                 self._friction.publish(self._friction_sample)
+        if self._transforms is not None:
+            self._transforms.publish_due(tick, stamp)
         if tick % self._clock_ticks == 0:
             self._time.clock.sec, self._time.clock.nanosec = divmod(stamp, NANOSECONDS)
             self._clock.publish(self._time)
@@ -68,4 +76,6 @@ class Publications:
         # Who came when nobody listened gets no friction states: those of an earlier tick cannot be made up for.
         if self._friction_sample and self._friction.get_subscription_count():
             self._friction.publish(self._friction_sample)
+        if self._transforms is not None:
+            self._transforms.repeat()
         self._clock.publish(self._time)

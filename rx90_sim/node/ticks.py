@@ -22,6 +22,7 @@ from rx90_sim.node.held_command import HeldCommand
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.publications import Publications
 from rx90_sim.node.run_control import RunControl, Turn
+from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
 _WAIT_SLICE = 0.1  # s
@@ -36,6 +37,7 @@ class Ticks:
         plant: at rest in tick 0.
         parameters: of the node.
         make_channel: makes the exchange with the controller.
+        transforms: what publishes /tf, None for nothing.
 
     Attributes:
         control: takes requests from other threads.
@@ -45,12 +47,19 @@ class Ticks:
         lockstep: exchange in lock-step.
     """
 
-    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters, make_channel: MakeChannel) -> None:
+    def __init__(
+        self,
+        node: Node,
+        plant: Plant,
+        parameters: SimulationParameters,
+        make_channel: MakeChannel,
+        transforms: Transforms | None = None,
+    ) -> None:
         self._node, self._plant, self._parameters = node, plant, parameters
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._publications = Publications(node, plant, rates, parameters.joint_state_rate, parameters.clock_rate)
+        self._publications = Publications(node, plant, parameters, transforms)
         self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
         self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._heartbeat = Heartbeat(self._publications.repeat)

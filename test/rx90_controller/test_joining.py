@@ -106,6 +106,25 @@ def test_points_of_the_past_are_left_out(generator: TrajectoryGenerator) -> None
     assert np.all(got[902:, 0] == way[3])
 
 
+@pytest.mark.parametrize("late", [0, 250])
+def test_points_may_be_prepared(late: int) -> None:
+    """With the way between the points computed before, set-points are the same, and so is what is refused."""
+    way, rates = [HOME + 0.02, HOME + 0.1, HOME + 0.15, HOME + 0.05], [ZERO + 0.15, ZERO + 0.2, ZERO + 0.05, ZERO]
+    plain = points([0.2, 0.6, 1.1, 1.5], way, rates)
+    got = []
+    for each in (plain, plain.prepared()):
+        generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+        generator.join(each, 200, 200 - late, anywhere=False)
+        got.append(generator.setpoints(200, 1500))
+    if not late:
+        assert np.array_equal(*got)
+    assert np.abs(got[0] - got[1]).max() < 1e-9
+    for times in ([0.2, 0.6, 1.1, 1.12], [0.005, 0.6, 1.1, 1.5]):
+        bad = points(times, way, rates).prepared()
+        with pytest.raises(TrajectoryError, match=r"gets a set-point|gets an acceleration"):
+            generator.join(bad, 3000, None, anywhere=False)
+
+
 def test_a_trajectory_that_is_all_in_the_past_is_refused(generator: TrajectoryGenerator) -> None:
     """It says when its last point was; the running motion goes on."""
     twin = TrajectoryGenerator(LIMITS, PERIOD, HOME)
@@ -143,6 +162,46 @@ def test_a_replacement_is_continuous_at_any_speed(at: int, factor: float, ahead:
     got.append(generator.setpoints(at + 300, 4000))
     within_limits(np.concatenate(got))
     assert np.all(got[-1][-1] == [HOME + 0.2, ZERO, ZERO])
+
+
+REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
+    """However trajectories, scalings, stops and delays follow each other: taken within the limits, or refused."""
+    rng = np.random.default_rng(seed)
+    generator, tick, got = TrajectoryGenerator(LIMITS, PERIOD, HOME), 1, []
+    got.append(generator.setpoints(0))
+    for _ in range(rng.integers(4, 12)):
+        what, count = rng.choice(REQUESTS), int(rng.integers(1, 400))
+        start = None if rng.random() < 0.5 else tick + int(rng.integers(-100, 500))
+        names = rng.permutation(NAMES)[: rng.integers(1, 7)].tolist()
+        n, m = int(rng.integers(1, 4)), len(names)
+        times = np.cumsum(rng.uniform(0.15, 1.2, n)).tolist()
+        rates = list(0.5 * rng.uniform(-1.0, 1.0, (n, m)) * rng.integers(0, 2))
+        try:
+            some = points(times, list(rng.uniform(-0.4, 0.4, (n, m))), rates, names, moving_end=True)
+            if what == "join":
+                generator.join(some, tick, start, anywhere=bool(rng.random() < 0.5))
+            elif what == "accept":
+                generator.accept(some, tick, start)
+            elif what == "scale":
+                generator.set_speed_scaling(float(rng.choice([0.0, 0.02, 0.5, rng.random(), 1.0])), tick)
+            elif what == "halt":
+                generator.halt(tick)
+            elif what == "stop":
+                generator.stop(tick, start)
+        except TrajectoryError:
+            pass
+        if what == "delay":
+            tick += count
+            generator.delay(count, tick)
+        else:
+            got.append(generator.setpoints(tick, count))
+            tick += count
+    within_limits(np.concatenate(got))
 
 
 def test_joints_that_are_not_named_hold(generator: TrajectoryGenerator) -> None:

@@ -194,10 +194,59 @@ def test_what_waits_behind_a_running_one_comes_later_by_as_much(generator: Traje
     begin = 200 + int(np.argmax(np.array(progress) >= 0.0))
     assert begin > 950
     assert generator.setpoints(begin)[0, 0] == pytest.approx(whole[600], abs=1e-3)
-    # A later one takes its place, as it does at full speed.
-    generator.accept(points(np.array([0.9]), HOME[None], ZERO[None]), 300, 400)
-    assert generator.progress(400).time == pytest.approx(0.0, abs=PERIOD)
-    within_limits(generator.setpoints(300, 3000))
+    # A third one takes its place, as it does at full speed: it goes on from the first.
+    generator.accept(points(np.array([0.9]), HOME[None], ZERO[None]), 300, 1300)
+    third = generator.setpoints(300, 3000)
+    within_limits(third)
+    assert generator.progress(1300).time == pytest.approx(0.0, abs=PERIOD)
+    assert off_the_path(third[:1000:17, 0]) < 1e-6
+    assert off_the_path(third[900:1000, 0], path) > 1e-3
+
+
+def test_a_rest_between_two_trajectories_is_stretched_with_them(generator: TrajectoryGenerator) -> None:
+    """Slowed down while the next one waits for a time after its end, the arm rests in between as much longer."""
+    generator.accept(points(np.array([0.8]), HOME[None] + 0.1, ZERO[None]), 100, 1600)
+    generator.set_speed_scaling(0.5, 200)
+    got = generator.setpoints(200, 5000)
+    within_limits(got)
+    resting = np.flatnonzero(np.all(got[:, 0] == HOME, axis=1))
+    assert len(resting) == pytest.approx(300 / 0.5, abs=2)
+    assert np.all(np.diff(resting) == 1)
+    assert np.all(got[-1, 0] == HOME + 0.1)
+
+
+def test_an_arm_that_is_held_on_its_path_may_go_elsewhere_from_there(generator: TrajectoryGenerator) -> None:
+    """At scaling 0 it rests, and so a new trajectory begins at rest; it runs once it may."""
+    generator.set_speed_scaling(0.0, 500)
+    position = generator.setpoints(999)[0, 0]
+    generator.accept(points(np.array([0.8]), HOME[None], ZERO[None]), 1000, None)
+    assert np.all(generator.setpoints(1000, 500)[:, 0] == position)
+    generator.set_speed_scaling(1.0, 1500)
+    got = generator.setpoints(1499, 1000)
+    within_limits(got)
+    curve = CubicHermiteSpline([0.0, 0.8], np.array([position, HOME]), np.zeros((2, 6)))
+    assert off_the_path(got[:, 0], curve) < 1e-6
+    assert np.all(got[803:, 0] == HOME)
+
+
+def test_a_stop_joint_by_joint_begins_with_the_velocity_that_there_is(generator: TrajectoryGenerator) -> None:
+    """Slowed down, each joint needs v^2/(2 a) by its real velocity; halted while it brakes, it goes on to do so."""
+    generator.set_speed_scaling(0.4, 100)
+    position, velocity, _ = generator.setpoints(700)[0]
+    begin, end, _ = generator.stop(700, None)
+    assert end - begin == np.ceil((np.abs(velocity) / MOST).max() / PERIOD)
+    got = generator.setpoints(700, 200)
+    within_limits(got)
+    assert got[-1, 0] == pytest.approx(position + velocity * np.abs(velocity) / (2.0 * MOST), abs=1e-12)
+    assert generator.speed_scaling(701) == 1.0
+    later = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    later.accept(points(TIMES, WAY, SPEED), 0, None)
+    later.set_speed_scaling(0.4, 100)
+    later.stop(300, 700)
+    within_limits(later.setpoints(300, 1500))
+    assert np.all(later.setpoints(1800)[0, 1:] == 0.0)
+    assert generator.halt(705) == (begin, end, 0.0)
+    assert np.array_equal(generator.setpoints(705, 195), got[5:])
 
 
 def test_ticks_that_pass_delay_a_scaled_motion_too(generator: TrajectoryGenerator) -> None:

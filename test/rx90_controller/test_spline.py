@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.interpolate import BPoly, CubicHermiteSpline
+from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
 
-from rx90_controller.trajectory.spline import Spline, interpolate
+from rx90_controller.trajectory.spline import Bounds, Spline, interpolate
 
 Array = NDArray[np.float64]
 TIMES = np.array([0.0, 0.13, 0.5, 0.51, 1.7, 2.0])
@@ -61,3 +61,20 @@ def test_a_resting_spline_rests() -> None:
     assert spline.duration == 0.0
     assert np.all(got[1:, 0] == POSITION[0])
     assert np.all(got[1:, 1:] == 0.0)
+
+
+def test_bounds_are_the_control_points() -> None:
+    """Positions, velocities and accelerations lie between the least and the most of SciPy's Bernstein coefficients."""
+    coefficients = interpolate(TIMES, POSITION, VELOCITY, ACCELERATION).coefficients
+    bounds = Bounds.of(coefficients, np.diff(TIMES))
+    curve = PPoly(np.moveaxis(coefficients[:, ::-1], 1, 0), TIMES)
+    for row in range(3):
+        control = BPoly.from_power_basis(curve.derivative(row) if row else curve).c
+        scale = np.abs(control).max()
+        assert bounds.low[row] == pytest.approx(control.min(axis=(0, 1)), abs=1e-11 * scale)
+        assert bounds.high[row] == pytest.approx(control.max(axis=(0, 1)), abs=1e-11 * scale)
+    coefficients[2, 3, 4] = np.nan
+    low, high = Bounds.of(coefficients, np.diff(TIMES))
+    assert np.all(low[:, 4] == -np.inf)
+    assert np.all(high[:, 4] == np.inf)
+    assert np.isfinite(low[:, :4]).all()

@@ -13,10 +13,11 @@ import pytest
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
 _STUBS = {
     "launch": ["Action", "Condition", "LaunchContext", "LaunchDescription"],
-    "launch.actions": ["DeclareLaunchArgument", "OpaqueFunction", "Shutdown"],
+    "launch.actions": ["DeclareLaunchArgument", "IncludeLaunchDescription", "OpaqueFunction", "Shutdown"],
     "launch.conditions": ["IfCondition", "UnlessCondition"],
     "launch.events": [],
     "launch.events.process": ["ProcessExited"],
+    "launch.launch_description_sources": ["PythonLaunchDescriptionSource"],
     "launch.substitutions": ["LaunchConfiguration", "OrSubstitution"],
     "launch_ros": [],
     "launch_ros.actions": ["Node"],
@@ -31,9 +32,15 @@ class Action(NamedTuple):
     given: tuple[Any, ...]
     named: dict[str, Any]
 
-    def perform(self, context: dict[str, str]) -> str:
+    def perform(self, context: Context) -> str:
         """Return the value of a configuration."""
-        return context[self.given[0]]
+        return context.launch_configurations[self.given[0]]
+
+
+class Context(NamedTuple):
+    """A stub of the context: the arguments that were given."""
+
+    launch_configurations: dict[str, str]
 
 
 def build(monkeypatch: pytest.MonkeyPatch, file: str) -> list[Action]:

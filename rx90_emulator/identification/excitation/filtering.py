@@ -186,7 +186,7 @@ class FilteredRun:
     bandwidths: Bandwidths
     stamps: TorqueStamps | None = None
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Return samples per second."""
         return _rate(self.time)

@@ -67,7 +67,8 @@ def identify_excitation(
         robot: that they come from; by default this project's.
         validation: runs to predict, which are not used.
         tolerances: what counts as agreement with them.
-        bristles: whether bristles along the motion are tried, too, which takes some times as long.
+        bristles: whether bristles along the motion are tried also where neither a Stribeck rise nor the rows of
+            reversals ask for them; a trial takes some times as long as all other parts.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do

@@ -217,8 +217,8 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 rclpy.init()
 node = rclpy.create_node("listener")
-node.create_subscription(JointTrajectory, "command", print, 1)
-node.create_subscription(JointState, "state", print, 1)
+node.create_subscription(JointTrajectory, "command", lambda _: None, 1)
+node.create_subscription(JointState, "state", lambda _: None, 1)
 sys.stdin.read()
 """
 
@@ -264,7 +264,7 @@ def test_signal_while_starting(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["-o", "taken"], "taken exists already, not overwriting"),
+        (["-o", "taken"], "taken exists; accepted: a new name"),
         (["-o", "new", "joint states"], "topic 'joint states': no name that ROS accepts"),
         (["-o", "new", "a", "/a"], "topic /a stands twice; accepted: each topic once"),
         (["-o", "new", "a", "--ros-args", "nonsense"], "ROS arguments --ros-args nonsense: refused"),

@@ -70,6 +70,49 @@ def test_neither_do_those_of_the_tx40(tx40: Setup, pose: str) -> None:
     assert overlaps(tx40, pin.VISUAL, TX40_POSES[pose]) == set()
 
 
+@pytest.mark.parametrize("robot", ["shipped", "tx40"])
+def test_what_is_seen_is_what_collides(robot: str, request: pytest.FixtureRequest) -> None:
+    """Of each link every visual shape lies within 13 mm of the collision geometry, and that within 13 mm of those."""
+    setup: Setup = request.getfixturevalue(robot)
+    model = setup.robot.model
+    kinds = [pin.buildGeomFromUrdfString(model, setup.robot.urdf, kind) for kind in (pin.VISUAL, pin.COLLISION)]
+    seen, hit = ([shape for shape in shapes.geometryObjects if "tool" not in shape.name] for shapes in kinds)
+    assert {shape.parentFrame for shape in seen} == {shape.parentFrame for shape in hit}
+    for shapes, others in ((seen, hit), (hit, seen)):
+        for shape in shapes:
+            near = [other for other in others if other.parentFrame == shape.parentFrame]
+            points = surface(shape)
+            gap = np.min([outside(other, points) for other in near], axis=0)
+            assert gap.max() < 0.013, shape.name
+
+
+def surface(shape: Any) -> np.ndarray:
+    """Return points on the edges of a box or cylinder, or on a sphere, in the frame of its link."""
+    geometry, place = shape.geometry, shape.placement
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(24)])
+    if type(geometry).__name__ == "Box":
+        points = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3))) * geometry.halfSide
+    elif type(geometry).__name__ == "Cylinder":
+        points = np.vstack([ring * geometry.radius + [0.0, 0.0, z * geometry.halfLength] for z in (-1.0, 0.0, 1.0)])
+    else:
+        points = np.vstack([ring, ring[:, [0, 2, 1]], ring[:, [2, 0, 1]]]) * geometry.radius
+    return points @ place.rotation.T + place.translation
+
+
+def outside(shape: Any, points: np.ndarray) -> np.ndarray:
+    """Return how far points lie outside a shape of the same link, m."""
+    geometry, place = shape.geometry, shape.placement
+    x, y, z = ((points - place.translation) @ place.rotation).T
+    if type(geometry).__name__ == "Box":
+        beyond = np.maximum(np.abs([x, y, z]) - geometry.halfSide[:, None], 0.0)
+    elif type(geometry).__name__ == "Cylinder":
+        beyond = np.maximum([np.hypot(x, y) - geometry.radius, np.abs(z) - geometry.halfLength], 0.0)
+    else:
+        beyond = np.maximum([np.sqrt(x**2 + y**2 + z**2) - geometry.radius], 0.0)
+    return np.asarray(np.sqrt((beyond**2).sum(axis=0)))
+
+
 def test_the_tool_can_be_hit(shipped: Setup) -> None:
     """The tool has collision geometry: with the wrist bent back and the elbow folded it meets the arm."""
     shapes = pin.buildGeomFromUrdfString(shipped.robot.model, shipped.robot.urdf, pin.COLLISION)

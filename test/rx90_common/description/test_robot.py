@@ -176,7 +176,7 @@ def test_robot_description_holds_tool_and_spot(shipped: Setup) -> None:
 def test_a_missing_mesh_does_not_matter(shipped_files: RobotFiles, tmp_path: Path) -> None:
     """A URDF whose mesh file is not there loads: looks are not needed to move."""
     text = shipped_files.urdf.read_text(encoding="utf-8")
-    box = '<box size="0.100 0.160 0.120"/>'
+    box = '<box size="0.060 0.120 0.090"/>'
     assert box in text
     file = tmp_path / "meshes.urdf"
     file.write_text(text.replace(box, '<mesh filename="package://nowhere/base.stl"/>'), encoding="utf-8")

@@ -13,6 +13,7 @@ import pytest
 from scipy.interpolate import BPoly
 
 from rx90_common.base.arrays import Array
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import DONE, REFUSED, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import excitation_job
@@ -224,6 +225,44 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another(tx40: Setup) 
     )
     assert np.array_equal(first, again)
     assert not any(first.shape == one.shape and np.allclose(first, one) for one in (second, other))
+
+
+def test_each_run_is_for_what_those_before_leave_uncertain(tx40: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of four runs each is searched for at its own speed and knows what the others tell; the validation knows nothing.
+
+    Information by sums over 1 % of each joint's effort as noise; every run begins and ends at the home of the poses.
+    """
+    searches: list[RunSearch] = []
+    firsts: list[float] = []
+
+    def small(search: RunSearch, rng: np.random.Generator, *_: object) -> FourierSeries:
+        coefficients = 0.02 * rng.normal(size=(6, 5))
+        coefficients[:, 0] += search.home
+        searches.append(search)
+        firsts.append(float(coefficients[0, 1]))
+        return FourierSeries(3, 3.0, coefficients)
+
+    monkeypatch.setattr(RunSearch, "best", small)
+    plan = plan_excitation(tx40, ExcitationOptions(runs=4, harmonics=3, period=3.0, periods=2, steps=2))
+    assert tx40.files is not None
+    home = load_yaml(tx40.files.required("poses")).section("home").numbers("position", 6)
+    for one in plan.experiments:
+        assert one.points.position[[0, -1]] == pytest.approx(np.array([home, home]), abs=1e-12)
+    assert [one.limits.speed for one in searches] == pytest.approx([0.8, 0.4, 0.16, 0.8, 0.56])
+    assert len(set(firsts)) == 5
+    noise, time = 0.01 * tx40.robot.max_effort[:, None], np.arange(0.0, 3.0, 5e-3)
+    told = [np.zeros_like(plan.information)]
+    for planned in plan.runs[:4]:
+        position, velocity, acceleration = planned.series.at(time)
+        standard = plan.columns.standard.torque(position, velocity, acceleration)
+        rows = replace(plan.columns, noise=np.ones(6)).rows(standard, velocity) / noise
+        flat = rows.reshape(6 * len(time), -1)
+        told.append(told[-1] + flat.T @ flat * 600.0 / len(time))  # 100 independent samples per second of 6 s
+    size = np.sqrt(np.diag(told[4]))
+    for found, expected in zip(
+        [*(one.before for one in searches), plan.information], [*told[:4], told[0], told[4]], strict=True
+    ):
+        assert found / np.outer(size, size) == pytest.approx(expected / np.outer(size, size), abs=0.05)
 
 
 def test_a_wall_behind_the_arm_leaves_room(shipped: Setup) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -50,8 +51,12 @@ for velocity, acceleration in ((False, False), (True, False), (True, True)):
     points = TrajectoryPoints.create(
         names, names, [0.1, 0.2], rows, [rest if velocity else []] * 2, [rest if acceleration else []] * 2
     )
-    controller.trajectory.accept(points, controller.position_tick, None)
+    controller.trajectory.accept(points.prepared(), controller.position_tick, None)
     for tick in range(1000):
+        if tick in (200, 240):
+            controller.trajectory.set_speed_scaling(tick / 240, controller.position_tick)
+        if tick == 300:
+            controller.trajectory.halt(controller.position_tick)
         position, velocities, _ = plant.motor_states()
         plant.step(controller.step(position, velocities))
         plant.joint_states(), plant.friction_states(), controller.reference(), controller.tracking_error()
@@ -64,9 +69,20 @@ print(sorted(name for name, _, _ in compiled() - before))
 
 
 def test_everything_is_compiled_before_the_first_tick() -> None:
-    """After the warm-up of plant and controller, motions of all kinds, reset and brakes compile and load nothing."""
+    """After the warm-up of plant and controller, motions at any speed, reset and brakes compile and load nothing."""
     run = subprocess.run([sys.executable, "-c", _WARM], capture_output=True, text=True, timeout=300, check=False)
     assert (run.stdout, run.stderr) == ("[]\n", "")
+
+
+REQUESTS: dict[str, Callable[[cs7b.CS7B, Array, int], object]] = {
+    "skip": lambda controller, _, count: controller.skip(count),
+    "reset": lambda controller, motor, count: controller.reset(motor, count),
+    "scale": lambda controller, _, count: controller.trajectory.set_speed_scaling(
+        (count % 5) / 4.0, controller.position_tick
+    ),
+    "halt": lambda controller, _, __: controller.trajectory.halt(controller.position_tick),
+}
+"""What may come between two ticks, beside a trajectory, with the motors' positions and a number."""
 
 
 @settings(max_examples=60, deadline=None)
@@ -80,7 +96,7 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
     for each in both:
         each.reset(motor)
     for _ in range(data.draw(st.integers(1, 10))):
-        what = data.draw(st.sampled_from(["run", "run", "accept", "skip", "reset"]))
+        what = data.draw(st.sampled_from(["run", "run", "accept", *REQUESTS]))
         count = data.draw(st.integers(1, 400))
         if what == "accept":
             start = several.position_tick + data.draw(st.integers(0, 60))
@@ -88,12 +104,9 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
             points = TrajectoryPoints.create(NAMES, NAMES, [0.1 + 1e-3 * count], [to], [REST], [REST])
             for each in both:
                 each.trajectory.accept(points, each.position_tick, start)
-        elif what == "skip":
+        elif what != "run":
             for each in both:
-                each.skip(count)
-        elif what == "reset":
-            for each in both:
-                each.reset(motor, count)
+                REQUESTS[what](each, motor, count)
         else:
             ahead = ticks(several, motor, count)
             with pytest.MonkeyPatch.context() as patch:

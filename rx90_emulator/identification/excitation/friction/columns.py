@@ -24,7 +24,7 @@ from rx90_emulator.identification.excitation.friction.law import (
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.presliding.bristle_path import deflect_bristle
 
-_SHOWN = 0.05  # share of the way of a period after a reversal that a presliding distance must have, to be seen
+_SHOWN = 0.02  # share of the way of a period after a reversal that a presliding distance must have, to be seen
 _DIFFERENCE = 1e-4  # of the bristle's parameters, as the fit writes them: their derivatives are differences
 
 

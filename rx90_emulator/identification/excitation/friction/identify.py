@@ -11,12 +11,13 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
+from rx90_emulator.identification.excitation.friction.blur import blur_shifts
 from rx90_emulator.identification.excitation.friction.columns import element_rows
 from rx90_emulator.identification.excitation.friction.estimates import element_estimate
 from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, VISCOUS, Part
 from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import STAGES, Selected, select_parts, tangent
+from rx90_emulator.identification.excitation.friction.selection import STAGES, Selected, attempts, select_parts, tangent
 from rx90_emulator.identification.excitation.friction.undecided import undecided_rises
 from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
@@ -107,7 +108,7 @@ class _Final(NamedTuple):
 
 def stages(parts: Sequence[Part]) -> int:
     """Return how many stages of the choice of parts are reported."""
-    return len(parts) * len(STAGES)
+    return len(attempts(parts)) * len(STAGES)
 
 
 def identify_gains(
@@ -199,7 +200,8 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
     tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise that may be there. What the
-    values shift with these exponents, and with a growth of friction with the load, widens the covariance, too.
+    values shift with these exponents, with a growth of friction with the load, and with a motion that is known less
+    sharply, widens the covariance, too.
     """
     weighted, fit = selected.weighted, selected.fit
     problem, inner = weighted.problem, fit.inner()
@@ -219,7 +221,8 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
     rises, covariance = undecided_rises(selected, columns, prior)
     known = final.covariance if covariance is None else covariance
     closed = _hidden(wide, final, (*inner, *open_ones), len(open_ones))
-    widened = replace(final, covariance=known + np.outer(load.shift, load.shift) + np.outer(closed, closed))
+    shifts = np.column_stack([load.shift, closed, *blur_shifts(weighted, fit, columns)])
+    widened = replace(final, covariance=known + shifts @ shifts.T)
     return _Final((*inner, *open_ones), widened, load, rises)
 
 
@@ -265,7 +268,7 @@ def _refusals(
                     "deviations of the other parameters contain that"
                 )
             return f"no {part.value} shows at speeds from {low:.3g} to {high:.3g} rad/s: {why}"
-        if part is Part.DAMPING and part in parts:
+        if part is Part.DAMPING and ((element, Part.BRISTLE) in selected.refused or part in parts):
             return reason(Part.BRISTLE)
         return f"{part.value} was not tried"
 

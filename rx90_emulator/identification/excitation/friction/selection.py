@@ -4,11 +4,15 @@ From Coulomb and viscous friction on, parts are tried in the order of their phys
 Stribeck rise, bristle, bristle damping. A part is given to all elements at once, since a part missing on one joint
 disturbs those it is coupled with; then it is taken from one element after the other that predicts as well without it.
 Earlier parts of an element are judged anew with each later one, which may replace them.
+
+A Stribeck rise and a bristle are both in the rows after a reversal, and alone each takes the other's torque for its
+own: bristle, damping and rise are tried together. Asked for or not, bristles are tried where a rise shows, and where
+rows of reversals fit worse than others: left out, a bristle biases all that is fitted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,11 +30,19 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 
 Key = tuple[int, Part]
 
+_BESIDE = {
+    # Seen without it, a Stribeck rise hides an exponent below 1.
+    Part.STRIBECK: frozenset({Part.EXPONENT}),
+    Part.BRISTLE: frozenset({Part.STRIBECK, Part.DAMPING}),
+}
+"""Which parts are tried together with another one."""
+
 STAGES = ("starts", "fit of all elements", "elements without it", "weights")
 """Of the attempt with each part."""
 
 _STARTS = 5  # Stribeck velocities, and presliding distances, to start from
 _RISE = 0.3  # to start from
+_WORSE = 1.2  # RMS residual of reversals over that of other rows, from which on bristles are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +69,22 @@ def select_parts(
 ) -> Selected:
     """Try parts in the order given and keep those with which the model predicts better.
 
-    `progress` is called with the name of each stage before it: STAGES for each part.
+    `progress` is called with the name of each stage before it: STAGES for each of `attempts(parts)`.
     """
     search = _Selection(problem, parts)
-    for part in parts:
+    for part in attempts(parts):
         stages = iter([f"{part.value}: {stage}" for stage in STAGES])
-        search.attempt(part, lambda stages=stages: progress(next(stages)))  # type: ignore[misc]
+        if part in parts or _wants_bristles(problem, search.now):
+            search.attempt(part, lambda stages=stages: progress(next(stages)))  # type: ignore[misc]
         for stage in stages:  # of a part that no element can have
             progress(stage)
     return Selected(search.weighted, search.now.fit, tuple(search.rows), search.time.blocks, search.refused)
+
+
+def attempts(parts: Sequence[Part]) -> tuple[Part, ...]:
+    """Return the parts that are tried one after the other, if only where it is needed: bristles come after a rise."""
+    asked = tuple(part for part in parts if part is not Part.DAMPING)
+    return asked if Part.STRIBECK not in asked or Part.BRISTLE in asked else (*asked, Part.BRISTLE)
 
 
 class _Selection:
@@ -73,7 +92,7 @@ class _Selection:
 
     def __init__(self, problem: ExcitationProblem, parts: Sequence[Part]) -> None:
         self._problem = problem
-        self._parts = frozenset(parts)
+        self._allowed = frozenset({*parts, Part.BRISTLE, Part.DAMPING} if Part.STRIBECK in parts else parts)
         self._elements = element_rows(problem)
         self._groups = _groups(problem)
         self.rows: list[ModelRow] = []
@@ -92,7 +111,8 @@ class _Selection:
         `stage` is called before each of STAGES.
         """
         stage()
-        shapes = _started(self.weighted, self.now.fit.shapes, part, self._parts)
+        tried = {part, *(_BESIDE.get(part, frozenset()) & self._allowed)}
+        shapes = _started(self.weighted, self.now.fit.shapes, part, tried)
         given = [e for e, shape in enumerate(shapes) if part in shape.parts]
         keys = [(e, old) for e in given for old in shapes[e].parts if old is not Part.BRISTLE or old is part]
         if not keys:
@@ -154,9 +174,14 @@ class _Selection:
         tried = part if part in shape.parts else None
         own = [name for name in bound if tried is None or name in tried.shape]
         name = (own or bound)[0]
-        gone = tried or next(p for p in Part if name in p.shape)
+        whose = next(p for p in Part if name in p.shape)
+        before = self.now.fit.shapes[e]
+        beside = (
+            part is not None and whose in _BESIDE.get(part, ()) and (part is Part.BRISTLE or whose not in before.parts)
+        )
+        gone = whose if beside else tried or whose
         self.refused[e, gone] = _why_ended(fit, e, name, self._problem.arm.element_names[e])
-        return shape.without(gone) if own else self.now.fit.shapes[e]
+        return shape.without(gone) if own or beside else before
 
     def _trimmed(self, model: Scored, keys: Iterable[Key]) -> Scored:
         """Take parts away, the most useless first, until each that is left makes the model predict better.
@@ -202,6 +227,19 @@ class _Selection:
         self.rows.append(ModelRow(name=name, against=last, kept=kept, reason=reason, **scores))
 
 
+def _wants_bristles(problem: ExcitationProblem, model: Scored) -> bool:
+    """Return whether a model has a Stribeck rise, or fits reversals of a joint worse than its other rows."""
+    if any(Part.STRIBECK in shape.parts for shape in model.fit.shapes):
+        return True
+    squares, turns = model.residual**2, problem.reversal
+    for joint in range(len(problem.arm.names)):
+        own = problem.joint == joint
+        at, other = squares[own & turns], squares[own & ~turns]
+        if len(at) and len(other) and np.mean(at) > _WORSE**2 * np.mean(other):
+            return True
+    return False
+
+
 def _scores(weighted: WeightedProblem, model: Scored, against: Scored | None) -> dict[str, Any]:
     """Return what a row of the table says of a model's size and errors."""
     relative, relative_all = _relative(weighted.problem, model.residual)
@@ -244,27 +282,30 @@ def _why_ended(fit: SeparableFit, e: int, name: str, element: str) -> str:
 
 def candidates(weighted: WeightedProblem, shape: ElementShape, element: int, part: Part) -> list[ElementShape]:
     """Return the shapes to start from with a part that an element is given."""
-    if part in (Part.EXPONENT, Part.DAMPING):
+    if part is Part.EXPONENT:
         return [shape]
     name = "omega_s" if part is Part.STRIBECK else "stiffness"
     low, high = weighted.bounds(element, name)
     points = np.exp(np.linspace(low, high, _STARTS + 2)[1:-1]).tolist()
     if part is Part.STRIBECK:
         return [replace(shape, rise=_RISE, omega_s=value) for value in points]
-    return [replace(shape, stiffness=value) for value in points]
+    rising = [shape]
+    if Part.STRIBECK in shape.parts and not shape.rise:
+        rising = candidates(weighted, shape, element, Part.STRIBECK)[1::2]
+    return [replace(one, stiffness=value) for value in points for one in rising]
 
 
 def _started(
-    weighted: WeightedProblem, now: Sequence[ElementShape], part: Part, parts: frozenset[Part]
+    weighted: WeightedProblem, now: Sequence[ElementShape], part: Part, tried: Set[Part]
 ) -> list[ElementShape]:
-    """Return the shapes with a part on every element that moves, from the best of several starts."""
+    """Return the shapes with a part, and others tried with it, on every element that moves, from the best start."""
     shapes = list(now)
     for e, shape in enumerate(shapes):
-        if not len(weighted.elements[e].rows) or (part is Part.DAMPING and Part.BRISTLE not in shape.parts):
+        if not len(weighted.elements[e].rows):
             continue
-        # Seen without it, a Stribeck rise hides an exponent below 1: both are tried together.
-        with_it = {part, Part.EXPONENT} & parts if part is Part.STRIBECK else {part}
-        begun = replace(shape, parts=shape.parts | with_it)
+        # A rise that was fitted without a bristle has the bristle's torque in it.
+        fresh = shape.without(Part.STRIBECK) if Part.STRIBECK in tried else shape
+        begun = replace(fresh, parts=fresh.parts | tried)
         shapes[e] = best_start(weighted, shapes, e, candidates(weighted, begun, e, part))
     return shapes
 

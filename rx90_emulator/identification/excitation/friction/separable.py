@@ -8,13 +8,13 @@ products of columns: an element has rows on its own joints only, and a change of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import LINEAR, ElementShape, Part
+from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, ElementShape, Part
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 
 _EVALUATIONS = 40
@@ -89,8 +89,11 @@ def best_start(
     weighted: WeightedProblem, shapes: Sequence[ElementShape], element: int, candidates: Sequence[ElementShape]
 ) -> ElementShape:
     """Return which of an element's candidate shapes fits best, the other elements as they are."""
+    # Costs need no derivatives, of which a bristle has one more deflection each.
+    held = [replace(shape, fixed=frozenset(FITTED)) for shape in shapes]
     costs = [
-        _Search(weighted, (*shapes[:element], candidate, *shapes[element + 1 :]), ()).cost for candidate in candidates
+        _Search(weighted, (*held[:element], replace(one, fixed=frozenset(FITTED)), *held[element + 1 :]), ()).cost
+        for one in candidates
     ]
     return candidates[int(np.argmin(costs))]
 

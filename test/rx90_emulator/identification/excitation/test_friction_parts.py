@@ -12,15 +12,18 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from benchmarks.friction_equations import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
+from rx90_emulator.identification.excitation.friction.blur import blur_shifts
 from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
 from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import Selected, _Selection
+from rx90_emulator.identification.excitation.friction.selection import Selected, _Selection, tangent
 from rx90_emulator.identification.excitation.friction.separable import _nonnegative, fit_shapes
+from rx90_emulator.identification.excitation.friction.undecided import _bounded
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -49,7 +52,7 @@ def stribeck(tau_c: float, tau_s: float, omega_s: float, c2: float) -> Law:
     return lambda v: np.sign(v) * (tau_c + (tau_s - tau_c) * np.exp(-np.abs(v) / omega_s)) + c2 * v
 
 
-def record(laws: tuple[Law, Law], seed: int = 0, load: float = 0.0) -> JointRecord:
+def record(laws: tuple[Law, Law], seed: int = 0, load: float = 0.0, noise: float = NOISE) -> JointRecord:
     """Return a run of random Fourier series; Coulomb friction of joint one may grow with the load."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, SECONDS, 1.0 / RATE)[:, None]
@@ -69,7 +72,7 @@ def record(laws: tuple[Law, Law], seed: int = 0, load: float = 0.0) -> JointReco
     )
     friction = np.column_stack([law(column) for law, column in zip(laws, v.T, strict=True)])
     friction[:, 0] += load * np.abs(bare[:, 0]) * np.sign(v[:, 0])
-    torque = bare + friction + NOISE * rng.normal(size=q.shape)
+    torque = bare + friction + noise * rng.normal(size=q.shape)
     return JointRecord(("one", "two"), time[:, 0], q, v, torque, Path(f"run_{seed}"), str(seed))
 
 
@@ -146,15 +149,55 @@ def test_a_curve_has_the_band_of_its_parameters_and_ends_with_the_data(selection
         one.curve(np.array([1.1 * fastest]))
 
 
-def test_a_stribeck_rise_is_found_where_there_is_one(arm: RigidArm) -> None:
-    """Static torque and Stribeck velocity come out, and the element without a rise gets none."""
-    laws = (stribeck(2.0, 3.0, 0.1, 1.5), LAWS[1])
+def along(law: FrictionLaw) -> Law:
+    """Return a law with a bristle along the runs of this file."""
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    return lambda v: law.torque(time, v)
+
+
+BRISTLE = FrictionLaw((2.0, 2.0), c2=1.5, rise=0.5, omega_s=0.1, c0=500.0, c1=0.5)
+
+
+def test_a_rise_is_found_beside_a_bristle_that_nobody_asked_for(arm: RigidArm) -> None:
+    """Static torque, Stribeck velocity and stiffness come out within their deviations; no other element gets a rise."""
+    laws = (along(BRISTLE), LAWS[1])
     selection = identify_friction_parts(problem_of(arm, record(laws, 4), record(laws, 5)))
-    assert Part.STRIBECK in selection.parts[0]
+    assert {Part.STRIBECK, Part.BRISTLE} <= selection.parts[0]
     assert Part.STRIBECK not in selection.parts[1]
     found = selection.elements[0].parameters
-    for name, value in {"tau_c_positive": 2.0, "tau_s_positive": 3.0, "omega_s": 0.1}.items():
+    for name, value in {"tau_c_positive": 2.0, "tau_s_positive": 3.0, "omega_s": 0.1, "c0": 500.0}.items():
         assert abs(found[name].value - value) < 3.0 * found[name].deviation, name
+        assert found[name].deviation < 0.3 * value, name
+
+
+def test_a_blurred_motion_widens_what_depends_on_it(arm: RigidArm) -> None:
+    """Without noise, stiffness and rise are off by what the filter takes, and what a second blur shifts is as much."""
+    problem = problem_of(arm, record((along(BRISTLE), LAWS[1]), 4, noise=0.0))
+    weighted = WeightedProblem.of(problem, element_rows(problem), np.ones(len(problem)))
+    parts = frozenset({Part.STRIBECK, Part.BRISTLE, Part.DAMPING})
+    true = ElementShape(parts, rise=0.5, omega_s=0.1, stiffness=250.0)
+    fit = fit_shapes(weighted, [true, ElementShape()])
+    columns = tangent(weighted, fit, fit.inner())
+    shifts = np.linalg.norm(blur_shifts(weighted, fit, columns), axis=0)[len(problem.names) :]
+    found = dict(zip(true.free, fit.shapes[0].values - true.values, strict=True))
+    for name in ("rise", "omega_s", "stiffness"):
+        assert 1e-4 < abs(found[name]) < 2.0 * shifts[fit.inner().index((0, name))], name
+    plain = fit_shapes(weighted, [ElementShape(), ElementShape()], ())
+    assert blur_shifts(weighted, plain, tangent(weighted, plain, plain.inner())) == []
+
+
+def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
+    """The covariance is that of the same draws, less those of which a rise is negative or more than tau_c."""
+    root = np.array([[1.0, 0.0, 0.0], [0.3, 0.5, 0.0], [0.8, -0.4, 1.2]])
+    covariance = root @ root.T
+    value, deviation = -0.6, float(np.sqrt(covariance[2, 2]))
+    drawn = np.random.default_rng(0).multivariate_normal([0.0, 0.0, value], covariance, 400_000)
+    kept = drawn[(drawn[:, 2] >= 0.0) & (drawn[:, 2] <= 1.0)]
+    # The values that are written are those for a rise of 0: conditional means of the draws there.
+    kept[:, :2] += covariance[:2, 2] / covariance[2, 2] * value
+    assert _bounded(covariance, [(value, deviation)]) == pytest.approx(
+        kept[:, :2].T @ kept[:, :2] / len(kept), abs=0.01
+    )
 
 
 def test_an_exponent_does_not_take_the_place_of_coulomb_friction(arm: RigidArm) -> None:

@@ -1,0 +1,91 @@
+"""/tf and /tf_static from the simulation, over DDS."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing
+from typing import Any, cast
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from processes import Processes
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros_client import Client, seconds
+
+from rx90_common.base.errors import ConfigError
+from rx90_emulator.loop.setup import Setup
+from rx90_sim.node.transforms import Transforms
+
+START = [0.4, -0.6, 1.2, 3.5, -0.9, -4.0]
+FIXED = {"base_link_inertia", "flange", "tool0", "tool", "tcp"}
+
+
+def misplaced(shipped: Setup, transform: Any, position: Any) -> float:
+    """Return how far a transform is from Pinocchio's, m and entries of the rotation matrix."""
+    model = shipped.robot.model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(position))
+    parent, child = (
+        data.oMf[model.getFrameId(name, pin.BODY)] for name in (transform.header.frame_id, transform.child_frame_id)
+    )
+    expected = parent.actInv(child)
+    shift, turn = transform.transform.translation, transform.transform.rotation
+    rotation = pin.Quaternion(np.array([turn.x, turn.y, turn.z, turn.w])).matrix()
+    translation = np.array([shift.x, shift.y, shift.z])
+    return float(max(abs(rotation - expected.rotation).max(), abs(translation - expected.translation).max()))
+
+
+@pytest.mark.ros
+def test_frames_are_where_pinocchio_has_them(needs_tf: None, processes: Processes, shipped: Setup) -> None:  # noqa: ARG001
+    """In a namespace each frame of the URDF has one transform, as Pinocchio's of the joint_states of the same stamp.
+
+    Also before time runs; then at the rate asked for.
+    """
+    from tf2_msgs.msg import TFMessage
+
+    with closing(Client("/cell_1")) as client:
+        moving, joints = client.listen("tf", TFMessage), client.listen("joint_states")
+        fixed: list[Any] = []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        client.node.create_subscription(TFMessage, "tf_static", fixed.append, latched)
+        processes.start(
+            *("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-r", "/tf:=tf", "-r", "/tf_static:=tf_static"),
+            *("-p", "rx90_sim:tf_rate:=100", "-p", "rx90_sim:paused:=true", "-p", "rx90_sim:step_ticks:=81"),
+            *("-p", f"rx90_sim:initial_position:={START}"),
+        )
+        client.spin_until(lambda: bool(moving) and bool(fixed) and bool(joints), "the frames before time runs")
+        client.simulation.step()
+        client.spin_until(lambda: len({seconds(m.transforms[0]) for m in moving}) == 3, "0.02 s")
+        client.spin_until(lambda: seconds(joints[-1]) >= 0.02, "its joint states")
+    positions = {seconds(message): message.position for message in joints}
+    assert sorted({seconds(m.transforms[0]) for m in moving}) == pytest.approx([0.0, 0.01, 0.02])
+    for message in moving:
+        assert [one.child_frame_id for one in message.transforms] == [f"link_{i}" for i in range(1, 7)]
+        for transform in message.transforms:
+            assert misplaced(shipped, transform, positions[seconds(transform)]) < 1e-14
+    assert {one.child_frame_id for one in fixed[-1].transforms} == FIXED
+    assert max(misplaced(shipped, transform, START) for transform in fixed[-1].transforms) < 1e-14
+    frames = {frame.name for frame in shipped.robot.model.frames if frame.type == pin.BODY}
+    assert frames == {"base_link", *(f"link_{i}" for i in range(1, 7)), *FIXED}
+
+
+def test_without_tf2_msgs_it_is_refused_in_one_line(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where tf2_msgs is not there, tf_rate is refused with what to install, and a rate that does not divide as such."""
+    plant = shipped.plant()
+    monkeypatch.setattr(sys, "path", [])
+    for name in [name for name in sys.modules if name.partition(".")[0] == "tf2_msgs"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delenv("ROS_DISTRO", raising=False)
+    needs = r"parameter tf_rate is 50: needs tf2_msgs, which is not installed; accepted: make action, .*; or 0$"
+    with pytest.raises(ConfigError, match=needs):
+        Transforms.of_parameters(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 50)))
+    with pytest.raises(ConfigError, match=r"tf_rate.* 3000"):
+        Transforms.of_parameters(cast("Any", None), shipped.robot, plant, cast("Any", Asked(shipped, 3000)))
+
+
+class Asked:
+    """What of the parameters is looked at."""
+
+    def __init__(self, setup: Setup, rate: int) -> None:
+        self.rates, self.tf_rate = setup.rates, rate
