@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -37,7 +35,6 @@ from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
-    FREE_RUNNING,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
@@ -51,6 +48,7 @@ from rx90_controller.node.goal_parameters import declare_goal_parameters
 from rx90_controller.node.law_parameters import LawParameters
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
+from rx90_controller.node.status import ControllerStatus
 from rx90_controller.trajectory.message import check_trajectory_bytes
 
 if TYPE_CHECKING:
@@ -188,23 +186,22 @@ class Control:
         self.publishers = outputs.publishers
         self._loop = ServoLoop(cs7b, outputs, declare_horizon(self.node), goals.monitor_ticks)
         self._loop.active = self._loop.enabled = False
-        self._law.change_with(self._loop.change)
+        self._law.change_with(self._loop.law_changes.add)
         with self._loop.between_ticks() as requests:
             requests.options = goals.options
             requests.scale(goals.scaling)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
-        self._pacer = Pacer(rates.period, 1.0)
-        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info, plain(robot.model.name))
+        pacer = Pacer(rates.period, 1.0)
+        self._serving = Serving(channel, messages, self._loop, pacer, outputs.info, plain(robot.model.name))
         self._complaints = ThrottledLog(outputs.error)
-        self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
         if not local:
             subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._action = make_action(self.node, self._loop, goals, cs7b, channel)
-        self._diagnostics = Diagnostics(self.node, self._status)
+        self._diagnostics = Diagnostics(self.node, ControllerStatus(cs7b, self._loop, self._serving, pacer).collect)
 
     def _build(self, files: RobotFiles, rates: Rates) -> tuple[RobotModel, CS7B, LawParameters]:
         robot, drives = load_robot(files.urdf), load_drives(files.drives)
@@ -284,36 +281,3 @@ class Control:
         response.message = "torque on" if request.data else "torque off, brakes closed"
         self._log.info(response.message)
         return response
-
-    def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        cs7b, counts = self._cs7b, self._pacer.take()
-        rates = cs7b.rates
-        values = {
-            "time mode": self._serving.mode or "unknown: no simulation yet",
-            "controller time, s": f"{cs7b.tick * rates.period:.3f}",
-            "rate, Hz": f"{self._rate():.1f}",
-            "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
-            "rejected trajectories": str(self._loop.rejected),
-            "enabled": "true" if self._loop.enabled else "false",
-        }
-        if self._serving.mode == FREE_RUNNING:
-            values |= {
-                "worst period, ms": f"{counts.worst * 1e3:.3f}",
-                "late ticks": str(counts.late),
-                "dropped ticks": str(counts.dropped),
-            }
-        fault = self._loop.fault
-        if fault is not None:
-            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
-        if not self._loop.running:
-            return DiagnosticStatus.WARN, "waiting for the simulation", values
-        if not self._loop.active:
-            return DiagnosticStatus.OK, "inactive", values
-        moving = cs7b.trajectory.moving(cs7b.position_tick)
-        return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
-
-    def _rate(self) -> float:
-        """Return the ticks per second since the last call; 0 over a reset."""
-        (tick, at), self._reported = self._reported, (self._cs7b.tick, time.monotonic())
-        now_tick, now = self._reported
-        return max(0.0, (now_tick - tick) / (now - at))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, Final, Protocol
-
-import numpy as np
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.node.goal_requests import GoalRequests
+from rx90_controller.node.law_changes import LawChanges
 from rx90_controller.node.requests import Log, Requests
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
@@ -51,6 +49,7 @@ class ServoLoop:
         enabled: whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
+        law_changes: other constants of the law, from the next tick of the position loop on.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
@@ -63,7 +62,7 @@ class ServoLoop:
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
         self.running = False
-        self._changes: list[tuple[np.ndarray[Any, Any], Callable[[int], None]]] = []
+        self.law_changes = LawChanges(cs7b.law, self._requests.post)
         self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
@@ -90,8 +89,8 @@ class ServoLoop:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
-            if self._changes and cs7b.on_position_tick:
-                self._change(stamp_ns)
+            if self.law_changes.waiting and cs7b.on_position_tick:
+                self.law_changes.apply(stamp_ns)
             if self._released or not self.enabled:
                 self._released = False
                 self._requests.note_dropped("the torque is off")
@@ -108,12 +107,6 @@ class ServoLoop:
             self._trip(cs7b.fault)
             cs7b.reset(states.position, cs7b.tick)
             return False
-
-    def _change(self, stamp_ns: int) -> None:
-        for law, effective in self._changes:
-            self._cs7b.change(law)
-            self._requests.post(partial(effective, stamp_ns))
-        self._changes.clear()
 
     def after_command(self, stamp_ns: int) -> None:
         """Publish what the last step has left: after its command, for which the simulation waits."""
@@ -170,16 +163,6 @@ class ServoLoop:
         """Give the goals; no tick is run until the block is left."""
         with self._lock:
             yield self._goals
-
-    def change(self, law: np.ndarray[Any, Any], effective: Callable[[int], None]) -> None:
-        """Let other constants of the law count from the next tick of the position loop on, with which all of it begins.
-
-        Args:
-            law: shape (1,), CONTROLLER_DTYPE.
-            effective: called by `report` with that tick's time, ns.
-        """
-        with self._lock:
-            self._changes.append((law, effective))
 
     # The executor's thread.
 

@@ -88,10 +88,13 @@ class FollowedPath:
         return setpoints
 
     def at(self, tick: float) -> tuple[float, float]:
-        """Return the time on the path at a tick, s, and its rate."""
+        """Return the time on the path at a tick, whole or not, s, and its rate."""
         for law in reversed(self.laws):
             if tick >= law.tick:
-                return law.point(tick)
+                if isinstance(tick, int):
+                    return law.point(tick)
+                times, rates, _ = law.at(np.array([tick]))
+                return float(times[0]), float(rates[0])
         return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
