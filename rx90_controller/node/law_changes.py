@@ -15,8 +15,8 @@ _Record = np.ndarray[Any, Any]
 class LawChanges:
     """Hands constants of the law from the executor's thread to the one that ticks.
 
-    They count from a tick of the position loop on: before it the velocity loop would get gains that do not belong to the
-    torque of the position loop that it adds to. Integrators, which hold torques, go on as they are.
+    They count from a tick of the position loop on: before it the velocity loop would have gains that do not belong to
+    the torque of the position loop. Integrators, which hold torques, go on as they are.
 
     Args:
         law: that is changed, shape (1,), CONTROLLER_DTYPE.

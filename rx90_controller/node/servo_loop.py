@@ -45,8 +45,7 @@ class ServoLoop:
 
     Attributes:
         command: see `CS7B`.
-        active: whether the node is.
-        enabled: whether the motors get torque.
+        active, enabled: whether the node is active, and whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
         law_changes: other constants of the law, from the next tick of the position loop on.
@@ -61,9 +60,8 @@ class ServoLoop:
         self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
-        self.running = False
         self.law_changes = LawChanges(cs7b.law, self._requests.post)
-        self._unpublished = False  # whether the position loop has left something
+        self.running = self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
 
