@@ -109,11 +109,10 @@ class ParameterChanges:
         # A parameter that is not there yet is being declared.
         if free or self._unconfigured() or not self._node.has_parameter(name):
             return
-        changeable = ", ".join(each for group in self._groups for each in group.names) or "none"
         node = self._node.get_fully_qualified_name()
         raise ConfigError(
             f"{plain(name)} is read when the node is configured; accepted: in state unconfigured, which `ros2 "
-            f"lifecycle set {node}` deactivate and cleanup lead to; at run time {changeable}"
+            f"lifecycle set {node}` deactivate and cleanup lead to"
         )
 
     def _changed(self, parameters: Sequence[Parameter]) -> list[tuple[ChangeGroup, dict[str, Any]]]:
