@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.bags.changes import ParameterChange, changes_of
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.bags.topics import tells_changes
 from rx90_common.base.errors import BagError
@@ -19,11 +18,6 @@ from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 
 _GAP = 1.5  # times the median interval between two messages
 _ENOUGH_FOR_GAPS = 3
-_VALUES = (
-    "", "bool", "integer", "double", "string",
-    "byte_array", "bool_array", "integer_array", "double_array", "string_array",
-)  # fmt: skip
-"""The fields of a rcl_interfaces/ParameterValue by its type, without the ending."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +53,6 @@ class TopicSummary:
     longest_gap_at_ns: int | None
     backward: int
     repeated: int
-
-
-@dataclass(frozen=True)
-class ParameterChange:
-    """A parameter of a node that was changed while it ran; it counts from this stamp on. The value is JSON."""
-
-    node: str
-    name: str
-    value: str
-    stamp_ns: int
 
 
 @dataclass(frozen=True)
@@ -114,7 +98,7 @@ def summarise(path: Path | str) -> BagSummary:
         for topic, log_ns, data in bag.messages(topics):
             times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
             if tells_changes(topic.name, topic.msgtype):
-                changes += _changes(bag.deserialize(topic, data))
+                changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
         summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
         size = sum(file.stat().st_size for file in files)
@@ -125,17 +109,6 @@ def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
     if not topic.is_ros1:
         return max(0, cdr_stamp_ns(data))
     return message_time_ns(bag.deserialize(topic, data).header.stamp)
-
-
-def _changes(event: Any) -> list[ParameterChange]:
-    stamp = message_time_ns(event.stamp)
-    return [ParameterChange(event.node, each.name, _value(each.value), stamp) for each in event.changed_parameters]
-
-
-def _value(value: Any) -> str:
-    """Return what a rcl_interfaces/ParameterValue holds as JSON, null for nothing."""
-    held = getattr(value, f"{_VALUES[value.type]}_value") if 0 < value.type < len(_VALUES) else None
-    return json.dumps(held.tolist() if isinstance(held, np.ndarray) else held)
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:

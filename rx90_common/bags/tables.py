@@ -9,8 +9,9 @@ from itertools import groupby
 from typing import Any
 
 from rx90_common.bags.alignment import Side
+from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
-from rx90_common.bags.summary import BagSummary, ParameterChange, TopicSummary
+from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.bags.topics import unit
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
