@@ -122,7 +122,8 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
 ) -> None:
     """From a bag alone come trajectory, start and initial position; the new bag has the same bits.
 
-    Gains that were changed in that run are named, as here they are the file's. The robot is named again, and both this command and the identification refuse the bag of another one.
+    Gains that were changed in that run are named, as here they are the file's. The robot is named again, and both this
+    command and the identification refuse the bag of another one.
     """
     robot = ["--robot", "tx40"]
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
