@@ -144,9 +144,7 @@ class FollowJointTrajectoryAction:
         return GoalResponse.ACCEPT
 
     def _missing(self) -> str:
-        if self._loop.running or self._simulation_there():
-            return ""
-        return "there is no simulation; accepted: once there is one"
+        return "" if self._simulation_there() else "there is no simulation; accepted: once there is one"
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
         """Follow the goal that was checked just before, once its client has got the answer."""

@@ -33,6 +33,6 @@ class StateQuery:
                 return response
         response.position, response.velocity, response.acceleration = state.tolist()
         if not moving:
-            reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: before the end of a motion"
+            reason = reason or f"time {tick * self._tick_ns * 1e-9:.6g} s; accepted: up to the end of the motion"
         response.success, response.message = not reason, reason
         return response

@@ -53,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "drive gains (docs/excitation.md)")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
-    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or the name of a shipped one: it is "
+    bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
+                      "(robots/tx40/friction.yaml): it is "
                       "held against the --validation bags, and nothing is identified")  # fmt: skip
     result = parser.add_argument_group("result")
     result.add_argument("--output", type=place, metavar="FILE", help="friction file to write (.yaml); with "

@@ -42,6 +42,7 @@ def write_excitation(result: ExcitationIdentification, folder: Path | str, *, fo
     date = datetime.now(timezone.utc)
     robot, note = robot_files(result, date)
     page = report_page(result, date, versions(), (*robot, note))
+    check_folder(folder, _FILES, force=force)  # again: another identification may have written there meanwhile
     write_folder(folder, {**robot, REPORT: page, PARAMETERS: parameters_text(result, date, versions())})
     return folder
 

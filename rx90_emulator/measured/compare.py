@@ -62,7 +62,7 @@ def compare_measured(
 
     Raises:
         BagError: for a bag that cannot be read.
-        IdentificationError: for a bag or options that do not fit.
+        IdentificationError: for a bag or options that do not fit, or a bag in which nothing moves.
         TrajectoryError: for a path beyond a joint's range, naming joint, value, time and range.
         DivergenceError: naming joint and tick.
         SupervisionError: if the controller's supervision cuts the power.
@@ -75,6 +75,12 @@ def compare_measured(
     bandwidths = _bandwidths(record, setup, bandwidth)
     pieces = filter_record(record, bandwidths)
     run = max(pieces, key=lambda piece: len(piece.time))
+    moves = _moves(run)
+    if not moves.any():
+        raise IdentificationError(
+            f"{path}: no joint moves, and torques at rest are not compared; accepted: a joint that slides over "
+            f"{1e3 * _TRAVEL:g} mrad or more"
+        )
     setpoints = recorded_setpoints(run, record.position[0], setup, what.zero) or path_setpoints(run, setup)
     beyond = setpoints.beyond(path, setup.controller.limits(setup.robot), setup.rates.position_period)
     progress("closed loop")
@@ -95,7 +101,7 @@ def compare_measured(
         simulated_torque=follows[:, 1],
         position=measured[:, 0],
         simulated_position=follows[:, 0],
-        compared=_moves(run)[rows],
+        compared=moves[rows],
         lag=lag,
         bandwidths=bandwidths,
         setpoints=setpoints.source,

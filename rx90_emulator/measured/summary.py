@@ -27,7 +27,7 @@ def measured_summary(result: MeasuredComparison) -> str:
         strict=True,
     )
     table = [
-        f"{name:<{width}}{_number(rms, 9)} Nm{_percent(share):>13}{_number(worst, 8)} Nm{_percent(worst_share):>12}"
+        f"{name:<{width}} {_number(rms, 8)} Nm {_percent(share):>12} {_number(worst, 7)} Nm {_percent(worst_share):>11}"
         f"{part:>10.0%}{1e3 * position:>10.3f} mrad{1e3 * farthest:>7.3f} mrad"
         for name, rms, share, worst, worst_share, part, position, farthest in rows
     ]

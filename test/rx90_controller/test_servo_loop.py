@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.goals.execution import Feedback, Outcome, Phase
+from rx90_controller.goals.goal import Goal
+from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.message import points_from_message
 from rx90_emulator.loop.setup import Setup
 
 
@@ -281,3 +285,50 @@ def test_an_empty_trajectory_for_other_joints_is_refused(rig: Rig) -> None:
     rig.loop.offer(rig.empty(["joint_1"]))
     assert rig.around.lines[-1].startswith("trajectory rejected: joint 'joint_2' is missing; accepted: all of")
     assert rig.cs7b.trajectory.moving(10)
+
+
+class Sender:
+    """Who has sent a goal; notes what it is told."""
+
+    def __init__(self) -> None:
+        self.feedback: list[Feedback] = []
+        self.ends: list[Outcome] = []
+        self.went, self.ended = self.feedback.append, self.ends.append
+
+
+def offer(rig: Rig, target: float) -> Sender:
+    """Offer a goal that moves all joints to `target`, rad, in a second."""
+    sender, trajectory = Sender(), rig.trajectory(target)
+    points = points_from_message(rig.names, trajectory)
+    with rig.loop.between_ticks() as goals:
+        goals.take(sender, Goal(points, GoalTolerances.defaults(rig.names), None), trajectory, rig.loop.inactive)
+    return sender
+
+
+def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:
+    """A fault, new states, torque off, a trajectory on the topic: each gives INVALID_GOAL and the reason, once."""
+    rig.loop.hold(rig.states(0))
+    faulty = offer(rig, 0.7)
+    rig.run(0, 4000)  # the motors stand still: the following error becomes too large
+    assert len(faulty.feedback) > 5
+    begun = offer(rig, 0.1)  # while the power is off
+    rig.loop.enable(True)
+    rig.run(4000, 4)
+    renewed = offer(rig, 0.1)
+    rig.loop.hold(rig.states(8000))
+    switched = offer(rig, 0.1)
+    rig.run(8000, 400)
+    rig.loop.enable(False)
+    rig.loop.enable(True)
+    early = offer(rig, 0.1)  # the arm is held anew in the next tick
+    rig.run(8400, 4)
+    replaced = offer(rig, 0.1)
+    rig.loop.offer(rig.trajectory(0.05))
+    ends = [sender.ends for sender in (faulty, begun, renewed, switched, early, replaced)]
+    assert [[(end.phase, end.code) for end in told] for told in ends] == [[(Phase.ABORTED, -1)]] * 6
+    words = (
+        "following error", "accepted: after a call of ~/enable with true", "the states go on from 2 s; holding",
+        "the torque is off", "the torque comes back with the next tick", "replaced by a trajectory on the topic",
+    )  # fmt: skip
+    for told, text in zip(ends, words, strict=True):
+        assert text in told[0].text

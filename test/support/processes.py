@@ -115,19 +115,26 @@ class Processes:
         return unwilling
 
 
-@pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
-    """Put the test and all it starts on a free DDS domain that does not leave the machine."""
+@contextlib.contextmanager
+def on_own_domain(monkeypatch: pytest.MonkeyPatch, folder: Path) -> Iterator[int]:
+    """Put this process and all it starts on a free DDS domain that does not leave the machine."""
     for name in ("ROS_STATIC_PEERS", "RMW_IMPLEMENTATION", "FASTRTPS_DEFAULT_PROFILES_FILE"):
         monkeypatch.setenv(name, "")  # so that monkeypatch remembers each of them, whatever the test sets
         monkeypatch.delenv(name)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+    monkeypatch.setenv("ROS_LOG_DIR", str(folder / "ros_log"))
     monkeypatch.setenv("RCUTILS_COLORIZED_OUTPUT", "0")
     monkeypatch.setenv("PYTHONUNBUFFERED", "1")
     with own_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield domain
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
+    """Put the test and all it starts on a free DDS domain that does not leave the machine."""
+    with on_own_domain(monkeypatch, tmp_path) as domain:
         yield domain
 
 
@@ -137,9 +144,9 @@ def warm(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subprocess, "Popen", WarmPopen)
 
 
-@pytest.fixture
-def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG001 - what they do is done
-    """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""
+@contextlib.contextmanager
+def running_processes() -> Iterator[Processes]:
+    """Give a Processes; afterwards end every process, and fail if one ignored Ctrl-C."""
     started = Processes()
     try:
         yield started
@@ -147,3 +154,10 @@ def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG0
         unwilling = started.end()
     if unwilling:
         pytest.fail(f"did not end within {END_TIMEOUT:g} s of Ctrl-C: {', '.join(unwilling)}")
+
+
+@pytest.fixture
+def processes(ros_domain: int, warm: None) -> Iterator[Processes]:  # noqa: ARG001 - what they do is done
+    """Give a Processes on a free domain; afterwards end every process, and fail if one ignored Ctrl-C."""
+    with running_processes() as started:
+        yield started

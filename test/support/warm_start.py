@@ -1,8 +1,14 @@
 """Processes of the tests without their slow imports: forked from a process that has done these once.
 
 To a test such a process is any other one: a child of its own, with its own session, environment, working folder,
-signals and streams, that ends as Python ends. How an executable itself comes up is proved by tests that start it by
-its command line, without this.
+signals and streams, that ends as Python ends. It is not quite a user's: what MODULES import is there before the first
+line runs, and options of Python itself, or what Python reads from the environment when it starts, do nothing.
+
+What hangs on that is proved where each family of commands starts cold, by its command line as a user does:
+all executables out of an install space (test_packaging.py, simulation and controller together too) and without a
+package that they need (test_missing_modules.py); rx90_line, rx90_sweep and rx90_run (test_line_command.py,
+sweep/test_command.py, test_wheel.py); a recorder that is stopped in its imports (test_record.py); the nodes' common
+frame (cli/test_nodes.py). A new test of an import, of the first second or of Python's own start belongs there.
 """
 
 from __future__ import annotations

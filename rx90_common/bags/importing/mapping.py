@@ -138,6 +138,11 @@ class LogMapping:
             header=root.integer("header", 0, 1000) if "header" in root else None,
         )
         root.finish()
+        if (mapping.delimiter, mapping.decimal) == (",", ","):
+            raise ConfigError(
+                f"{root.where('decimal')} is ',', and so is delimiter: a field could not be told from a decimal; "
+                "accepted: two different ones"
+            )
         return mapping
 
 

@@ -17,10 +17,11 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, upfirdn, welch
+from scipy.signal import butter, firwin, kaiserord, sosfiltfilt, welch
 
 from rx90_common.base.arrays import Array, Index
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.sums import between, filter_columns
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 
 _ORDER = 4  # of the Butterworth filter, in each direction
@@ -154,8 +155,9 @@ class TorqueStamps:
 
     def evened(self, values: Array) -> Array:
         """Return values resampled from the stamps to the run's samples, shapes (s, ...) and (m, ...)."""
-        share = self.share.reshape(-1, *(1,) * (values.ndim - 1))
-        return np.asarray(values[self.before] * (1.0 - share) + values[self.before + 1] * share)
+        result = np.empty((len(self.share), math.prod(values.shape[1:])))
+        between(np.ascontiguousarray(values.reshape(len(values), -1)), self.before, self.share, result)
+        return result.reshape(len(self.share), *values.shape[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +196,8 @@ class FilteredRun:
     @cached_property
     def down(self) -> int:
         """Return how many samples lie between two rows."""
-        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque)))
+        # Rates of the same recording, cut elsewhere, differ by rounding: its rows must not.
+        return max(1, math.floor(self.rate / (_ROWS * self.bandwidths.torque) + 1e-6))
 
     @cached_property
     def taps(self) -> Array:
@@ -352,9 +355,6 @@ def low_pass(values: Array, taps: Array, down: int = 1) -> Array:
         down: samples from one to the next.
     """
     count = max(0, (len(values) - len(taps)) // down + 1)
-    # Zeros in front delay the filter until its first whole sample is one of those that are kept.
-    ahead = -(len(taps) - 1) % down
-    first = (len(taps) - 1 + ahead) // down
-    flat = values.reshape(len(values), -1)
-    filtered = upfirdn(np.concatenate([np.zeros(ahead), taps]), flat, 1, down, axis=0)[first : first + count]
-    return np.asarray(filtered).reshape(count, *values.shape[1:])
+    result = np.empty((count, math.prod(values.shape[1:])))
+    filter_columns(np.ascontiguousarray(values.reshape(len(values), -1).T), taps, down, result)
+    return result.reshape(count, *values.shape[1:])

@@ -48,7 +48,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
         lines.append(f"{'joint':<{width}}{'RMS, Nm':>10}{'of torque':>11}{'worst, Nm':>11}{'of largest':>12}")
         rows = zip(check.names, check.rms, check.rms_share, check.worst, check.worst_share, strict=True)
         lines += [
-            f"{name:<{width}}{rms:>10.3f}{rms_share:>11.2%}{worst:>11.3f}{worst_share:>12.2%}"
+            f"{name:<{width}} {rms:>9.3f} {rms_share:>10.2%} {worst:>10.3f} {worst_share:>11.2%}"
             for name, rms, rms_share, worst, worst_share in rows
         ]
         if check.zeros is not None and check.zeros.text:

@@ -34,6 +34,7 @@ _INSTANTS = 400  # that are looked at, at most, evenly taken from all
 _MEAN_TIME = 0.05  # s over which a run is averaged
 _TOGETHER = 1.0  # s within which the errors of a run are taken as one
 _SLIDES = 0.02  # rad/s from which an element slides
+_FLOOR = 3e-3  # of the torque's RMS: no joint is told better, for stamps, gears and geometry are not
 _CURVES = (0.02, 0.15)  # decay of Stribeck-like columns over the fastest speed
 
 
@@ -189,7 +190,7 @@ class _Search:
             together = np.bincount(owner, sums**2, len(shift))
             count = np.bincount(self._joint, minlength=len(shift))
             power = np.maximum(squares, together) / np.maximum(count, 1)
-            weight = 1.0 / np.sqrt(np.maximum(power, 1e-8 * self.power + 1e-18))[self._joint]
+            weight = 1.0 / np.sqrt(np.maximum(power, _FLOOR**2 * self.power + 1e-18))[self._joint]
         return weight
 
     def _fit(

@@ -177,6 +177,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("[2, 3]", "[2, qb]"), "t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
         (("[2, 3]", "[2, qb]"), "1,2,3", "log.csv: no column 'qb'; there are no names"),
         (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns is 0; accepted: the number of a column, from 1 on, or"),
+        (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), "1,2,3", "decimal is ',', and so is delimiter"),
         (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),
         (("unit: rad", "unit: counts"), "1,2,3", "position.counts_per_turn is missing"),
         (("unit: rad", "unit: rad, factor: [1, 0]"), "1,2,3", "position.factor is 0.0; accepted: numbers other than 0"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,14 @@ def test_a_heavy_payload_is_not_blamed_on_zeros(seed: int) -> None:
     found = check_zeros(sweeps(seed, with_payload(bare, share), MISFIT), described(bare, seed))
     assert found.text == ""
     assert found.before == found.after
+
+
+def test_what_is_little_beside_the_arms_torque_is_no_alarm(arm: RigidArm) -> None:
+    """A turned elbow is told, but not beside friction of the base ten thousand times its weight, although that fits."""
+    turned = recorded(arm, np.array([0.0, 0.0, math.pi]), 3)
+    rubbing = replace(turned, torque=turned.torque + 3e4 * np.sign(turned.velocity) * [1.0, 0.0, 0.0])
+    assert check_zeros(turned, arm).error[2] != 0.0
+    assert check_zeros(rubbing, arm).text == ""
 
 
 def test_a_small_error_is_told_with_its_deviation() -> None:

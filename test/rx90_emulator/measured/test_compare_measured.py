@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import resample_poly
 
 import rx90_emulator as rx
-from rx90_common.base.errors import TrajectoryError
+from rx90_common.base.errors import IdentificationError, TrajectoryError
 from rx90_emulator.loop.setup import Setup
 
 STILL = 3  # the joint that rests: joint_4
@@ -154,6 +154,14 @@ def test_what_is_beyond_the_band_or_at_rest_does_not_count(measured: Measured) -
     pushed = measured.write("pushed", measured.joints(effort=effort + 5.0 * (np.arange(6) == 0)))
     wrong = rx.compare_measured(pushed, measured.setup, bandwidth=60.0)
     assert wrong.torque_rms[0] == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_bag_in_which_nothing_moves_is_refused(measured: Measured) -> None:
+    """An arm that holds still has no torque to compare: refused before anything is simulated."""
+    still = np.tile(np.asarray(measured.joints().position)[0], (len(measured.joints().time), 1))
+    bag = measured.write("still", measured.joints(position=still, velocity=0.0 * still))
+    with pytest.raises(IdentificationError, match="no joint moves"):
+        rx.compare_measured(bag, measured.setup, bandwidth=60.0)
 
 
 def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_emulator.identification.excitation.filtering import FilteredRun
+from rx90_emulator.identification.excitation.friction.bristles import bristle_parameters, deflect_bristles
 from rx90_emulator.identification.excitation.friction.law import (
     COULOMB,
     DAMPING,
@@ -22,7 +24,6 @@ from rx90_emulator.identification.excitation.friction.law import (
     viscous,
 )
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
-from rx90_emulator.identification.presliding.bristle_path import deflect_bristle
 
 _SHOWN = 0.02  # share of the way of a period after a reversal that a presliding distance must have, to be seen
 _DIFFERENCE = 1e-4  # of the bristle's parameters, as the fit writes them: their derivatives are differences
@@ -80,27 +81,30 @@ class ElementMotion:
         found = {place: self.run.evened(values) for place, values in found.items()}
         if Part.BRISTLE not in shape.parts:
             return found
-        here = self._bristle(shape)
-        found |= here
-        for number, name in enumerate(shape.free):
-            if name != "alpha":
-                values = shape.values
-                values[number] += _DIFFERENCE
-                moved = self._bristle(shape.with_values(values))
-                found |= {after[name] + k: (moved[k] - here[k]) / _DIFFERENCE for k in here}
-        return found
+        names = [name for name in shape.free if name != "alpha"]
+        here, *moved = self._bristles([shape, *(_moved(shape, name) for name in names)])
+        found[COULOMB], found[DAMPING] = here
+        for name, there in zip(names, moved, strict=True):
+            found[after[name] + COULOMB], found[after[name] + DAMPING] = (there - here) / _DIFFERENCE
+        return found if Part.DAMPING in shape.parts else {k: v for k, v in found.items() if k % width != DAMPING}
 
-    def _bristle(self, shape: ElementShape) -> dict[int, Array]:
-        """Return u = c0 z / tau_c, and dz/dt in rad/s where damping is in the model, each of shape (m,), by place.
+    def _bristles(self, shapes: Sequence[ElementShape]) -> Array:
+        """Return u = c0 z / tau_c, and dz/dt in rad/s, for each of b shapes, shape (b, 2, m).
 
         The simulation's steps are exact for a velocity that is held; they give means over each step, and the mean of
         the two steps around a sample belongs to its time.
         """
-        path = np.stack([self.mean, stribeck_factor(shape, self.speeds[1])[0], np.ones_like(self.mean)])
-        result = np.empty((2, len(self.mean)))
-        deflect_bristle(path, self.step, shape.stiffness, 0.0, result)
-        result[:, :-1] = 0.5 * (result[:, :-1] + result[:, 1:])
-        return {COULOMB: result[0], **({DAMPING: result[1]} if Part.DAMPING in shape.parts else {})}
+        result = np.empty((len(shapes), 2, len(self.mean)))
+        parameters = np.array([bristle_parameters(shape) for shape in shapes])
+        deflect_bristles(self.mean, self.speeds[1].logarithm, parameters, self.step, result)
+        return result
+
+
+def _moved(shape: ElementShape, name: str) -> ElementShape:
+    """Return a shape with one free parameter moved by _DIFFERENCE."""
+    values = shape.values
+    values[shape.free.index(name)] += _DIFFERENCE
+    return shape.with_values(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +135,7 @@ class ElementRows:
             # Only what is not 0 is filtered, each column in one piece of memory.
             columns = motion.columns(shape)
             last = first + len(run.rows)
-            low[first:last, list(columns)] = run.parallel(np.stack(list(columns.values())).T)
+            low[first:last, list(columns)] = run.parallel(np.array(list(columns.values())).T)
             first = last
         rows = low[self.place] * self.factor[:, None]
         return rows[:, :width], {n: rows[:, width * (k + 1) : width * (k + 2)] for k, n in enumerate(shape.free)}

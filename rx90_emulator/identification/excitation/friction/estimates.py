@@ -14,8 +14,12 @@ from rx90_emulator.identification.model.estimates import ElementEstimate, Parame
 from rx90_emulator.identification.records.record import BagSource
 
 _UNTOLD = 0.3  # deviation of an exponent that says nothing about it
-_WEAK = ("omega_s", "delta", "c0", "c1")
-_LARGEST = 0.5  # relative deviation up to which one of these counts as known
+_LARGEST = {"omega_s": 0.5, "delta": 0.5, "c0": 0.5, "c1": 0.25}
+"""Relative deviation up to which one of these counts as known.
+
+Damping is kept where it happens to come out large: of values that stand out by less than four deviations, most are too
+large.
+"""
 
 Refusal = Callable[[Part], str]
 
@@ -79,7 +83,7 @@ def _reason(one: FittedElement, name: str, value: float, deviation: float, refus
         return refusal(part)
     if name == "delta" and "delta" in one.shape.fixed:
         return "not told from the size of the rise; 1 was assumed"
-    weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST * value if name in _WEAK else math.inf)
+    weak = deviation > (_UNTOLD if name == "alpha" else _LARGEST[name] * value if name in _LARGEST else math.inf)
     checks = (
         (not one.linear.any(), "the element does not move, or at one velocity alone"),
         (name.startswith("tau") and value <= 0.0, "no Coulomb friction shows: the best value is 0"),

@@ -18,7 +18,7 @@ from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR,
 from rx90_emulator.identification.excitation.friction.load import LoadDependence, load_dependence
 from rx90_emulator.identification.excitation.friction.models import FittedElement, FrictionSelection
 from rx90_emulator.identification.excitation.friction.selection import STAGES, Selected, attempts, select_parts, tangent
-from rx90_emulator.identification.excitation.friction.undecided import undecided_rises
+from rx90_emulator.identification.excitation.friction.undecided import undecided_parts
 from rx90_emulator.identification.excitation.gains import DriveGains, drive_gains, with_gains
 from rx90_emulator.identification.excitation.least_squares import LinearFit, solve
 from rx90_emulator.identification.excitation.prior import Prior
@@ -199,9 +199,9 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
     """Return the friction's parameters and the fit of the whole model, linear around the one selected.
 
     Exponents that were tried and not kept stay at 1, but the covariance is that with them free: the runs say no more of
-    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise that may be there. What the
-    values shift with these exponents, with a growth of friction with the load, and with a motion that is known less
-    sharply, widens the covariance, too.
+    tau_c and c2 because an exponent was left out; the same holds for a Stribeck rise, or the damping of a bristle, that
+    may be there. What the values shift with these exponents, with a growth of friction with the load, and with a motion
+    that is known less sharply, widens the covariance, too.
     """
     weighted, fit = selected.weighted, selected.fit
     problem, inner = weighted.problem, fit.inner()
@@ -218,11 +218,12 @@ def _final(selected: Selected, parts: Sequence[Part], prior: Prior | None = None
         narrow = solve(problem, columns[:, : -len(open_ones)], prior=prior)
         value = np.concatenate([narrow.value, np.zeros(len(open_ones))])
         final = replace(wide, value=value, residual=narrow.residual, sigma=narrow.sigma, weights=narrow.weights)
-    rises, covariance = undecided_rises(selected, columns, prior)
+    open_parts, covariance = undecided_parts(selected, columns, prior)
     known = final.covariance if covariance is None else covariance
     closed = _hidden(wide, final, (*inner, *open_ones), len(open_ones))
     shifts = np.column_stack([load.shift, closed, *blur_shifts(weighted, fit, columns)])
     widened = replace(final, covariance=known + shifts @ shifts.T)
+    rises = {e: size for (e, part), size in open_parts.items() if part is Part.STRIBECK}
     return _Final((*inner, *open_ones), widened, load, rises)
 
 

@@ -104,7 +104,8 @@ class ElementShape:
 
 _NEUTRAL = ElementShape()
 _REST = 1e-300  # rad/s
-_LARGEST = math.log(700.0)  # beyond, a Stribeck rise has faded
+LARGEST_POWER = math.log(700.0)
+"""Of (|v| / omega_s)^delta, its logarithm: beyond, a Stribeck rise has faded."""
 
 
 def _written(name: str, value: float) -> float:
@@ -137,7 +138,7 @@ def stribeck_factor(shape: ElementShape, speeds: Speeds) -> tuple[Array, dict[st
     if Part.STRIBECK not in shape.parts:
         return np.ones_like(speeds.velocity), {}
     over = speeds.logarithm - math.log(shape.omega_s)
-    ratio = np.exp(np.minimum(shape.delta * over, _LARGEST))
+    ratio = np.exp(np.minimum(shape.delta * over, LARGEST_POWER))
     decay = np.exp(-ratio)
     slope = shape.rise * decay * ratio
     return 1.0 + shape.rise * decay, {"rise": decay, "omega_s": slope * shape.delta, "delta": -slope * over}

@@ -39,8 +39,8 @@ def torque_plot(run: RunTorques) -> str:
         _label(panel, name)
         panel.yaxis.set_major_locator(MaxNLocator(4))
         panel.set_xlim(-0.01 * span, 1.01 * span)
-    _legend(axes, loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3)
-    axes[-1].set_xlabel("time since the run began, s")
+    _legend(axes)
+    axes[-1].set_xlabel("time since the first motion, s")
     return as_svg(figure)
 
 
@@ -68,7 +68,7 @@ def spectra_plot(runs: Sequence[RunTorques]) -> str:
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_minor_locator(NullLocator())
         _label(panel, name, "Nm/√Hz")
-    _legend(axes, loc="lower left")
+    _legend(axes)
     for panel in axes[-2:]:
         panel.set_xlabel("frequency, Hz")
     return as_svg(figure)
@@ -139,12 +139,13 @@ def time_plot(runs: Sequence[RunTorques], block: float) -> str:
     """Return the mean of the residual against the motion over blocks of time, each run with its colour, as SVG."""
     names = runs[0].names
     figure, axes = make_grid(len(names), 2, 1.9)
+    starts = [min((float(joint.time[0]) for joint in run.joints if len(joint.time)), default=0.0) for run in runs]
     for number, (panel, name) in enumerate(zip(axes, names, strict=True)):
         for which, run in enumerate(runs):
             joint = run.joints[number]
             if not len(joint.time):
                 continue
-            place = ((joint.time - joint.time[0]) / block).astype(np.intp)
+            place = ((joint.time - starts[which]) / block).astype(np.intp)
             count = np.bincount(place)
             used = np.flatnonzero(count)
             means = np.bincount(place, joint.residual * np.sign(joint.velocity))[used] / count[used]
@@ -154,9 +155,9 @@ def time_plot(runs: Sequence[RunTorques], block: float) -> str:
         panel.axhline(0.0, color=_RESIDUAL, linewidth=0.6)
         _label(panel, name)
     if 1 < len(runs) <= len(COLOURS):
-        _legend(axes)
+        _legend(axes, ncols=2 if len(runs) > 2 else 1, frameon=True, framealpha=0.8, edgecolor="none", loc="best")
     for panel in axes[-2:]:
-        panel.set_xlabel("time since the run began, s")
+        panel.set_xlabel("time since the first motion, s")
     return as_svg(figure)
 
 
@@ -175,11 +176,11 @@ def curve_plots(curves: Sequence[FrictionCurve], points: Sequence[Array]) -> str
             velocity = curve.velocity[side]
             first = sign > 0.0
             panel.fill_between(velocity, low, high, color=COLOURS[5], alpha=0.5, linewidth=0.0,
-                               label="95 % of the curve" if first else None)  # fmt: skip
+                               label="95 %" if first else None)  # fmt: skip
             panel.plot(velocity, curve.torque[side], color=COLOURS[0], linewidth=1.2,
                        label="identified" if first else None)  # fmt: skip
         if len(measured):
-            panel.plot(measured[:, 0], measured[:, 1], ".", color=COLOURS[1], markersize=5, label="measured, bins")
+            panel.plot(measured[:, 0], measured[:, 1], ".", color=COLOURS[1], markersize=5, label="measured")
         panel.axhline(0.0, color=_RESIDUAL, linewidth=0.5)
         panel.axvline(0.0, color=_RESIDUAL, linewidth=0.5)
         _label(panel, curve.element)
@@ -215,8 +216,16 @@ def _label(panel: Axes, name: str, unit: str = "Nm") -> None:
 
 
 def _legend(axes: Sequence[Axes], **options: Any) -> None:
-    """Put a legend into the first panel in which something is drawn."""
+    """Put a legend above the first panel in which something is drawn, beside its title, or elsewhere by the options."""
+    beside: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.97)}
     for panel in axes:
         if panel.get_legend_handles_labels()[0]:
-            panel.legend(**({"frameon": False, "fontsize": 7} | options))
+            shape: dict[str, Any] = {
+                "frameon": False,
+                "fontsize": 7,
+                "ncols": 3,
+                "handlelength": 1.4,
+                "columnspacing": 1.2,
+            }
+            panel.legend(**(shape | (options or beside)))
             return

@@ -26,7 +26,7 @@ from rx90_emulator.identification.output.excitation.plots import (
     torque_plot,
 )
 from rx90_emulator.identification.output.excitation.robot import torque_constants
-from rx90_emulator.identification.output.excitation.summary import friction_columns, gain_warnings, lacking
+from rx90_emulator.identification.output.excitation.summary import friction_columns, gain_warnings, kept_parts, lacking
 
 _CLOSE = 0.95  # correlation from which two parameters are named
 
@@ -57,6 +57,7 @@ def report_page(
         versions=", ".join(f"{name} {number}" for name, number in versions.items()),
         friction=list(zip(names, rows, strict=True)),
         shown=[(name, _unit(name)) for name in shown],
+        kept=kept_parts(result),
         lacking=lacking(result),
         runs=[*(("fitted", run) for run in result.torques), *(("not used", run) for run in checked)],
         drawn=[(run, torque_plot(run)) for run in (checked[:2] or [longest])],

@@ -7,12 +7,13 @@ from collections.abc import Mapping
 
 from rx90_emulator.identification.excitation.closed_loop import remark
 from rx90_emulator.identification.excitation.fit_quality import misfits
+from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.gains import PLAUSIBLE
 from rx90_emulator.identification.excitation.result import ExcitationIdentification
 from rx90_emulator.identification.excitation.torques import TorqueValidation
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
-_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "c0", "c1")
+_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1")
 
 
 def excitation_summary(result: ExcitationIdentification) -> str:
@@ -23,7 +24,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *undetermined_texts(result),
         *_fits(result),
         *([result.zeros.text] if result.zeros.text else []),
-        f"model: {result.model.name}; {result.model.reason}",
+        f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}",
         f"closed loop: {remark(result.instruments)}",
         *gain_texts(result),
         *(f"misfit: {text}" for text in misfits(result.speeds)),
@@ -31,6 +32,17 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         *(_verdict(check) for check in result.validations),
     ]
     return "\n".join(parts)
+
+
+def kept_parts(result: ExcitationIdentification) -> str:
+    """Return in words what the friction that was kept consists of, and which elements have it."""
+    names, parts = result.problem.arm.element_names, result.friction.parts
+    texts = ["Coulomb + viscous"]
+    for part in Part:
+        having = [name for name, own in zip(names, parts, strict=True) if part in own]
+        if having:
+            texts.append(f"{part.value}: {'all' if len(having) == len(names) else ', '.join(having)}")
+    return " + ".join(texts)
 
 
 def gain_texts(result: ExcitationIdentification) -> list[str]:
@@ -132,10 +144,20 @@ def lacking(result: ExcitationIdentification) -> list[tuple[str, str, tuple[str,
         (
             ", ".join(parameters),
             "all elements" if len(of) == len(names) else ", ".join(element for element, _ in of),
-            tuple(dict.fromkeys(reason for _, reason in of)),
+            _reasons(of),
         )
         for of, parameters in together.items()
     ]
+
+
+def _reasons(of: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
+    """Return the reasons, each with its elements where they differ."""
+    elements: dict[str, list[str]] = {}
+    for element, reason in of:
+        elements.setdefault(reason, []).append(element)
+    if len(elements) == 1:
+        return tuple(elements)
+    return tuple(f"{', '.join(names)}: {reason}" for reason, names in elements.items())
 
 
 def _lacking(result: ExcitationIdentification) -> list[str]:

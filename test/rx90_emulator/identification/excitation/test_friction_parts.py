@@ -5,23 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from benchmarks.friction_equations import FrictionLaw
 from rx90_common.base.errors import IdentificationError
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.friction.blur import blur_shifts
 from rx90_emulator.identification.excitation.friction.columns import ElementMotion, element_rows
-from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
+from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks, _solved
 from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import Selected, _Selection, tangent
+from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, _verdict, tangent
 from rx90_emulator.identification.excitation.friction.separable import _nonnegative, fit_shapes
 from rx90_emulator.identification.excitation.friction.undecided import _bounded
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
@@ -186,6 +188,20 @@ def test_a_blurred_motion_widens_what_depends_on_it(arm: RigidArm) -> None:
     assert blur_shifts(weighted, plain, tangent(weighted, plain, plain.inner())) == []
 
 
+def test_a_bristle_without_its_damping_has_the_deviation_of_what_it_hides(arm: RigidArm) -> None:
+    """Where damping is left out, the stiffness is off by more than its deviation, and the widened one reaches it."""
+    damped = replace(BRISTLE, rise=0.0, c0=200.0, c1=3.0)
+    problem = problem_of(arm, record((along(damped), LAWS[1]), 4))
+    weighted = WeightedProblem.of(problem, element_rows(problem), np.full(len(problem), 1.0 / NOISE))
+    fit = fit_shapes(weighted, [ElementShape(frozenset({Part.BRISTLE}), stiffness=100.0), ElementShape()])
+    time = TimeBlocks.of(problem, Linearised.of(weighted, fit).residual)
+    tried = Selected(weighted, fit, (), time.blocks, {(0, Part.DAMPING): ""})
+    final, without = _final(tried, ()), _final(replace(tried, refused={}), ())
+    place = len(problem.names) + final.inner.index((0, "stiffness"))
+    off = fit.shapes[0].values[0] + final.fit.value[place] - np.log(damped.c0 / damped.coulomb)
+    assert 3.0 * without.fit.deviation[place] < abs(off) < 1.96 * final.fit.deviation[place]
+
+
 def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     """The covariance is that of the same draws, less those of which a rise is negative or more than tau_c."""
     root = np.array([[1.0, 0.0, 0.0], [0.3, 0.5, 0.0], [0.8, -0.4, 1.2]])
@@ -195,7 +211,7 @@ def test_a_rise_that_may_be_there_lies_between_bounds() -> None:
     kept = drawn[(drawn[:, 2] >= 0.0) & (drawn[:, 2] <= 1.0)]
     # The values that are written are those for a rise of 0: conditional means of the draws there.
     kept[:, :2] += covariance[:2, 2] / covariance[2, 2] * value
-    assert _bounded(covariance, [(value, deviation)]) == pytest.approx(
+    assert _bounded(covariance, [(value, deviation)], [1.0]) == pytest.approx(
         kept[:, :2].T @ kept[:, :2] / len(kept), abs=0.01
     )
 
@@ -282,10 +298,47 @@ def test_a_block_is_predicted_by_a_fit_without_it(weighted: WeightedProblem) -> 
         friction[rows.rows, 2 * e : 2 * e + 2] = rows.columns(ElementShape())[0][:, :2]
     columns = np.hstack([weighted.problem.regressor, friction]) * weighted.weight[:, None]
     target = weighted.problem.torque * weighted.weight
+    assert 8 <= time.blocks.count <= 60
+    when, apart = weighted.problem.time, time.blocks.correlation_time
     for rows, near in time.folds[::3]:
+        within = (when > when[rows].min() - apart) & (when < when[rows].max() + apart)
+        assert np.array_equal(near, np.flatnonzero(within))
+        assert len(near) > len(rows)
         seen = np.setdiff1d(np.arange(len(target)), near)
         value = np.linalg.lstsq(columns[seen], target[seen])[0]
         assert left[rows] == pytest.approx(target[rows] - columns[rows] @ value, abs=1e-6)
+
+
+def test_blocks_are_long_against_the_correlation_and_hold_all_repetitions(arm: RigidArm) -> None:
+    """The time in which residuals fade is that of their autoregression, (1 + r) / (1 - r) rows.
+
+    Blocks are not shorter than a 60th. A time and its repetition share one; different motions share none.
+    """
+    whole = record(LAWS, 8)
+    late = {name: getattr(whole, name)[400:] for name in ("time", "position", "velocity", "torque")}
+    problem = problem_of(arm, whole, replace(whole, **late), record(LAWS, 9))
+    rng, r = np.random.default_rng(0), 0.5
+    residual = 0.1 * rng.normal(size=len(problem))
+    for run in range(3):
+        rows = (problem.run == run) & (problem.joint == 0)
+        residual[rows] = lfilter([1.0], [1.0, -r], rng.normal(size=rows.sum()))
+    time = TimeBlocks.of(problem, residual)
+    row = problem.runs[0].down / problem.runs[0].rate
+    assert time.blocks.correlation_time == pytest.approx(row * (1.0 + r) / (1.0 - r), rel=0.4)
+    assert time.blocks.length == pytest.approx(2.0 * SECONDS / 60.0, rel=0.1)
+    first, again, other = (problem.run == run for run in range(3))
+    shared = first & (problem.time > problem.time[again].min() - 1e-9)
+    assert np.mean(time.block[shared] == time.block[again]) > 0.99  # at a border rounding decides
+    assert not set(time.block[first]) & set(time.block[other])
+    for rows, near in time.folds:
+        assert len({*problem.run[rows], *problem.run[near]} & {0, 2}) == 1
+
+
+def test_elements_are_one_group_by_way_of_others() -> None:
+    """Of a chain of elements that share a joint each with the next, and one alone, two groups come out."""
+    acts = np.array([[1.0, 1, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 1, 1, 0], [0, 0, 0, 0, 1]])
+    problem: Any = SimpleNamespace(arm=SimpleNamespace(element_matrix=acts))
+    assert _groups(problem) == [(0, 1, 2), (3,)]
 
 
 def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
@@ -297,6 +350,8 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     assert large.better_than(small)
     assert not small.better_than(large)
     assert not small.better_than(small)
+    assert "the error falls by" in _verdict(large, small)
+    assert "the error rises by" in _verdict(small, large)
     blocks, runs = large.validations(small)
     assert runs is None
     rows = np.bincount(time.block)
@@ -304,6 +359,10 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     for loss, accepted in ((0.0, True), (0.002, True), (0.2, False)):
         worse = replace(large, by_runs=rows * (1.0 + loss))
         assert worse.better_than(replace(small, by_runs=uneven * rows.sum() / uneven.sum())) is accepted
+    even = uneven * rows.sum() / uneven.sum()
+    for gain, better in ((0.002, False), (0.2, True)):  # by blocks, with the same standard error
+        other = replace(large, by_blocks=rows * (1.0 - gain), by_runs=None)
+        assert other.better_than(replace(small, by_blocks=even, by_runs=None)) is better
     assert blocks.error == pytest.approx(np.sqrt(large.by_blocks.sum() / rows.sum()))
     assert blocks.gain == pytest.approx(np.sqrt(small.by_blocks.sum() / rows.sum()) - blocks.error)
     drawn = np.random.default_rng(0).integers(0, len(rows), (2000, len(rows)))
@@ -380,4 +439,5 @@ def test_a_column_of_mere_rounding_gets_no_share() -> None:
     """A column that the regressor explains, whose square rounding makes negative, is 0 beside one that is fitted."""
     gram = np.array([[4.0, 1e-16], [1e-16, -1e-15]])
     assert _nonnegative(gram, np.array([2.0, 1e-9])) == pytest.approx([0.5, 0.0])
+    assert _solved(np.diag([2.0, 0.0]), np.array([1.0, 0.0])) == pytest.approx([0.5, 0.0])
     assert _nonnegative(-1e-9 * np.eye(2), np.ones(2)) == pytest.approx([0.0, 0.0])

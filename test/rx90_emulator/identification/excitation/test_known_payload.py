@@ -15,13 +15,14 @@ from foreign_arms import Curve, drive_torque, urdf_text, write
 
 import rx90_emulator as rx
 from benchmarks.excitation_runs import Disturbances
-from rx90_common.base.errors import REFUSED
+from rx90_common.base.errors import REFUSED, ConfigError, IdentificationError
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark
 from rx90_emulator.identification.excitation.filtering import Bandwidths
 from rx90_emulator.identification.excitation.friction.identify import identify_friction_parts
 from rx90_emulator.identification.excitation.identify import identify_excitation
+from rx90_emulator.identification.excitation.payload import payloads_of, read_payloads
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import base_parameters
 from rx90_emulator.identification.output.excitation import report
@@ -137,6 +138,25 @@ def test_payloads_that_cannot_be_are_refused(
     assert scales.identify("--payload", tmp_path / "payload.yaml", "--output", tmp_path / "arm") == REFUSED
     assert re.search(re.escape(message), capsys.readouterr().err.replace("\r", "\n").splitlines()[-1])
     assert not (tmp_path / "arm").exists()
+
+
+def test_a_payload_is_read_as_the_body_that_it_says(tmp_path: Path) -> None:
+    """Six unequal moments stand where Pinocchio has them, by name or path; twice the same bag is refused."""
+    file, bags = tmp_path / "payload.yaml", [tmp_path / "bare", tmp_path / "loaded"]
+    body = "{mass: 2.0, centre: [0.1, 0.2, 0.3], inertia: [0.05, 0.001, 0.002, 0.06, 0.003, 0.07]}"
+    file.write_text(f"{bags[1]}: {body}\n", encoding="utf-8")
+    inertia = np.array([[0.05, 0.001, 0.002], [0.001, 0.06, 0.003], [0.002, 0.003, 0.07]])
+    expected = pin.Inertia(2.0, np.array([0.1, 0.2, 0.3]), inertia).toDynamicParameters()
+    carried = payloads_of(bags, read_payloads(file))
+    assert carried[bags[0]] is None
+    found = carried[bags[1]]
+    assert found is not None
+    assert found.parameters() == pytest.approx(expected)
+    with pytest.raises(IdentificationError, match="or it is named twice; accepted"):
+        payloads_of(bags, {"loaded": found, str(bags[1]): found})
+    file.write_text(f"loaded: {body[:-1]}, colour: 1}}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="colour"):
+        read_payloads(file)
 
 
 @pytest.mark.parametrize("words", [["--payload", "1"], ["--prior", "0.5"], ["--bristles"]], ids=" ".join)

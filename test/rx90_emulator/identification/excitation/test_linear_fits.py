@@ -76,6 +76,8 @@ def test_the_kernel_covariance_is_the_weighted_sum_of_autocovariances() -> None:
             for t, other in enumerate(values):
                 expected += kernel((s - t) / width) * np.outer(one, other)
     assert hac(series) == pytest.approx(expected, rel=1e-9)
+    with np.errstate(all="raise"):
+        assert not hac([np.zeros((30, 2))]).any()
 
 
 def test_outside_residuals_are_those_of_fits_without_the_block(problem: ExcitationProblem) -> None:
@@ -188,6 +190,9 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     assert np.all(np.abs(gains.factor - factor) < 3.0 * gains.deviation)
     assert gains.deviation.max() < 0.01
     assert len(gains.implausible) == 0
+    again = gains.after(np.array([2.0, 0.5, 1.0]))  # as if these had been multiplied in before
+    assert again.factor == pytest.approx(gains.factor * [2.0, 0.5, 1.0])
+    assert again.deviation == pytest.approx(gains.deviation * [2.0, 0.5, 1.0])
     other = [replace(run, torque=run.torque / 400.0) for run in recorded]
     scaled = drive_gains(ExcitationProblem.of(rigid, other, payloads=[None, payload]), friction)
     assert scaled.factor == pytest.approx(400.0 * gains.factor, rel=1e-3)
@@ -205,6 +210,27 @@ def test_a_known_payload_tells_the_drive_gains(tmp_path: Path) -> None:
     together = gains.fit.deviation[: len(expected)]
     assert np.min(fit.deviation[: len(expected)] / together) > 0.6
     assert np.min(sure.deviation[: len(expected)] / together) < 0.8
+
+
+def test_a_motor_whose_gain_is_lost_in_noise_keeps_it(tmp_path: Path) -> None:
+    """With 40 Nm of noise on the last joint the payload tells the first one's gain alone; the other stays 1."""
+    arm = plain_arm(8, 2, coupled=False)
+    body = Payload(8.0, (0.1, 0.0, 0.05), 0.02 * np.eye(3))
+    rigid = rigid_arm(arm, tmp_path)
+    runs = runs_of(arm, 100.0, NOISE, Bandwidths(25.0, 10.0), (1, 2), periods=1)
+    columns = ExcitationProblem.of(rigid, runs).columns
+    load = columns.torque(runs[1].position, runs[1].velocity, runs[1].acceleration)[:, :, 10:20] @ body.parameters()
+    recorded = [runs[0], replace(runs[1], torque=runs[1].torque + load)]
+    rng = np.random.default_rng(0)
+    recorded = [
+        replace(run, torque=run.torque / 1.1 + rng.normal(size=run.torque.shape) * [0.0, 40.0]) for run in recorded
+    ]
+    problem = ExcitationProblem.of(rigid, recorded, payloads=[None, body])
+    gains = drive_gains(problem, coulomb_viscous(problem)[1])
+    assert gains.told.tolist() == [0]
+    assert gains.factor == pytest.approx([1.1, 1.0], abs=3.0 * gains.deviation[0])
+    assert gains.factor[1] == 1.0
+    assert gains.deviation[1] == np.inf
 
 
 @pytest.mark.parametrize(("which", "said"), [((None, None), "no payload is given"), ((1, 1), "the same payload")])

@@ -12,6 +12,7 @@ from excitation_arms import Array, all_columns, plain_arm, rigid_arm, runs_of, s
 
 from benchmarks.excitation_runs import NOTHING
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation import filtering
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import Bandwidths
@@ -78,7 +79,7 @@ def test_a_rounded_right_angle_makes_no_parameters(tmp_path: Path) -> None:
     assert two_links(tmp_path, 0.0, 1.5708).groups == two_links(tmp_path, 0.0, np.pi / 2.0).groups
 
 
-def test_the_parallel_filter_is_a_convolution_at_the_rows() -> None:
+def test_the_parallel_filter_is_a_convolution_at_the_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     """Values of any shape are low-passed by the run's symmetric taps at its rows, whole or block by block."""
     arm = plain_arm(5, 2, coupled=False)
     (run,) = runs_of(arm, 250.0, NOTHING, Bandwidths(40.0, 11.0))
@@ -88,7 +89,10 @@ def test_the_parallel_filter_is_a_convolution_at_the_rows() -> None:
     assert np.array_equal(run.taps, run.taps[::-1])
     filtered = run.parallel(values)
     assert filtered[:, 1, 2] == pytest.approx(direct, abs=1e-12)
+    monkeypatch.setattr(filtering, "_BLOCK", 500)
     parts = [run.parallel(values[samples]) for samples, _ in run.blocks()]
+    assert len(parts) > 3
+    assert [len(part) for part in parts] == [rows.stop - rows.start for _, rows in run.blocks()]
     assert np.concatenate(parts) == pytest.approx(filtered, abs=1e-12)
 
 
@@ -183,6 +187,7 @@ def test_a_known_payload_is_taken_off_the_torque(tmp_path: Path) -> None:
     [
         ((0.0, (0, 0, 0), np.eye(3)), "payload of 0.0 kg; accepted: a mass above 0"),
         ((1.0, (0, 0), np.eye(3)), "accepted: 3 numbers"),
+        ((1.0, (0, 0, 0), np.eye(3) + 0.1 * np.tri(3)), "accepted: a symmetric 3 x 3 matrix"),
         ((1.0, (0, 0, 0), np.diag([1.0, 1.0, 3.0])), "none above the sum of the others"),
     ],
 )

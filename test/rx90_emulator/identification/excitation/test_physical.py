@@ -12,6 +12,7 @@ from scipy.linalg import qr
 from scipy.optimize import least_squares
 
 from rx90_common.base.errors import IdentificationError
+from rx90_emulator.identification.excitation.physical import fit
 from rx90_emulator.identification.excitation.physical.cost import torque_cost
 from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, ConsistentInertias, consistent_inertias
 from rx90_emulator.identification.excitation.physical.prior import InertialPrior
@@ -193,11 +194,31 @@ def test_prior_decides_what_the_data_leave_open(arm: Arm) -> None:
         strong.parameters[20:30] - inertial_parameters(strong.pseudo[2]), prior.known[2], atol=1e-14
     )
     assert_bodies(strong)
+    second = tool.replace('"tool"', '"flange"').replace('"t"', '"f"').removesuffix("</robot>")
+    two = InertialPrior.of_urdf(urdf.replace("</robot>", second + "</robot>"), JOINTS, ROTORS, known=["tool", "flange"])
+    np.testing.assert_allclose(two.known[2], 2.0 * prior.known[2])
     both = InertialPrior.of_urdf(urdf, JOINTS, ROTORS)
     assert [body.link for body in both.bodies] == ["a_link", "b_link", "c_link", "tool"]
     shared = consistent_inertias(arm.estimate(arm.mapping @ arm.truth, 1e-6), both)
     assert_bodies(shared)
     np.testing.assert_allclose(arm.matrix @ shared.parameters, arm.matrix @ arm.truth, atol=1e-5)
+
+
+def test_the_way_from_afar_leads_to_the_same_minimum(arm: Arm, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Newton's steps are cut short, steps in factors lead to the inertias that they find."""
+    estimate, prior = arm.estimate(arm.mapping @ arm.truth, 0.3), InertialPrior.of_urdf(URDF, JOINTS, 3.0 * ROTORS)
+    by_newton = consistent_inertias(estimate, prior)
+    monkeypatch.setattr(fit, "_MOST_STEPS", 3)
+    assert consistent_inertias(estimate, prior).parameters == pytest.approx(by_newton.parameters, abs=1e-6)
+
+
+def test_the_prior_pulls_as_far_as_it_may(arm: Arm) -> None:
+    """A wider tolerance gives the prior more weight, and keeps within it of the least distance; none gives it least."""
+    estimate, prior = arm.estimate(arm.mapping @ arm.truth, 0.3), InertialPrior.of_urdf(URDF, JOINTS, ROTORS)
+    least, usual, wide = (consistent_inertias(estimate, prior, tolerance) for tolerance in (0.0, 0.3, 2.0))
+    assert least.prior_weight < usual.prior_weight < wide.prior_weight
+    assert usual.distance <= np.hypot(least.distance, 0.3)
+    assert wide.distance <= np.hypot(least.distance, 2.0)
 
 
 BARE = URDF.replace(URDF[URDF.index("<inertial>") : URDF.index("</inertial>") + len("</inertial>")], "", 1)
@@ -219,6 +240,8 @@ def test_prior_without_inertials(urdf: str, words: list[str]) -> None:
     assert all(np.linalg.eigvalsh(body.pseudo)[0] > 0.0 for body in prior.bodies)
     mass, center, inertia = central(prior.bodies[0].pseudo)
     np.testing.assert_allclose(center, [0.0, 0.0, 0.2])  # joint b lies 0.4 m above joint a
+    about = inertia + mass * (center @ center * np.eye(3) - np.outer(center, center))
+    assert prior.rotors[0] == pytest.approx(np.trace(about) / 3.0)
     radius, half = 0.4 / 6.0, 0.2
     assert mass == pytest.approx(1500.0 * 4.0 / 3.0 * np.pi * radius**2 * half)
     np.testing.assert_allclose(np.diag(inertia), mass / 5.0 * np.array([half**2 + radius**2] * 2 + [2 * radius**2]))

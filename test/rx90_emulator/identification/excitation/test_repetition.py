@@ -11,11 +11,12 @@ import pytest
 from benchmarks.excitation_runs import NOISE, NOTHING, Disturbances, FourierMotion, measured
 from benchmarks.random_arms import random_arm
 from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
-from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
+from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun, filter_record
 from rx90_emulator.identification.excitation.least_squares import solve
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.repetition import phases
 from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.records.record import BagSource
 
 
 def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None:
@@ -41,6 +42,37 @@ def test_instants_of_equal_phase_are_the_same_point_of_the_same_motion() -> None
     widths = [np.ptp(positions[(both == phase) & moving], axis=0).max() for phase in set(both[moving].tolist())]
     assert len(widths) > 0.8 * period
     assert max(widths) < 0.15  # a row's time at some 3 rad/s
+
+
+def test_what_is_no_repetition_is_not_taken_for_one() -> None:
+    """Another motion of the smaller joint, another pace, and a tenth in common make another motion, 60 % does not.
+
+    A recording that begins earlier than the first of its motion has its phases from 0 on.
+    """
+    rng = np.random.default_rng(0)
+    waves = np.cumsum(rng.normal(size=(3000, 4)), axis=0)
+    waves = np.sin(0.05 * (waves - np.linspace(0.0, 1.0, 3000)[:, None] * waves[-1]) + np.arange(4))
+    size = np.array([2.0, 0.05])
+
+    def run(velocity: np.ndarray, rate: float = 100.0) -> FilteredRun:
+        time = np.arange(len(velocity)) / rate
+        source = BagSource(Path("run"), "", float(time[-1]), 0, 0)
+        motion = [size * velocity] * 4
+        return FilteredRun(source, ("a", "b"), time, *motion, None, Bandwidths(25.0 * rate / 100.0, rate / 10.0))
+
+    first, other = waves[:, :2], waves[:, 2:]
+    given = [
+        run(first[500:]),
+        run(first),
+        run(np.column_stack([first[:, 0], other[:, 1]])),
+        run(first, 200.0),
+        run(np.vstack([first[2700:], other[:2700]])),
+        run(np.vstack([first[1200:], other[:1200]])),
+    ]
+    found = phases(given)
+    numbers = [number for number, _ in found]
+    assert numbers == [0, 0, 1, 2, 3, 0]
+    assert (found[1][1].min(), found[0][1].min()) == (0, 500 // given[0].down)
 
 
 def test_a_motion_that_is_repeated_says_no_more_of_what_the_model_leaves_out(tmp_path: Path) -> None:

@@ -1,0 +1,123 @@
+"""Goals at random, many of them damaged: refused with a reason, or followed within the limits."""
+
+from __future__ import annotations
+
+import copy
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from rx90_controller.goals.goal import GoalOptions, check_goal
+from rx90_controller.goals.results import GoalError
+from rx90_controller.goals.runner import GoalRunner
+from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
+LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
+PERIOD = 1e-3
+GOALS = 500
+
+
+def stamp(seconds: float) -> SimpleNamespace:
+    """Return a Time or Duration."""
+    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
+    return SimpleNamespace(sec=sec, nanosec=nanosec)
+
+
+def random_goal(generator: Generator, now: float, options: GoalOptions) -> SimpleNamespace:
+    """Return a goal that may or may not be one."""
+    names = list(generator.permutation(NAMES))
+    if options.allow_partial_joints_goal and generator.random() < 0.4:
+        names = names[: generator.integers(1, 6)]
+    n, kind = len(names), generator.integers(0, 3)
+    times = np.cumsum(generator.uniform(0.02, 0.6, generator.integers(1, 7)))
+    scale = generator.choice([0.02, 0.1, 0.5])
+    points = [
+        SimpleNamespace(
+            positions=list(generator.uniform(-scale, scale, n)),
+            velocities=list(generator.uniform(-scale, scale, n)) if kind > 0 else [],
+            accelerations=list(generator.uniform(-1.0, 1.0, n)) if kind > 1 else [],
+            effort=[],
+            time_from_start=stamp(time),
+        )
+        for time in times
+    ]
+    if kind > 0 and not (options.allow_nonzero_velocity_at_trajectory_end and generator.random() < 0.5):
+        points[-1].velocities = [0.0] * n
+    start = now + generator.uniform(-0.5, 0.5) if generator.random() < 0.4 else 0.0
+    trajectory = SimpleNamespace(header=SimpleNamespace(stamp=stamp(max(start, 0.0))), joint_names=names, points=points)
+    if generator.random() < 0.3:
+        damage(generator, trajectory)
+    several = SimpleNamespace(joint_names=[], points=[])
+    return SimpleNamespace(
+        trajectory=trajectory, multi_dof_trajectory=several, path_tolerance=[], goal_tolerance=[],
+        component_path_tolerance=[], component_goal_tolerance=[], goal_time_tolerance=stamp(0.0),
+    )  # fmt: skip
+
+
+def damage(generator: Generator, trajectory: Any) -> None:
+    """Break one thing."""
+    point = trajectory.points[generator.integers(len(trajectory.points))]
+    strange = [np.nan, np.inf, -np.inf, 1e300, -1e300, 1e-300]
+    match generator.integers(0, 6):
+        case 0:
+            point.positions[0] = generator.choice(strange)
+        case 1:
+            point.velocities = [generator.choice(strange)] * len(trajectory.joint_names)
+        case 2:
+            point.positions.append(0.0)
+        case 3:
+            trajectory.joint_names[0] = generator.choice(["", "elbow", NAMES[0], "\0"])
+        case 4:
+            trajectory.points.append(copy.deepcopy(point))
+        case _:
+            point.time_from_start = stamp(generator.choice([-1.0, 0.0, 1e-9, 3e9]))
+
+
+def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits() -> None:
+    """Each of 500 goals is refused in one line, or followed; no set-point leaves the limits of any quantity.
+
+    They come one into the other, with every choice of options; some are cancelled, and the speed changes.
+    """
+    generator = np.random.default_rng(20)
+    trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
+    runner = GoalRunner(trajectory, GoalOptions(), 60.0)
+    tolerances = GoalTolerances.defaults(NAMES)
+    now, reasons, path = 1000, [], []
+    for key in range(GOALS):
+        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 3)))
+        before = runner.active
+        try:
+            goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
+            runner.offer(key + 1, goal, now)
+            assert runner.active == key + 1
+        except GoalError as error:
+            reasons.append(str(error))
+            assert runner.active == before
+        count = int(generator.integers(0, 400))
+        if generator.random() < 0.1:
+            runner.cancel(now)
+        if generator.random() < 0.1:
+            trajectory.set_speed_scaling(float(generator.choice([0.0, 0.3, 1.0, 1.0])), now)
+        path.append(trajectory.setpoints(now, count))
+        now += count
+    assert 0.2 * GOALS < len(reasons) < 0.8 * GOALS
+    assert all(reason and "\n" not in reason for reason in reasons)
+    check(np.concatenate(path))
+
+
+def check(path: NDArray[np.float64]) -> None:
+    """Check set-points, shape (n, 3, 6), against the limits, and against each other."""
+    position, velocity, _ = path.transpose(1, 0, 2)
+    slack = 1.0 + 2e-3
+    assert np.isfinite(path).all()
+    assert (position <= LIMITS.upper).all()
+    assert (position >= LIMITS.lower).all()
+    assert (np.abs(velocity) <= LIMITS.velocity * slack).all()
+    assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * slack).all()
+    moved = np.diff(position, axis=0) - 0.5 * PERIOD * (velocity[1:] + velocity[:-1])
+    assert (np.abs(moved) <= 0.25 * LIMITS.acceleration * PERIOD**2 * slack).all()

@@ -1,0 +1,130 @@
+"""A client of the controller's action, and the simulation's time under its hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from control_msgs.action import FollowJointTrajectory
+from processes import TIMEOUT
+from rclpy.action import ActionClient
+from rclpy.task import Future
+from ros_client import JOINTS, Client
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+Result = FollowJointTrajectory.Result
+
+
+def stamp(kind: Any, seconds: float) -> Any:
+    """Return a Time or a Duration."""
+    sec, nanosec = divmod(round(seconds * 1e9), 10**9)
+    return kind(sec=sec, nanosec=nanosec)
+
+
+def point(seconds: float, positions: Sequence[float], velocities: Sequence[float] | None = None) -> Any:
+    """Return a point, at rest unless it has velocities."""
+    rest = [0.0] * len(positions)
+    return JointTrajectoryPoint(
+        positions=list(positions),
+        velocities=rest if velocities is None else list(velocities),
+        time_from_start=stamp(Duration, seconds),
+    )
+
+
+def goal(*points: Any, names: Sequence[str] = tuple(JOINTS), start: float = 0.0, **fields: Any) -> Any:
+    """Return a goal of points; it starts now, or at a simulated time in s."""
+    trajectory = JointTrajectory(joint_names=list(names), points=list(points))
+    trajectory.header.stamp = stamp(Time, start)
+    return FollowJointTrajectory.Goal(trajectory=trajectory, **fields)
+
+
+def move(to: float | Sequence[float], seconds: float = 0.2, **fields: Any) -> Any:
+    """Return a goal of all joints to a pose."""
+    return goal(point(seconds, np.broadcast_to(to, 6).tolist()), **fields)
+
+
+class GoalClient:
+    """A client of one controller's action."""
+
+    def __init__(self, client: Client, controller: str = "rx90_controller") -> None:
+        self._client = client
+        self.feedback: list[Any] = []
+        self._action = ActionClient(client.node, FollowJointTrajectory, f"{controller}/follow_joint_trajectory")
+        self.client.spin_until(self._action.server_is_ready, "the action's server")
+
+    @property
+    def client(self) -> Client:
+        """The node that it is on."""
+        return self._client
+
+    def there(self) -> bool:
+        """Return whether there is a controller."""
+        return bool(self._action.server_is_ready())
+
+    def wait(self, future: Future) -> Any:
+        """Return what a future brings."""
+        self._client.spin_until(future.done, "an answer", TIMEOUT)
+        return future.result()
+
+    def send(self, message: Any) -> Any:
+        """Send a goal; return its handle."""
+        heard = self.feedback = []
+        return self.wait(self._action.send_goal_async(message, lambda sent: heard.append(sent.feedback)))
+
+    def result_of(self, handle: Any) -> Future:
+        """Ask for a goal's result."""
+        assert handle.accepted
+        return handle.get_result_async()
+
+    def cancel(self, handle: Any) -> Any:
+        """Cancel a goal; return what the server says."""
+        return self.wait(handle.cancel_goal_async())
+
+
+class Stepper:
+    """Simulated time, which stands still unless it is asked to run.
+
+    Args:
+        client: to ask with.
+        step: what one step runs, s; the simulation's parameter step_ticks.
+    """
+
+    def __init__(self, client: Client, step: float) -> None:
+        self._client, self._step = client, step
+        self._steps = client.node.create_client(Trigger, "rx90_sim/step")
+        self._pauses = client.node.create_client(SetBool, "rx90_sim/pause")
+        self._resets = client.node.create_client(Trigger, "rx90_sim/reset")
+        client.spin_until(self._steps.service_is_ready, "the simulation")
+        self.ran = 0.0
+
+    def run(self, seconds: float) -> None:
+        """Let time run."""
+        for _ in range(round(seconds / self._step)):
+            self._ask(self._steps, Trigger.Request())
+            self.ran += self._step
+
+    def pause(self, paused: bool) -> None:
+        """Let time run by itself, or no more."""
+        self._ask(self._pauses, SetBool.Request(data=paused))
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._ask(self._resets, Trigger.Request())
+        self.ran = 0.0
+
+    def until(self, done: Future, most: float = 10.0) -> Any:
+        """Let time run until a future is done; return what it brings."""
+        end = self.ran + most
+        while not done.done():
+            assert self.ran < end, f"nothing within {most:g} s"
+            self.run(self._step)
+            self._client._executor.spin_once(timeout_sec=0.0)
+        return done.result()
+
+    def _ask(self, service: Any, request: Any) -> None:
+        answer = service.call_async(request)
+        self._client.spin_until(answer.done, service.srv_name)
+        assert answer.result().success
