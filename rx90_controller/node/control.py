@@ -44,7 +44,7 @@ from rx90_common.exchange.topics import (
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.node.action import make_action, make_controller_state
-from rx90_controller.node.goal_parameters import declare_goal_parameters
+from rx90_controller.node.goal_parameters import allow_goal_changes, declare_goal_parameters
 from rx90_controller.node.law_parameters import LawParameters
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
@@ -201,6 +201,7 @@ class Control:
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._action = make_action(self.node, self._loop, goals, cs7b, channel)
+        allow_goal_changes(node, cs7b, self._loop, self._action)
         self._diagnostics = Diagnostics(self.node, ControllerStatus(cs7b, self._loop, self._serving, pacer).collect)
 
     def _build(self, files: RobotFiles, rates: Rates) -> tuple[RobotModel, CS7B, LawParameters]:

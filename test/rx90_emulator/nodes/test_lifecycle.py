@@ -93,7 +93,7 @@ def test_a_pair_goes_through_its_states(processes: Processes, client: Client) ->
     simulation.wait_for("no controller on /motor_commands: time stands still")
     for label in ("deactivate", "cleanup"):
         assert client.transition(SIMULATION, label)
-    assert client.node.count_publishers("joint_states") == 0
+    client.spin_until(lambda: client.node.count_publishers("joint_states") == 0, "the topics to go")
     described = latched(client, "robot_description", String)
     for node in NODES:
         assert client.set_parameters(node, robot="tx40") == [""]
