@@ -35,7 +35,18 @@ _ROS = re.compile(r"(rcl|rosidl|rosbag2|ament|launch|tf2|unique_identifier)\w*|\
 LONGEST = 400
 LARGEST_CLASS = 150
 MOST_POSITIONAL = 7
-PLAIN = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "itertools", "math", "operator"}
+PLAIN = {
+    "__future__",
+    "abc",
+    "collections",
+    "copy",
+    "dataclasses",
+    "enum",
+    "functools",
+    "itertools",
+    "math",
+    "operator",
+}
 PLAIN |= {"pathlib", "types", "typing"}
 _NAMED = rf"(?:{'|'.join(PACKAGES)})(?:\.\w+)+"
 _DOTTED = re.compile(rf"({_NAMED})(?::\w+)?")  # as `-m` and entry points take it

@@ -13,6 +13,7 @@ from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.trajectory import PastError, Schedule, TrajectoryGenerator
 from rx90_controller.trajectory.message import check_horizon
+from rx90_controller.trajectory.planning import Plan
 
 
 class Event(NamedTuple):
@@ -50,7 +51,13 @@ class GoalRunner:
         self._execution: Execution | None = None
         self._velocity, self._tick = np.zeros(6), -1  # of the last step, for the acceleration
 
-    def offer(self, key: object, goal: Goal, now: int, inactive: str = "") -> tuple[Schedule, Event | None]:
+    def plan(self, now: int, lead: int) -> Plan:
+        """Return what a goal that takes long may be joined to, beside the ticks; see `Plan`."""
+        return Plan(self._trajectory, now, lead)
+
+    def offer(
+        self, key: object, goal: Goal, now: int, inactive: str = "", plan: Plan | None = None
+    ) -> tuple[Schedule, Event | None]:
         """Take a goal; the one before ends with INVALID_GOAL, "pre-empted".
 
         Args:
@@ -58,6 +65,7 @@ class GoalRunner:
             goal: checked.
             now: the first position tick that may still be changed, `CS7B.position_tick`.
             inactive: why no goal can be taken now, and what is accepted; empty if the controller is active.
+            plan: to which the goal was joined.
 
         Raises:
             GoalError: OLD_HEADER_TIMESTAMP if all its points lie in the past; INVALID_GOAL if the controller is not
@@ -69,7 +77,9 @@ class GoalRunner:
         anywhere = self.options.allow_trajectory_replacement
         try:
             check_horizon(goal.start, now, self._horizon, self._trajectory.period)
-            schedule = self._trajectory.join(goal.points, now, goal.start, anywhere=anywhere)
+            schedule = plan.adopt(now) if plan is not None else None
+            if schedule is None:
+                schedule = self._trajectory.join(goal.points, now, goal.start, anywhere=anywhere)
         except PastError as error:
             raise GoalError(ResultCode.OLD_HEADER_TIMESTAMP, str(error)) from error
         except TrajectoryError as error:

@@ -154,8 +154,12 @@ class FollowJointTrajectoryAction:
         sender = _Sender(self._server, handle, self._feedback)
         self._senders[bytes(handle.goal_id.uuid)] = sender
         with loop.between_ticks() as goals:
+            plan, anywhere = goals.plan(goal), goals.options.allow_trajectory_replacement
+        if plan is not None:
+            plan.join(goal.points, goal.start, anywhere=anywhere)  # not between two ticks, as it may take long
+        with loop.between_ticks() as goals:
             if loop.running:
-                goals.take(sender, goal, trajectory, loop.inactive)
+                goals.take(sender, goal, trajectory, loop.inactive, plan)
             else:
                 goals.wait(sender, goal, trajectory)
 

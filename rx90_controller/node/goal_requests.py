@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, NamedTuple, Protocol, cast
 
@@ -13,8 +14,10 @@ from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.runner import Event, GoalRunner
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
+from rx90_controller.trajectory.planning import Plan
 
-_END = 1e-3  # of a tick: the end of a motion belongs to it
+_SHORT = 20  # points
+_LEAD, _LEAD_EACH = 5e-3, 1e-4  # s, and for each point: so much later a long goal begins whose start is "now"
 
 
 class Sender(Protocol):
@@ -80,10 +83,7 @@ class GoalRequests:
         return self._runner.active is not None or self._waiting is not None
 
     def drop(self, reason: str, *, halt: bool = False) -> None:
-        """End the goal, if there is one, because it is no longer followed; with `halt` the arm is stopped on its path.
-
-        What its client gets is ABORTED with INVALID_GOAL and the reason.
-        """
+        """End the goal, if there is one, with ABORTED, INVALID_GOAL and a reason; with `halt` stop on its path."""
         now = self._cs7b.position_tick
         if self._waiting is not None:
             waiting, self._waiting = self._waiting, None
@@ -124,7 +124,15 @@ class GoalRequests:
         self._waiting = _Waiting(sender, goal, trajectory)
         self._requests.note("a goal waits for the simulation's first tick")
 
-    def take(self, sender: Sender, goal: Goal, trajectory: Any, inactive: str) -> None:
+    def plan(self, goal: Goal) -> Plan | None:
+        """Return what a goal is to be joined to beside the ticks; None for a short one, which is taken at once."""
+        count = len(goal.points.times)
+        if count <= _SHORT:
+            return None
+        lead = round((_LEAD + _LEAD_EACH * count) / self._cs7b.rates.position_period)
+        return self._runner.plan(self._cs7b.position_tick, lead)
+
+    def take(self, sender: Sender, goal: Goal, trajectory: Any, inactive: str, plan: Plan | None = None) -> None:
         """Follow a goal in place of the one before, or abort it and let that one go on.
 
         Args:
@@ -132,10 +140,11 @@ class GoalRequests:
             goal: checked.
             trajectory: of the goal, as it came.
             inactive: see `ServoLoop.inactive`.
+            plan: to which the goal was joined, if it takes long.
         """
         now = self._cs7b.position_tick
         try:
-            schedule, ended = self._runner.offer(sender, goal, now, inactive)
+            schedule, ended = self._runner.offer(sender, goal, now, inactive, plan)
         except GoalError as error:
             self._requests.rejected += 1
             self._tell(Outcome(Phase.ABORTED, error.code, str(error), now), sender)
@@ -158,7 +167,7 @@ class GoalRequests:
             TrajectoryError: for a time before the running motion.
         """
         trajectory = self._cs7b.trajectory
-        return trajectory.state(tick), trajectory.moving(tick - _END)
+        return trajectory.state(tick), trajectory.moving(math.ceil(tick) - 1)
 
     def cancel(self, sender: Sender) -> None:
         """Cancel a goal; one that has ended meanwhile keeps its end."""

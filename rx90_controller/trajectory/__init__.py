@@ -13,5 +13,6 @@ __all__ = [
     "TrajectoryGenerator",
     "TrajectoryPoints",
     "message",
+    "planning",
     "spline",
 ]

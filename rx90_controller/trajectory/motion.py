@@ -87,14 +87,11 @@ class FollowedPath:
             setpoints[:, 2] = setpoints[:, 2] * (rate * rate) + slope * changes[:, None] + 0.0
         return setpoints
 
-    def at(self, tick: float) -> tuple[float, float]:
-        """Return the time on the path at a tick, whole or not, s, and its rate."""
+    def at(self, tick: int) -> tuple[float, float]:
+        """Return the time on the path at a tick, s, and its rate."""
         for law in reversed(self.laws):
             if tick >= law.tick:
-                if isinstance(tick, int):
-                    return law.point(tick)
-                times, rates, _ = law.at(np.array([tick]))
-                return float(times[0]), float(rates[0])
+                return law.point(tick)
         return (tick - self.start) * self.period, 1.0
 
     def entry(self, tick: int) -> Array:
@@ -102,7 +99,7 @@ class FollowedPath:
         entry: Array = self.path.spline.sample(np.array([self.at(tick)[0]]))[0]
         return entry
 
-    def runs(self, tick: float) -> bool:
+    def runs(self, tick: int) -> bool:
         """Return whether it is not at its end at a tick."""
         return self.at(tick)[0] < self.path.spline.duration
 

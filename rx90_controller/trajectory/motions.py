@@ -74,8 +74,8 @@ class Motions:
         before = self._current.setpoints(tick, head)
         return np.concatenate([before, self._next.setpoints(tick + head, count - head)])
 
-    def moving(self, tick: float) -> bool:
-        """Return whether a trajectory runs, is held on its path, or waits for its start at a position tick."""
+    def moving(self, tick: int) -> bool:
+        """Return whether a trajectory runs, is held on its path, or waits for its start at position tick `tick`."""
         return (self._next or self._current).runs(tick)
 
     def ended(self, tick: int) -> End | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.random import Generator
@@ -81,19 +82,29 @@ def damage(generator: Generator, trajectory: Any) -> None:
 def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits() -> None:
     """Each of 500 goals is refused in one line, or followed; no set-point leaves the limits of any quantity.
 
-    They come one into the other, with every choice of options; some are cancelled, and the speed changes.
+    They come one into the other, with every choice of options, some of them planned while the arm goes on; some are
+    cancelled, and the speed changes.
     """
     generator = np.random.default_rng(20)
     trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
     runner = GoalRunner(trajectory, GoalOptions(), 60.0)
     tolerances = GoalTolerances.defaults(NAMES)
-    now, reasons, path = 1000, [], []
+    now, handed_over, reasons, path = 1000, 0, [], []
     for key in range(GOALS):
         runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 3)))
         before = runner.active
         try:
             goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
-            runner.offer(key + 1, goal, now)
+            plan = None
+            if generator.random() < 0.5:
+                plan = runner.plan(now, lead=30)
+                plan.join(goal.points, goal.start, anywhere=options.allow_trajectory_replacement)
+                path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
+                now += meanwhile
+                trajectory.ended(now)
+            with mock.patch.object(trajectory, "join", wraps=trajectory.join) as joined:
+                runner.offer(key + 1, goal, now, plan=plan)
+            handed_over += not joined.called
             assert runner.active == key + 1
         except GoalError as error:
             reasons.append(str(error))
@@ -107,6 +118,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         now += count
     assert 0.2 * GOALS < len(reasons) < 0.8 * GOALS
     assert all(reason and "\n" not in reason for reason in reasons)
+    assert handed_over > 0.05 * GOALS
     check(np.concatenate(path))
 
 

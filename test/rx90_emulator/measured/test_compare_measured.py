@@ -178,3 +178,48 @@ def test_a_path_beyond_the_limits_is_named(measured: Measured) -> None:
     assert float(words[words.index("at") + 1]) == pytest.approx(position.argmin() * 1e-3, abs=0.02)
     slow = rx.with_parameters(measured.setup, {"controller.max_acceleration[*]": 0.3})
     assert any("needs the acceleration" in remark for remark in rx.compare_measured(bag, slow).remarks)
+
+
+def test_the_longest_part_without_a_gap_is_compared(measured: Measured) -> None:
+    """Where states are missing after half a second, what comes later is compared, and a remark says so."""
+    states = measured.joints()
+    kept = np.r_[0:500, 700 : len(states.stamp_ns)]
+    parts = {name: np.asarray(getattr(states, name))[kept] for name in ("stamp_ns", "position", "velocity", "effort")}
+    result = rx.compare_measured(measured.write("gap", replace(states, **parts)), measured.setup)
+    assert result.time[0] > 0.7
+    assert any("there are gaps in the record" in remark for remark in result.remarks)
+
+
+def test_set_points_of_another_rate_and_zero_are_followed(measured: Measured) -> None:
+    """Every second set-point, recorded with other zeros, is the same motion."""
+    zero = np.array([0.3, -1.0, 0.5, 2.0, 0.1, -0.2])
+    shifted = [
+        replace(one, position=np.asarray(one.position) + zero)
+        for one in (measured.joints(), measured.run.series["rx90_controller/reference"])
+    ]
+    fields = ("stamp_ns", "position", "velocity")
+    sparse = replace(shifted[1], **{name: np.asarray(getattr(shifted[1], name))[::2] for name in fields}, effort=None)
+    bag = measured.write("sparse", shifted[0], (sparse,))
+    result = rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero))
+    assert result.setpoints.startswith("rx90_controller/reference")
+    assert result.total_share < 0.01
+    assert result.passed
+    for name in ("torque", "total_torque", "position"):  # each tolerance counts by itself
+        assert not replace(result, tolerances=replace(result.tolerances, **{name: 1e-9})).passed
+    with pytest.raises(IdentificationError, match="--bandwidth is 1000 Hz; accepted: above 0, up to 300 Hz"):
+        rx.compare_measured(bag, measured.setup, rx.MeasuredLayout(zero=zero), bandwidth=1e3)
+
+
+@pytest.mark.parametrize("said", ["have gaps", "are of different times"])
+def test_set_points_that_cannot_be_followed_are_refused(measured: Measured, said: str) -> None:
+    """A series with a hole, and one that was recorded at another time, are named."""
+    series = measured.run.series["rx90_controller/reference"]
+    fields = ("stamp_ns", "position", "velocity")
+    kept = np.r_[0:100, 120 : len(series.stamp_ns)] if said == "have gaps" else np.arange(len(series.stamp_ns))
+    parts = {name: np.asarray(getattr(series, name))[kept] for name in fields}
+    if said != "have gaps":
+        parts["stamp_ns"] = parts["stamp_ns"] + 1_000_000_000_000
+    other = replace(series, **parts, effort=None)
+    bag = measured.write(said.replace(" ", "_"), measured.joints(), (other,))
+    with pytest.raises(IdentificationError, match=f"{said}"):
+        rx.compare_measured(bag, measured.setup)

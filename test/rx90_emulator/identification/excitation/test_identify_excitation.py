@@ -23,6 +23,7 @@ from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import excitation_job
 from rx90_emulator.identification.excitation.filtering import Bandwidths, FilteredRun
+from rx90_emulator.identification.excitation.friction.law import Part
 from rx90_emulator.identification.excitation.torques import (
     JointTorque,
     RunTorques,
@@ -299,13 +300,15 @@ def test_shares_and_chi_square_are_those_of_the_noise() -> None:
 
 
 def test_torques_without_noise_have_no_chi_square(outcome: Outcome) -> None:
-    """Where the noise is below a hundredth of the difference the summary says so in words, and gives no number."""
+    """Noise below a hundredth of the difference is said in words; the model line names all parts that were kept."""
     result = outcome.result
     (run, *_) = result.torques
     assert not run.noiseless.any()
     smooth = replace(run, noise=np.array([run.rms[0] / 101.0, run.rms[1] / 99.0]))
     assert smooth.noiseless.tolist() == [True, False]
     lines = rx.excitation_summary(replace(result, torques=(smooth,), validations=())).splitlines()
+    kept = next(line for line in lines if line.startswith("model: Coulomb + viscous"))
+    assert all((part.value in kept) == any(part in own for own in result.friction.parts) for part in Part)
     (at,) = (k for k, line in enumerate(lines) if "chi^2 over noise" in line)
     assert lines[at].split()[-2:] == [">1e4", "9.8e+03"]
     assert "next to no noise beside the difference" in lines[at + 1]
