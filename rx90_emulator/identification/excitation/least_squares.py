@@ -81,7 +81,7 @@ def solve(
             columns themselves: least squares.
     """
     target = problem.torque if torque is None else torque
-    equations = _Equations(columns, columns if instruments is None else instruments, target, prior)
+    equations = _Equations(problem, columns, columns if instruments is None else instruments, target, prior)
     sigma = np.full(len(problem.arm.names), max(float(np.std(target)), 1e-12))
     weights = np.ones(len(target))
     solution = equations.solved(weights / sigma[problem.joint] ** 2)
@@ -116,13 +116,13 @@ def solve(
 
 
 def _sigma(problem: ExcitationProblem, residual: Array, leverage: Array, before: Array, *, robust: bool) -> Array:
-    """Return the deviation of each joint's residuals, Nm; `leverage`, shape (r,), is what the fit took of squares."""
+    """Return the deviation of each joint's residuals, Nm; `leverage`, shape (n,), is what the fit took of squares."""
     sigma = before.copy()
     # A floor keeps the weights finite for data without noise.
     floor = max(1e-9 * float(np.abs(problem.torque).max()), 1e-12)
     for joint in np.unique(problem.joint).tolist():
         rows = problem.joint == joint
-        left = max(1.0 - float(np.mean(leverage[rows])), 0.05)
+        left = max(1.0 - float(leverage[joint]), 0.05)
         size = 1.4826 * np.median(np.abs(residual[rows])) if robust else np.sqrt(np.mean(residual[rows] ** 2))
         sigma[joint] = max(float(size) / np.sqrt(left), floor)
     return sigma
@@ -130,7 +130,7 @@ def _sigma(problem: ExcitationProblem, residual: Array, leverage: Array, before:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Values, the inverse of the equations' derivative, each row's leverage, and what the rows determine."""
+    """Values, the inverse of the equations' derivative, the rows' mean leverage by joint, and what they determine."""
 
     value: Array
     inverse: Array
@@ -142,8 +142,12 @@ class _Solution:
 class _Equations:
     """instruments^T W (target - columns @ value) + precision (mean - value) = 0."""
 
-    def __init__(self, columns: Array, instruments: Array, target: Array, prior: Prior | None) -> None:
+    def __init__(
+        self, problem: ExcitationProblem, columns: Array, instruments: Array, target: Array, prior: Prior | None
+    ) -> None:
         self.columns, self.instruments, self.target = columns, instruments, target
+        rows = [np.flatnonzero(problem.joint == joint) for joint in range(len(problem.arm.names))]
+        self._joints = [(own, columns[own]) for own in rows]
         self.precision: Array | None = None
         self._known = np.zeros(columns.shape[1])
         if prior is not None:
@@ -154,7 +158,9 @@ class _Equations:
     def solved(self, weights: Array) -> _Solution:
         """Solve for weights of the rows, shape (r,); directions that the rows do not determine stay 0."""
         weighted = self.instruments * weights[:, None]
-        gram = weighted.T @ self.columns
+        # Of each joint by itself: its part tells its rows' leverages without a product of all rows with the inverse.
+        parts = [weighted[own].T @ columns for own, columns in self._joints]
+        gram = np.sum(parts, axis=0)
         right = weighted.T @ self.target + self._known
         if self.precision is not None:
             gram = gram + self.precision
@@ -164,6 +170,7 @@ class _Equations:
         known = values > _UNDETERMINED**2 * values[0]
         inverse = (directions[known].T / values[known]) @ left[:, known].T / np.outer(scale, scale)
         determined = (directions[~known] ** 2).sum(axis=0) < _SHARE
-        leverage = np.sum((self.columns @ inverse) * weighted, axis=1)
+        counted = zip(parts, self._joints, strict=True)
+        leverage = np.array([np.sum(inverse * part.T) / max(len(own), 1) for part, (own, _) in counted])
         condition = float(np.sqrt(values[0] / max(values[-1], 1e-300)))
         return _Solution(inverse @ right, inverse, leverage, determined, condition)
