@@ -11,7 +11,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_controller.goals.execution import Execution, Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
-from rx90_controller.trajectory import PastError, Schedule, TrajectoryGenerator
+from rx90_controller.trajectory import PastError, Schedule, TrajectoryGenerator, points_left
 from rx90_controller.trajectory.message import check_horizon
 from rx90_controller.trajectory.planning import Plan
 
@@ -95,7 +95,7 @@ class GoalRunner:
             GoalError: OLD_HEADER_TIMESTAMP if all its points lie in the past.
         """
         try:
-            self._trajectory.left(goal.points, now, goal.start)
+            points_left(goal.points, now, goal.start, self._trajectory.period)
         except PastError as error:
             raise GoalError(ResultCode.OLD_HEADER_TIMESTAMP, str(error)) from error
 

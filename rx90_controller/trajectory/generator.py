@@ -88,7 +88,7 @@ class TrajectoryGenerator(Motions):
             PastError: if all its points lie in the past.
             TrajectoryError: if it starts elsewhere than the arm is, or breaks a limit.
         """
-        begin, late, left = self.left(points, now, start)
+        begin, late, left = points_left(points, now, start, self.period)
         self._promote(now)
         if late == 0.0 and points.times[0] == 0.0 and not anywhere:
             held = self._base(now).entry(begin)
@@ -97,23 +97,6 @@ class TrajectoryGenerator(Motions):
             if first.velocity is not None:
                 self.limits.check_start(held, np.stack([held[0], first.velocity[0]]), self.period)
         return self._take(left, now, begin, follow=anywhere)
-
-    def left(self, points: TrajectoryPoints, now: int, start: int | None) -> tuple[int, float, TrajectoryPoints]:
-        """Return the tick at which `join` would begin, how late that is, s, and the points later than that.
-
-        Raises:
-            PastError: if there are none.
-        """
-        begin = now if start is None else max(start, now)
-        late = 0.0 if start is None else (begin - start) * self.period
-        left = points.after(late)
-        if not len(left.times):
-            ended = (begin * self.period - late) + points.times[-1]
-            raise PastError(
-                f"the last point is at {ended:.6g} s, the controller's time is {now * self.period:.6g} s; accepted: "
-                "points later than that"
-            )
-        return begin, late, left
 
     def stop(self, now: int, start: int | None) -> Schedule:
         """Brake every joint to rest from tick `start` on, `now` for None, and hold; return when that happens.
@@ -187,3 +170,23 @@ class TrajectoryGenerator(Motions):
     def _run(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:
         self._follow(base, path, begin, rate)
         return Schedule(begin, FollowedPath(begin, path, self.period).end, path.spline.miss)
+
+
+def points_left(
+    points: TrajectoryPoints, now: int, start: int | None, period: float
+) -> tuple[int, float, TrajectoryPoints]:
+    """Return the tick at which `TrajectoryGenerator.join` would begin, how late that is, s, and the points after it.
+
+    Raises:
+        PastError: if there are none.
+    """
+    begin = now if start is None else max(start, now)
+    late = 0.0 if start is None else (begin - start) * period
+    left = points.after(late)
+    if not len(left.times):
+        ended = (begin * period - late) + points.times[-1]
+        raise PastError(
+            f"the last point is at {ended:.6g} s, the controller's time is {now * period:.6g} s; accepted: points "
+            "later than that"
+        )
+    return begin, late, left

@@ -99,6 +99,8 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
             if generator.random() < 0.5:
                 plan = runner.plan(now, lead=30)
                 plan.join(goal.points, goal.start, anywhere=options.allow_trajectory_replacement)
+                if generator.random() < 0.3:
+                    trajectory.halt(now)
                 path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
                 now += meanwhile
                 trajectory.ended(now)
@@ -118,7 +120,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
         now += count
     assert 0.2 * GOALS < len(reasons) < 0.8 * GOALS
     assert all(reason and "\n" not in reason for reason in reasons)
-    assert handed_over > 0.05 * GOALS
+    assert handed_over > 0.02 * GOALS
     check(np.concatenate(path))
 
 
