@@ -10,7 +10,7 @@ from pathlib import Path
 
 import yaml
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
 from rx90_common.process.children import executable
@@ -99,6 +99,9 @@ def run_both_ways(
     for rest in range(rests):
         client.spin_until(lambda at=START + 0.1 * rest: client.simulation.time > at, "the motion")  # type: ignore[misc]
         assert client.transition("rx90_sim", "deactivate")
+        joints = client.listen("joint_states")
+        client.spin_until(lambda heard=joints: len(heard) > 2, "the newest sample again")  # type: ignore[misc]
+        assert len({seconds(message) for message in joints}) == 1
         assert client.set_parameters("rx90_sim", real_time_factor=0.6 + 0.1 * rest) == [""]
         assert client.transition("rx90_sim", "activate")
     assert simulation.wait() == 0
