@@ -189,7 +189,7 @@ REFUSED = [
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
     ),
     # the robot
-    ("no_urdf", options("--urdf", "nowhere.urdf"), r"nowhere.urdf: no URDF .*No such file"),
+    ("no_urdf", options("--urdf", "nowhere.urdf"), r"nowhere.urdf: cannot be read \(No such file"),
     ("xml", urdf(lambda text: text[:-20]), "bad.urdf: no URDF that Pinocchio can read"),
     (
         "limit",

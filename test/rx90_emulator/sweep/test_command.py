@@ -131,7 +131,7 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
     [
         (["run", "none.yaml", "--output", "out.parquet"], "no file 'none.yaml'"),
         (["run", "bad.yaml", "--output", "out.parquet"], "'sped' is unknown"),
-        (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "cannot be written"),
+        (["run", "sweep/reference_1000.yaml", "--output", "no/out.parquet"], "the folder no does not exist"),
         (["run", "sweep/reference_1000.yaml", "--output", "out.parquet", "--workers", "0"], "workers is 0"),
         (["info", "none.parquet"], "none.parquet does not exist"),
         (["info", "bad.yaml"], "cannot be read as Parquet"),
