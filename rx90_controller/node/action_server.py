@@ -128,6 +128,10 @@ class FollowJointTrajectoryAction:
             if self._node.executor is not None:
                 self._node.executor.spin_once(timeout_sec=0.0)
 
+    def close(self) -> None:
+        """Serve no more goals; those that there were have ended."""
+        self._server.destroy()
+
     # Requests of clients, in the order in which they come.
 
     def _on_goal(self, message: Any) -> GoalResponse:

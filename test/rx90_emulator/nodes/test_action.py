@@ -214,21 +214,38 @@ def test_what_the_arm_cannot_do_is_aborted_with_the_reason(bench: Bench, make: A
 
 
 def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
-    """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again."""
+    """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again.
+
+    So they are when the node is deactivated.
+    """
     from action_client import move
 
-    bench.home()
-    result = bench.goals.result_of(bench.goals.send(move(0.05, 0.4)))
-    bench.time.run(0.1)
-    bench.client.enable(False)
-    ended = bench.goals.wait(result)
-    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
-    assert ended.result.error_string.startswith("the torque is off, at ")
-    bench.time.run(STEP)
-    assert not bench.goals.send(move(0.0)).accepted
-    bench.said("goal rejected: the controller is disabled; accepted: after a call of ~/enable with true")
-    bench.client.enable(True)
-    bench.time.run(STEP)
+    def deactivate() -> None:
+        assert bench.client.transition("rx90_controller", "deactivate")
+
+    def activate() -> None:
+        assert bench.client.transition("rx90_controller", "activate")
+
+    for off, on, reason in (
+        (
+            lambda: bench.client.enable(False),
+            lambda: bench.client.enable(True),
+            "disabled; accepted: after a call of ~/enable with true",
+        ),
+        (deactivate, activate, "inactive; accepted: in state active"),
+    ):
+        bench.home()
+        result = bench.goals.result_of(bench.goals.send(move(0.05, 0.4)))
+        bench.time.run(0.1)
+        off()
+        ended = bench.goals.wait(result)
+        assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+        assert ended.result.error_string.startswith("the torque is off, at ")
+        bench.time.run(STEP)
+        assert not bench.goals.send(move(0.0)).accepted
+        bench.said(f"goal rejected: the controller is {reason}")
+        on()
+        bench.time.run(STEP)
     bench.home()
     for on in (False, True):
         bench.client.enable(on)
@@ -275,6 +292,11 @@ def test_tolerances_along_the_path_and_at_the_goal(bench: Bench, acceleration: N
     ended = bench.follow(move(0.0, 0.5, goal_tolerance=free))
     assert ended.status == SUCCEEDED
     assert bench.goals.wait(result).result.error_code == -1
+
+    for limit, code in ((1e-9, -4), (0.0, 0)):  # the default, changed for the next goal
+        assert bench.client.set_parameters("rx90_controller", constraints__joint_3__trajectory=limit) == [""]
+        assert bench.follow(move(0.01, 0.4)).result.error_code == code
+        bench.time.run(0.3)
 
 
 @pytest.mark.parametrize("seed", range(3))
