@@ -24,6 +24,7 @@ ARGUMENTS = (
     ("real_time_factor", "1.0", "pace in lock_step; 0.0: as fast as it goes"),
     ("initial_position", "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]", "joint positions at the start and after a reset, rad"),
     ("paused", "false", "begin with time standing still"),
+    ("autostart", "true", "be active at once; else as the nodes' lifecycle services say"),
     ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),
     *((name, "", f"{DESCRIPTIONS[name]}; left out: the robot's") for name in MODEL_FILES),
     ("composed", "false", "both nodes in one process, which is several times faster"),

@@ -2,6 +2,7 @@
 
 __all__ = [
     "batch",
+    "changes",
     "comparison",
     "joint_series",
     "ordering",

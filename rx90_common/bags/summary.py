@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rx90_common.bags.changes import ParameterChange, changes_of
 from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.topics import tells_changes
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -63,6 +65,7 @@ class BagSummary:
         compression: what is compressed in it: `zstd files`, `zstd messages`, `zstd chunks`, `lz4 chunks`; or nothing.
         size: of its files in bytes.
         topics: by name.
+        changes: of parameters, in the order of the messages.
         notes: what was read otherwise than the bag says.
     """
 
@@ -71,6 +74,7 @@ class BagSummary:
     compression: str
     size: int
     topics: tuple[TopicSummary, ...]
+    changes: tuple[ParameterChange, ...]
     notes: tuple[str, ...]
 
     @property
@@ -90,12 +94,15 @@ def summarise(path: Path | str) -> BagSummary:
         if not topics:
             raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
+        changes: list[ParameterChange] = []
         for topic, log_ns, data in bag.messages(topics):
             times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
+            if tells_changes(topic.name, topic.msgtype):
+                changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
         summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
         size = sum(file.stat().st_size for file in files)
-        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(bag.notes))
+        return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
 
 
 def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:

@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any
 
 from rx90_common.bags.alignment import Side
+from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.bags.topics import unit
@@ -123,7 +124,13 @@ def summary_text(summary: BagSummary) -> str:
     kind = f"{summary.storage}{compression}"
     head = f"{plain(summary.path)}: {kind}, {summary.size / 1e6:.1f} MB, {summary.count} messages"
     notes = "".join(f"\n{note}" for note in summary.notes)
-    return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}"
+    changes = "".join(f"\n{_change_line(change)}" for change in summary.changes)
+    return f"{head}{notes}\n{_table(_SUMMARISED, [_topic_row(topic) for topic in summary.topics])}{changes}"
+
+
+def _change_line(change: ParameterChange) -> str:
+    what = f"{plain(change.node)}: {plain(change.name)} changed to {plain(change.value)}"
+    return f"{what}, from t = {_seconds(change.stamp_ns)} s on"
 
 
 def _topic_row(topic: TopicSummary) -> tuple[str, ...]:

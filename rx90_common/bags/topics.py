@@ -8,6 +8,7 @@ from rx90_common.exchange.topics import (
     COMMANDED_CURRENT,
     DETAILS,
     MOTOR_CURRENT,
+    PARAMETERS,
     REFERENCE_ACCELERATION,
     TRAJECTORY_ACCEPTED,
 )
@@ -16,6 +17,7 @@ JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
+PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 
 
 FIELDS: Final = ("position", "velocity", "effort")
@@ -33,6 +35,8 @@ SUITE_TOPICS: Final = (
     "rx90_controller/reference",
     "rx90_controller/tracking_error",
     *(f"rx90_controller/{name}" for name in DETAILS),
+    f"rx90_controller/{PARAMETERS}",
+    f"rx90_sim/{PARAMETERS}",
     "robot_description",
 )
 
@@ -48,6 +52,11 @@ _QUANTITIES: Final = {
     MOTOR_CURRENT: {"effort": ("current", "A")},
 }
 """What the fields of a topic's messages hold where it is not what they are called."""
+
+
+def tells_changes(topic: str, msgtype: str) -> bool:
+    """Return whether a topic's messages are changes of parameters, stamped with simulated time."""
+    return msgtype == PARAMETER_EVENT and topic.rpartition("/")[2] == PARAMETERS
 
 
 def quantities(topic: str) -> dict[str, str]:

@@ -151,6 +151,10 @@ class Channel:
         """Make the current or the next `receive` return at once; callable from every thread."""
         self._guard.trigger_guard_condition()
 
+    def close(self) -> None:
+        """Let another process publish the topic; the node destroys publisher and subscription."""
+        self._lock.close()
+
     def matches(self) -> Matches:
         """Count what the middleware has connected now."""
         return Matches(self._publisher.get_subscription_count(), self._subscription.get_publisher_count())

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidHandle
 from rclpy.publisher import Publisher
 
 from rx90_common.exchange.qos import STATE_QOS, TICK_QOS
@@ -37,6 +39,7 @@ class Listeners:
     ) -> None:
         self._interrupted, self._clock = interrupted, clock
         self._watched: list[tuple[Publisher, int]] = []
+        self._others: Callable[[], Sequence[Publisher]] = tuple
         self.add(publishers)
         self._ticks = self._left = int(_SHARE * min(TICK_QOS.depth, STATE_QOS.depth * state_ticks))
 
@@ -44,13 +47,18 @@ class Listeners:
         """Wait for the messages of these, too, if there are more subscriptions than the `answering` ones."""
         self._watched += [(publisher, answering) for publisher in publishers]
 
+    def ask(self, others: Callable[[], Sequence[Publisher]]) -> None:
+        """Wait also for the messages of the publishers that there are then; another thread may destroy them."""
+        self._others = others
+
     def tick_done(self) -> None:
         """Count a tick; wait if it is time to."""
         self._left -= 1
         if self._left == 0:
             self._left = self._ticks
             deadline = self._clock() + _PATIENCE
-            for publisher, answering in self._watched:
-                while publisher.get_subscription_count() > answering:
-                    if publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline:
-                        break
+            for publisher, answering in (*self._watched, *((other, 0) for other in self._others())):
+                with suppress(InvalidHandle):  # destroyed: nothing to wait for
+                    while publisher.get_subscription_count() > answering:
+                        if publisher.wait_for_all_acked(_SLICE) or self._interrupted() or self._clock() > deadline:
+                            break

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import permutations
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -32,8 +33,15 @@ class LocalChannel:
         answering: 0, because the other end does not subscribe; see `TickChannel`.
     """
 
-    def __init__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> None:
-        self._node = node
+    def __init__(
+        self,
+        node: Node,
+        publish_topic: str,
+        subscribe_topic: str,
+        qos: QoSProfile,
+        on_close: Callable[[LocalChannel], None],
+    ) -> None:
+        self._node, self._on_close = node, on_close
         self.answering = 0
         self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
         self._publisher = node.create_publisher(JointState, publish_topic, qos)
@@ -44,7 +52,7 @@ class LocalChannel:
         self._inbox: deque[bytes] = deque(maxlen=qos.depth)
         self._arrived = threading.Event()
         self._waiting = self._woken = False
-        self._peer = self
+        self._peer: LocalChannel | None = None
         self._serve: Callable[[], None] | None = None
         self._others_seen = 0
         self._timer = node.create_timer(_LOOK, self.look_for_others)
@@ -67,6 +75,16 @@ class LocalChannel:
             )
         self._peer = peer
 
+    def part(self) -> None:
+        """Send to nobody, and forget what nobody will answer."""
+        self._peer = None
+        self._inbox.clear()
+
+    def close(self) -> None:
+        """Let another end take this one's place, once nobody calls the others any more."""
+        self._lock.close()
+        self._on_close(self)
+
     def serve_with(self, serve: Callable[[], None]) -> None:
         """Let `serve` answer, on the thread that receives, when there is nothing to receive."""
         self._serve = serve
@@ -77,9 +95,10 @@ class LocalChannel:
         if self._listeners():
             self._publish_raw(raw)
         peer = self._peer
-        peer._inbox.append(raw)
-        if peer._waiting:
-            peer._arrived.set()
+        if peer is not None:
+            peer._inbox.append(raw)
+            if peer._waiting:
+                peer._arrived.set()
 
     def receive(self, timeout_s: float) -> bytes | None:
         """Return the next message in the order of sending, or None after `timeout_s` or a `wake`."""
@@ -105,14 +124,15 @@ class LocalChannel:
         self._arrived.set()
 
     def matches(self) -> Matches:
-        """Return one of each: the peer is always there, and nobody else is heard."""
-        return Matches(1, 1)
+        """Return one of each while the peer is there: nobody else is heard."""
+        there = int(self._peer is not None)
+        return Matches(there, there)
 
     def look_for_others(self) -> None:
         """Warn, each time that they appear, of other publishers of the topic on which only the peer is heard."""
         others = self._node.count_publishers(self.subscribe_topic) - 1
-        self._others_seen = self._others_seen + 1 if others > 0 else 0
-        if self._others_seen == _LOOKS:
+        self._others_seen = self._others_seen + 1 if others > 0 and self._peer is not None else 0
+        if self._others_seen == _LOOKS and self._peer is not None:
             self._node.get_logger().warning(
                 f"{others} other{'s publish' if others > 1 else ' publishes'} on {self.subscribe_topic}: not heard, "
                 f"because {self._peer._node.get_name()} runs in this process"
@@ -120,10 +140,12 @@ class LocalChannel:
 
 
 class LocalLink:
-    """Two ends that are connected as soon as both are there."""
+    """Two ends that are connected while both are there."""
 
     def __init__(self) -> None:
         self._ends: list[LocalChannel] = []
+        self._served = ""
+        self._serve: Callable[[], None] | None = None
 
     def end(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> LocalChannel:
         """Make an end, as the constructor of `Channel` does.
@@ -132,14 +154,26 @@ class LocalLink:
             ExchangeError: if another process on this machine publishes `publish_topic`.
             ConfigError: if the two ends do not fit each other.
         """
-        channel = LocalChannel(node, publish_topic, subscribe_topic, qos)
+        channel = LocalChannel(node, publish_topic, subscribe_topic, qos, self._part)
         self._ends.append(channel)
-        if len(self._ends) == 2:
-            first, second = self._ends
-            first.connect(second)
-            second.connect(first)
+        if publish_topic == self._served and self._serve is not None:
+            channel.serve_with(self._serve)
+        try:
+            for one, other in permutations(self._ends, 2):
+                one.connect(other)
+        except ConfigError:
+            channel.close()
+            raise
         return channel
 
-    def serve_with(self, serve: Callable[[], None]) -> None:
-        """Let `serve` run on the first end's thread when that end waits; it is to receive and publish at the second."""
-        self._ends[0].serve_with(serve)
+    def _part(self, closed: LocalChannel) -> None:
+        self._ends.remove(closed)
+        for left in (*self._ends, closed):
+            left.part()
+
+    def serve_with(self, topic: str, serve: Callable[[], None]) -> None:
+        """Let `serve` run on the thread of the end that publishes `topic` when that one waits, from its making on.
+
+        It is to receive and publish at the other end.
+        """
+        self._served, self._serve = topic, serve

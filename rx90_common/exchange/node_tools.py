@@ -6,6 +6,7 @@ import gc
 import sys
 import threading
 import traceback
+from array import array
 from collections.abc import Callable, Sequence
 from pathlib import PurePath
 from typing import Any, Protocol, TypeVar
@@ -15,8 +16,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.duration import Duration, Infinite
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.utilities import try_shutdown
@@ -26,6 +27,7 @@ from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, RobotFiles
 from rx90_common.exchange.node_services import answer_all_requests
+from rx90_common.exchange.parameter_changes import OF_ROS, with_real_numbers
 from rx90_common.exchange.qos import CLOCK_QOS
 from rx90_common.exchange.qos_overrides import PREFIX, overridable_topics, publish
 from rx90_common.exchange.ros_start import reason, start_ros
@@ -36,7 +38,6 @@ _SPIN_SLICE = 0.2
 _SETTLED_LOOKS = 10  # of 50 ms
 _RECEIVED_LOOKS = 40  # of 50 ms
 _SWITCH_INTERVAL = 5e-4
-_OF_ROS = ("use_sim_time", "start_type_description_service")  # rclpy declares them itself
 _Value = TypeVar("_Value", bool, int, float, str, list[float])
 
 
@@ -48,13 +49,26 @@ def declare(
     *,
     low: float | None = None,
     high: float | None = None,
-    read_only: bool = True,
+    read_only: bool | None = None,
 ) -> _Value:
-    """Declare a parameter with its descriptor and return its value.
+    """Declare a parameter with its descriptor, unless it is declared, and return its value.
+
+    Args:
+        node: its owner.
+        name: of the parameter.
+        default: its value where none is given.
+        description: what it means, with its unit.
+        low: the least that is accepted.
+        high: the most.
+        read_only: whether it can never be set; None: only those of a managed node can, as ParameterChanges says.
 
     Raises:
         ConfigError: naming parameter, value and accepted range.
     """
+    if node.has_parameter(name):
+        return _plain(node.get_parameter(name).value)  # type: ignore[no-any-return]
+    if read_only is None:
+        read_only = not isinstance(node, LifecycleNode)
     descriptor = ParameterDescriptor(description=description, read_only=read_only)
     if low is not None and high is not None:
         if isinstance(default, float):
@@ -69,12 +83,17 @@ def declare(
     if override is not None:
         if given is None:
             raise ConfigError(f"parameter {name} is empty; accepted: {accepted}")
-        node._parameter_overrides[name] = _with_real_numbers(override, default)
+        node._parameter_overrides[name] = with_real_numbers(override, default)
     try:
         value: Any = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         raise ConfigError(f"parameter {name} is {quoted(given)}; accepted: {accepted}") from error
-    return value  # type: ignore[no-any-return]
+    return _plain(value)  # type: ignore[no-any-return]
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as plain Python has it: rclpy gives lists as arrays where they were set."""
+    return value.tolist() if isinstance(value, array) else value
 
 
 def declare_rates(node: Node) -> Rates:
@@ -110,24 +129,17 @@ def declare_robot_files(node: Node, *names: str) -> RobotFiles:
     return RobotFiles.named(robot, **given)
 
 
-def _with_real_numbers(override: Parameter, default: object) -> Parameter:
-    """Return the parameter with whole numbers made real ones where those are asked for: 1 is as good as 1.0."""
-    if isinstance(default, float) and override.type_ is Parameter.Type.INTEGER:
-        return Parameter(override.name, Parameter.Type.DOUBLE, float(override.value))
-    if isinstance(default, list) and override.type_ is Parameter.Type.INTEGER_ARRAY:
-        return Parameter(override.name, Parameter.Type.DOUBLE_ARRAY, [float(number) for number in override.value])
-    return override
-
-
 def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
     """Look for values given to parameters that a node has not declared; to be called when all are declared.
+
+    A managed node that is not configured has not declared all of them.
 
     Raises:
         ConfigError: naming the first one, and those that there are, or the node of this process that has it.
     """
     for node in nodes:
         for name in node._parameter_overrides:
-            if not node.has_parameter(name) and name not in _OF_ROS:
+            if not node.has_parameter(name) and name not in OF_ROS:
                 owners = [other.get_name() for other in nodes if other.has_parameter(name)]
                 accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else _accepted(node, name)
                 raise ConfigError(f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {accepted}")
@@ -137,7 +149,7 @@ def _accepted(node: Node, name: str) -> str:
     """Return the parameters that the node has instead of `name`."""
     if name.startswith(PREFIX):
         return overridable_topics(node)
-    return ", ".join(sorted(known for known in node._parameters if known not in _OF_ROS and PREFIX not in known))
+    return ", ".join(sorted(known for known in node._parameters if known not in OF_ROS and PREFIX not in known))
 
 
 class Diagnostics:
@@ -176,7 +188,9 @@ class Diagnostics:
 class TickingNode(Protocol):
     """A node with a thread of its own for the ticks."""
 
-    node: Node
+    @property
+    def node(self) -> Node:
+        """The node, for the executor."""
 
     def tick_loop(self) -> None:
         """Run ticks until `stop` is called; errors end the program."""

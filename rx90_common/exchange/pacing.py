@@ -11,6 +11,17 @@ from rx90_common.base.errors import ConfigError
 _FORGIVEN = 0.1  # s behind that are caught up; more than that is given up, so that a stall is no burst of ticks
 
 
+def check_factor(factor: float) -> None:
+    """Refuse a factor that no pacer keeps.
+
+    Raises:
+        ConfigError: with what is accepted.
+    """
+    # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
+    if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
+        raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
+
+
 @dataclass
 class PaceCounts:
     """What happened since the last `take`.
@@ -38,6 +49,12 @@ class Pacer:
         factor: simulated time per wall time; 0 does not wait at all.
         clock: the steady clock, s.
         sleep: waits for a number of seconds.
+
+    Attributes:
+        factor: the one of the last tick.
+
+    Raises:
+        ConfigError: as `check_factor`.
     """
 
     def __init__(
@@ -47,9 +64,9 @@ class Pacer:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        # Not slower, because a sleep cannot be interrupted and a tick would take seconds.
-        if not (factor == 0.0 or 0.001 <= factor <= 1000.0):
-            raise ConfigError(f"real_time_factor is {factor}; accepted: a number in [0.001, 1000], or 0 for no pacing")
+        check_factor(factor)
+        self._period = period
+        self.factor = self._next_factor = factor
         self._step = period / factor if factor else 0.0
         self._clock, self._sleep = clock, sleep
         self.restart()
@@ -61,12 +78,25 @@ class Pacer:
         self._anchor = self._last = self._clock()
         self._ticks = 0
 
+    def change(self, factor: float) -> None:
+        """Keep another pace from the next tick on; callable from every thread.
+
+        Raises:
+            ConfigError: as `check_factor`.
+        """
+        check_factor(factor)
+        self._next_factor = factor
+
     def shift(self, seconds: float) -> None:
         """Move the grid, to a later time or, below 0, an earlier one."""
         self._anchor += seconds
 
     def wait(self) -> None:
         """Wait until the next tick is due."""
+        if self._next_factor != self.factor:
+            self.factor = self._next_factor
+            self._step = self._period / self.factor if self.factor else 0.0
+            self.restart()
         counts = self._counts
         now = self._clock()
         if self._step:

@@ -37,6 +37,9 @@ class TickChannel(Protocol):
     def wake(self) -> None:
         """Make the current or the next `receive` return at once; callable from every thread."""
 
+    def close(self) -> None:
+        """Let another end take this one's place, once nobody calls the others any more."""
+
     def matches(self) -> Matches:
         """Count who is there to receive, and who to send."""
 
@@ -46,3 +49,22 @@ class MakeChannel(Protocol):
 
     def __call__(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> TickChannel:
         """Return it; topics are relative or absolute names."""
+
+
+class Ends:
+    """Makes a node's ends of the exchange, one after the other, and closes the newest one."""
+
+    def __init__(self, make_channel: MakeChannel) -> None:
+        self._make_channel = make_channel
+        self._newest: TickChannel | None = None
+
+    def make(self, node: Node, publish_topic: str, subscribe_topic: str, qos: QoSProfile) -> TickChannel:
+        """Make an end, as `MakeChannel` does."""
+        self._newest = channel = self._make_channel(node, publish_topic, subscribe_topic, qos)
+        return channel
+
+    def close(self) -> None:
+        """Close it, if there is one."""
+        if self._newest is not None:
+            self._newest.close()
+        self._newest = None

@@ -27,7 +27,7 @@ class CS7B:
         joint_names: names of the six joints.
         tick: number of the next base tick.
         trajectory: the set-point generator.
-        law: compiled constants, shape (1,), CONTROLLER_DTYPE.
+        law: compiled constants, shape (1,), CONTROLLER_DTYPE; may be written to between two ticks.
         state: compiled state, shape (1,), LAW_STATE_DTYPE.
         command: motor torques of the last step, Nm, shape (6,); always the same view of the state.
         setpoint: that of the last position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6).

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml
+from rx90_common.base.config import Section, load_yaml
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
@@ -175,7 +175,15 @@ def load_controller(path: Path) -> CS7BParameters:
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    root = load_yaml(path)
+    return read_controller(load_yaml(path))
+
+
+def read_controller(root: Section) -> CS7BParameters:
+    """Check and return what a controller file holds.
+
+    Raises:
+        ConfigError: naming file, key, value and accepted range.
+    """
     names = ("servo", "feed_forward", "current_loop", "supervision", "trajectory")
     servo, forward, current, supervision, trajectory = (root.section(name) for name in names)
     exponents = forward.numbers("viscous_exponent", 6, *ALPHA_BOUNDS) if "viscous_exponent" in forward else (1.0,) * 6

@@ -1,3 +1,3 @@
 """The controller node: parameters, topics and services around one control law."""
 
-__all__ = ["control", "trajectory_client"]
+__all__ = ["controller_node", "trajectory_client"]

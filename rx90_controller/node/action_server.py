@@ -47,10 +47,17 @@ class _Sender:
         server: that has the goal.
         handle: of the goal.
         feedback: makes the action's feedback.
+        forget: called once the result is sent.
     """
 
-    def __init__(self, server: _Server, handle: ServerGoalHandle, feedback: Callable[[Feedback], Any]) -> None:
-        self._server, self._handle, self._feedback = server, handle, feedback
+    def __init__(
+        self,
+        server: _Server,
+        handle: ServerGoalHandle,
+        feedback: Callable[[Feedback], Any],
+        forget: Callable[[], object],
+    ) -> None:
+        self._server, self._handle, self._feedback, self._forget = server, handle, feedback, forget
 
     def went(self, feedback: Feedback) -> None:
         """Send feedback."""
@@ -59,6 +66,7 @@ class _Sender:
     def ended(self, outcome: Outcome) -> None:
         """Send the result."""
         self._server.finish(self._handle, partial(_end, outcome))
+        self._forget()
 
 
 def _end(outcome: Outcome, handle: ServerGoalHandle) -> Any:
@@ -120,6 +128,10 @@ class FollowJointTrajectoryAction:
             if self._node.executor is not None:
                 self._node.executor.spin_once(timeout_sec=0.0)
 
+    def close(self) -> None:
+        """Serve no more goals; those that there were have ended."""
+        self._server.destroy()
+
     # Requests of clients, in the order in which they come.
 
     def _on_goal(self, message: Any) -> GoalResponse:
@@ -147,8 +159,9 @@ class FollowJointTrajectoryAction:
         loop, goal, trajectory = self._loop, self._checked, handle.request.trajectory
         assert goal is not None
         handle.execute()
-        sender = _Sender(self._server, handle, self._feedback)
-        self._senders[bytes(handle.goal_id.uuid)] = sender
+        name = bytes(handle.goal_id.uuid)
+        sender = _Sender(self._server, handle, self._feedback, partial(self._senders.pop, name))
+        self._senders[name] = sender
         with loop.between_ticks() as goals:
             plan, anywhere = goals.plan(goal), goals.options.allow_trajectory_replacement
         if plan is not None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -20,11 +19,12 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
+from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
-from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
+from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.motor_messages import MotorMessages
-from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates, declare_robot_files
+from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.qos_overrides import publish
@@ -35,7 +35,6 @@ from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
-    FREE_RUNNING,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
@@ -43,11 +42,13 @@ from rx90_common.exchange.topics import (
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.law.cs7b import CS7B
-from rx90_controller.law.parameters import load_controller
+from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.node.action import make_action, make_controller_state
-from rx90_controller.node.goal_parameters import declare_goal_parameters
+from rx90_controller.node.goal_parameters import allow_goal_changes, declare_goal_parameters
+from rx90_controller.node.law_parameters import LawParameters
 from rx90_controller.node.serving import Serving
-from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
+from rx90_controller.node.status import ControllerStatus
 from rx90_controller.trajectory.message import check_trajectory_bytes
 
 if TYPE_CHECKING:
@@ -55,6 +56,18 @@ if TYPE_CHECKING:
 
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
+
+
+def declare_horizon(node: Node) -> float:
+    """Declare, unless it is, and return how far ahead a trajectory may start, s."""
+    about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
+    return declare(node, "start_horizon", 60.0, about, low=0.0, high=1e6)
+
+
+def declare_decimation(node: Node) -> int:
+    """Declare, unless it is, and return how many position ticks there are for each message of DETAILS."""
+    about = f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}"
+    return declare(node, "detail_decimation", DETAIL_DECIMATION, about, low=1, high=1_000_000)
 
 
 class ControllerOutputs:
@@ -80,10 +93,7 @@ class ControllerOutputs:
             (publish(node, JointState, f"~/{name}", STATE_QOS.profile), names.encoder(effort=values))
             for name, names, values in details
         ]
-        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare(
-            node, "detail_decimation", DETAIL_DECIMATION,
-            f"position ticks for each message of {', '.join(f'~/{name}' for name in DETAILS)}", low=1, high=1_000_000,
-        )  # fmt: skip
+        self._detail_ns = cs7b.rates.period_ns * cs7b.rates.ratio * declare_decimation(node)
         self._accepted = node.create_publisher(JointTrajectory, f"~/{TRAJECTORY_ACCEPTED}", LATCHED_QOS.profile)
         self._report: GuardCondition | None = None
         self.publishers = (
@@ -148,62 +158,79 @@ class ControllerOutputs:
 
 
 class Control:
-    """The node and its ticking thread's loop.
+    """What a configured controller consists of, and its ticking thread's loop; the torque is off until `activate`.
 
     Args:
+        node: owner of topics, services and parameters.
+        files: the robot's.
         make_channel: makes the exchange with the simulation.
-        time_mode: how a simulation in this process keeps time; None: as the topic says.
-        own_args: arguments for ROS that concern this node of its process alone.
+        local: whether a simulation in this process tells how time is kept, by `follow`; else the topic does.
 
     Raises:
-        ExchangeError: if that simulation's rates are not this one's.
+        Rx90Error: for files and parameters that are refused, and a second controller.
 
     Attributes:
-        node: for the executor.
         publishers: of all that the ticking thread sends.
     """
 
-    def __init__(
-        self, make_channel: MakeChannel = Channel, time_mode: TimeMode | None = None, own_args: Sequence[str] = ()
-    ) -> None:
-        self.node = Node("rx90_controller", cli_args=list(own_args))
+    def __init__(self, node: ManagedNode, files: RobotFiles, make_channel: MakeChannel, *, local: bool) -> None:
+        self.node = node
         self._log = self.node.get_logger()
         rates = declare_rates(self.node)
-        robot, self._cs7b = self._build(rates)
+        robot, self._cs7b, self._law = self._build(files, rates)
         cs7b = self._cs7b
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         goals = declare_goal_parameters(self.node, cs7b.joint_names, rates)
         state = make_controller_state(self.node, cs7b, goals)
         outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name, state)
         self.publishers = outputs.publishers
-        about = "how far ahead of the controller's own time the stamp of a trajectory may lie, s"
-        horizon = declare(self.node, "start_horizon", 60.0, about, low=0.0, high=1e6)
-        self._loop = ServoLoop(cs7b, outputs, horizon, goals.monitor_ticks)
+        self._loop = ServoLoop(cs7b, outputs, declare_horizon(self.node), goals.monitor_ticks)
+        self._loop.active = self._loop.enabled = False
+        self._law.change_with(self._loop.law_changes.add)
         with self._loop.between_ticks() as requests:
             requests.options = goals.options
             requests.scale(goals.scaling)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
-        self._pacer = Pacer(rates.period, 1.0)
-        self._serving = Serving(channel, messages, self._loop, self._pacer, outputs.info, plain(robot.model.name))
+        pacer = Pacer(rates.period, 1.0)
+        self._serving = Serving(channel, messages, self._loop, pacer, outputs.info, plain(robot.model.name))
         self._complaints = ThrottledLog(outputs.error)
-        self._reported = (0, time.monotonic())  # tick and time of the last diagnostics
-        if time_mode is None:
+        if not local:
             subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
-        else:
-            self._serving.follow(time_mode)
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
         self._action = make_action(self.node, self._loop, goals, cs7b, channel)
-        self._diagnostics = Diagnostics(self.node, self._status)
+        allow_goal_changes(node, cs7b, self._loop, self._action)
+        self._diagnostics = Diagnostics(self.node, ControllerStatus(cs7b, self._loop, self._serving, pacer).collect)
 
-    def _build(self, rates: Rates) -> tuple[RobotModel, CS7B]:
-        files = declare_robot_files(self.node, "urdf", "drives", "controller")
-        robot = load_robot(files.urdf)
-        cs7b = CS7B(robot, load_drives(files.drives), load_controller(files.controller), rates)
+    def _build(self, files: RobotFiles, rates: Rates) -> tuple[RobotModel, CS7B, LawParameters]:
+        robot, drives = load_robot(files.urdf), load_drives(files.drives)
+        law = LawParameters(
+            self.node, files.controller, partial(CS7BParameters.record, robot=robot, drives=drives, rates=rates)
+        )
+        cs7b = CS7B(robot, drives, law.parameters, rates)
         cs7b.warm_up()
-        return robot, cs7b
+        return robot, cs7b, law
+
+    # Transitions, on the executor's thread.
+
+    def activate(self) -> None:
+        """Give the motors torque: hold the arm, follow trajectories."""
+        self._loop.activate(True)
+
+    def deactivate(self) -> None:
+        """End the motion; torque off, brakes closed. Ticks are answered all the same, and time goes on."""
+        self._loop.activate(False)
+        self._loop.report()
+        self._log.info("inactive: torque off, brakes closed")
+
+    def close(self) -> None:
+        """End the action, once nothing ticks any more; what else it has made of the node is destroyed by others."""
+        if self._action is not None:
+            self._action.close()
+
+    # The ticking thread.
 
     def tick_loop(self) -> None:
         """Answer the simulation until `stop`.
@@ -218,9 +245,20 @@ class Control:
         """Return what answers one tick in lock-step, to be called by the thread that ticks; `tick_loop` then rests."""
         return self._serving.hand_over()
 
+    def follow(self, time_mode: TimeMode) -> None:
+        """Keep time as a simulation in this process does.
+
+        Raises:
+            ExchangeError: if its rates or its robot are not this one's.
+        """
+        self._serving.follow(time_mode)
+
     def stop(self) -> None:
         """End `tick_loop` soon."""
         self._serving.stop()
+
+    def take_leave(self) -> None:
+        """Send what there is to say before the node ends; not from within a callback."""
         if self._action is not None:
             self._action.end()
         self._loop.report()
@@ -236,48 +274,11 @@ class Control:
             pass  # ends `tick_loop`
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data and not self._loop.active:
+            response.message = INACTIVE
+            return response
         self._loop.enable(request.data)
         response.success = True
         response.message = "torque on" if request.data else "torque off, brakes closed"
         self._log.info(response.message)
         return response
-
-    def _status(self) -> tuple[bytes, str, dict[str, str]]:
-        cs7b, counts = self._cs7b, self._pacer.take()
-        rates = cs7b.rates
-        values = {
-            "time mode": self._serving.mode or "unknown: no simulation yet",
-            "controller time, s": f"{cs7b.tick * rates.period:.3f}",
-            "rate, Hz": f"{self._rate():.1f}",
-            "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
-            "rejected trajectories": str(self._loop.rejected),
-            "enabled": "true" if self._loop.enabled else "false",
-        }
-        if self._serving.mode == FREE_RUNNING:
-            values |= {
-                "worst period, ms": f"{counts.worst * 1e3:.3f}",
-                "late ticks": str(counts.late),
-                "dropped ticks": str(counts.dropped),
-            }
-        fault = self._loop.fault
-        if fault is not None:
-            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
-        if not self._loop.running:
-            return DiagnosticStatus.WARN, "waiting for the simulation", values
-        moving = cs7b.trajectory.moving(cs7b.position_tick)
-        return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
-
-    def _rate(self) -> float:
-        """Return the ticks per second since the last call; 0 over a reset."""
-        (tick, at), self._reported = self._reported, (self._cs7b.tick, time.monotonic())
-        now_tick, now = self._reported
-        return max(0.0, (now_tick - tick) / (now - at))
-
-
-def spin(args: Sequence[str]) -> None:
-    """Run the node until it is interrupted.
-
-    Raises:
-        Rx90Error: for parameters that are refused, or a simulation that does not fit.
-    """
-    node_tools.spin(lambda: [Control()], args)

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
 from rx90_common.base.rates import Rates
+from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
+from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
 from rx90_controller.goals.goal import GoalOptions
 from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.law.cs7b import CS7B
+from rx90_controller.node.servo_loop import ServoLoop
+
+if TYPE_CHECKING:
+    from rx90_controller.node.action_server import FollowJointTrajectoryAction
 
 _LARGEST = 1e6  # rad, rad/s, s
+
+_OPTIONS = {
+    "allow_partial_joints_goal": "whether a trajectory may name some of the joints; the others hold",
+    "allow_nonzero_velocity_at_trajectory_end": "whether the last point may have a velocity; then the arm brakes",
+    "allow_trajectory_replacement": "whether points may be left out that are not later than the start, which leads on "
+    "from where the path is then",
+}
+"""What else is accepted, as `GoalOptions` says it."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +57,13 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
     Raises:
         ConfigError: naming parameter, value and what is accepted.
     """
+    limits = {
+        name: declare(node, name, default, about, low=0.0, high=_LARGEST)
+        for name, (default, about) in _limits(names).items()
+    }
     return GoalParameters(
         _options(node),
-        _tolerances(node, names),
+        _tolerances(names, limits),
         _ticks(node, rates, "action_monitor_rate", 20.0, "rate of the action's feedback, in simulated time, Hz"),
         _ticks(node, rates, "state_publish_rate", 50.0, "rate of ~/controller_state, in simulated time, Hz"),
         declare(
@@ -53,33 +74,60 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
     )  # fmt: skip
 
 
+def allow_goal_changes(
+    node: ManagedNode, cs7b: CS7B, loop: ServoLoop, action: FollowJointTrajectoryAction | None
+) -> None:
+    """Let what is accepted, and with the action its tolerances, be changed for the next goals."""
+
+    def next_goals(effective: Effective) -> None:
+        with loop.between_ticks():
+            tick = cs7b.position_tick
+        effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)
+
+    def set_options(options: GoalOptions, effective: Effective) -> None:
+        with loop.between_ticks() as goals:
+            goals.options = options
+        next_goals(effective)
+
+    node.changes.allow(ChangeGroup(tuple(_OPTIONS), lambda values: GoalOptions(**values), set_options))
+    if action is None:
+        return
+
+    def set_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
+        action.tolerances = tolerances
+        next_goals(effective)
+
+    names = cs7b.joint_names
+    node.changes.allow(ChangeGroup(tuple(_limits(names)), partial(_tolerances, names), set_tolerances))
+
+
 def _options(node: Node) -> GoalOptions:
     usual = GoalOptions()
-    texts = {
-        "allow_partial_joints_goal": "whether a trajectory may name some of the joints; the others hold",
-        "allow_nonzero_velocity_at_trajectory_end": "whether the last point may have a velocity; then the arm brakes",
-        "allow_trajectory_replacement": "whether points may be left out that are not later than the start, which leads "
-        "on from where the path is then",
+    return GoalOptions(**{name: declare(node, name, getattr(usual, name), about) for name, about in _OPTIONS.items()})
+
+
+def _limits(names: Sequence[str]) -> dict[str, tuple[float, str]]:
+    """Return the parameters of tolerances, with their defaults and what they mean."""
+    limits = {
+        "constraints.goal_time": (0.0, "how long after its end a goal may take to be reached, s; 0: for ever"),
+        "constraints.stopped_velocity_tolerance": (
+            0.01,
+            "velocity that a joint may have at the goal, rad/s; 0: any",
+        ),
     }
-    return GoalOptions(**{name: declare(node, name, getattr(usual, name), about) for name, about in texts.items()})
+    for name in names:
+        limits[f"constraints.{name}.trajectory"] = (0.0, f"how far {name} may be off the path, rad; 0: any")
+        limits[f"constraints.{name}.goal"] = (0.0, f"how far {name} may be off at the goal, rad; 0: any")
+    return limits
 
 
-def _tolerances(node: Node, names: Sequence[str]) -> GoalTolerances:
-    def limit(name: str, default: float, about: str) -> float:
-        return declare(node, f"constraints.{name}", default, about, low=0.0, high=_LARGEST)
-
+def _tolerances(names: Sequence[str], values: Mapping[str, float]) -> GoalTolerances:
     return GoalTolerances.defaults(
         names,
-        goal_time=limit("goal_time", 0.0, "how long after its end a goal may take to be reached, s; 0: for ever"),
-        stopped_velocity_tolerance=limit(
-            "stopped_velocity_tolerance", 0.01, "velocity that a joint may have at the goal, rad/s; 0: any"
-        ),
-        trajectory={
-            name: limit(f"{name}.trajectory", 0.0, f"how far {name} may be off the path, rad; 0: any") for name in names
-        },
-        goal={
-            name: limit(f"{name}.goal", 0.0, f"how far {name} may be off at the goal, rad; 0: any") for name in names
-        },
+        goal_time=values["constraints.goal_time"],
+        stopped_velocity_tolerance=values["constraints.stopped_velocity_tolerance"],
+        trajectory={name: values[f"constraints.{name}.trajectory"] for name in names},
+        goal={name: values[f"constraints.{name}.goal"] for name in names},
     )
 
 

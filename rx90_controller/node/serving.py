@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.lockstep import LockstepController
@@ -13,7 +12,7 @@ from rx90_common.exchange.motor_messages import MotorMessages, ServoLoops
 from rx90_common.exchange.pacing import Pacer
 from rx90_common.exchange.tick_channel import TickChannel
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_common.exchange.topics import FREE_RUNNING
+from rx90_common.exchange.topics import FREE_RUNNING, LOCK_STEP
 from rx90_controller.node.free_running import FreeRunningController
 
 _WAIT_SLICE = 0.1
@@ -55,7 +54,11 @@ class Serving:
     def hand_over(self) -> Callable[[], None]:
         """Return what answers one tick in lock-step, to be called by the thread that ticks; `run` then rests."""
         self._handed_over = True
-        return partial(self._lockstep.serve, 0.0)
+        return self._answer
+
+    def _answer(self) -> None:
+        if self.mode == LOCK_STEP:
+            self._lockstep.serve(0.0)
 
     # The ticking thread.
 
@@ -65,9 +68,6 @@ class Serving:
         Raises:
             ExchangeError: if the simulation's rates are not this one's.
         """
-        if self._handed_over:
-            self._stopped.wait()
-            return
         self._wait_for_mode()
         mode = self.mode
         while not self._stopped.is_set():
@@ -76,6 +76,8 @@ class Serving:
                 self._free.begin_anew()
             if mode == FREE_RUNNING:
                 self._free.serve()
+            elif self._handed_over:
+                self._stopped.wait(_WAIT_SLICE)
             else:
                 self._lockstep.serve(_WAIT_SLICE)
         if self._refused is not None:

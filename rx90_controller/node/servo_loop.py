@@ -5,14 +5,17 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.node.goal_requests import GoalRequests
+from rx90_controller.node.law_changes import LawChanges
 from rx90_controller.node.requests import Log, Requests
+
+INACTIVE: Final = "the controller is inactive; accepted: in state active"
 
 
 class Outputs(Log, Protocol):
@@ -42,9 +45,10 @@ class ServoLoop:
 
     Attributes:
         command: see `CS7B`.
-        enabled: whether the motors get torque.
+        active, enabled: whether the node is active, and whether the motors get torque.
         fault: why the supervision has cut the power, until it is switched on again.
         running: whether there have been states.
+        law_changes: other constants of the law, from the next tick of the position loop on.
     """
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
@@ -53,11 +57,11 @@ class ServoLoop:
         self._goals = GoalRequests(cs7b, self._requests, horizon, monitor_ticks)
         self._lock = threading.Lock()
         self.command = cs7b.command
-        self.enabled = True
+        self.active = self.enabled = True
         self.fault: DriveFault | None = None
         self._released = False  # switched off since the last tick: also if it is on again by now, the motion is over
-        self.running = False
-        self._unpublished = False  # whether the position loop has left something
+        self.law_changes = LawChanges(cs7b.law, self._requests.post)
+        self.running = self._unpublished = False  # whether the position loop has left something
 
     # The ticking thread.
 
@@ -83,6 +87,8 @@ class ServoLoop:
         """Run the loops that are due; return whether the motors get torque."""
         cs7b = self._cs7b
         with self._lock:
+            if self.law_changes.waiting and cs7b.on_position_tick:
+                self.law_changes.apply(stamp_ns)
             if self._released or not self.enabled:
                 self._released = False
                 self._requests.note_dropped("the torque is off")
@@ -134,9 +140,16 @@ class ServoLoop:
                 self._released = True
                 self._goals.drop("the torque is off")
 
+    def activate(self, on: bool) -> None:
+        """Follow the node into its state active, where the torque is on, or out of it."""
+        self.active = on
+        self.enable(on)
+
     @property
     def inactive(self) -> str:
         """Return why nothing can be followed now, and what is accepted; empty if something can."""
+        if not self.active:
+            return INACTIVE
         if self.fault is not None:
             return f"{self.fault}; torque off; accepted: after a call of ~/enable with true"
         if not self.enabled:

@@ -14,10 +14,11 @@ from itertools import pairwise
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.exchange import node_tools
+from rx90_common.exchange.lifecycle import Managed, started
 from rx90_common.exchange.local_link import LocalLink
 from rx90_common.exchange.node_tools import TickingNode
-from rx90_common.exchange.topics import LOCK_STEP
-from rx90_controller.node.control import Control
+from rx90_common.exchange.topics import MOTOR_STATES
+from rx90_controller.node.controller_node import ControllerNode
 from rx90_sim.node.simulation import Simulation
 
 SIMULATION, CONTROLLER = "rx90_sim", "rx90_controller"
@@ -59,11 +60,11 @@ def compose(own: Mapping[str, Sequence[str]]) -> list[TickingNode]:
     """
     link = LocalLink()
     simulation = Simulation(link.end, own[SIMULATION])
-    control = Control(link.end, simulation.time_mode, own[CONTROLLER])
+    control = ControllerNode(link.end, own[CONTROLLER], local=True)
     name = simulation.node.get_fully_qualified_name()
     if name == control.node.get_fully_qualified_name():
         raise ConfigError(f"both nodes are named {name}; accepted: -r {SIMULATION}:__node:=... for one node alone")
-    simulation.wait_also_for(control.publishers)
-    if simulation.time_mode.mode == LOCK_STEP:
-        link.serve_with(control.hand_over())
-    return [simulation, control]
+    link.serve_with(MOTOR_STATES, control.answer)
+    simulation.lead(control.follow, lambda: control.publishers)
+    members: list[Managed] = [simulation, control]
+    return [*started(members)]

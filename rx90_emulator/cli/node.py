@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 NODES = {
     "rx90_sim": "rx90_sim.node.simulation",
-    "rx90_controller": "rx90_controller.node.control",
+    "rx90_controller": "rx90_controller.node.controller_node",
     "rx90_cell": "rx90_emulator.cell.composition",
     "friction_bench": "friction_bench.node.bench_node",
 }

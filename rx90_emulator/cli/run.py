@@ -143,6 +143,12 @@ def _trajectory_run(
         start = recorded.initial_position
         told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
         print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {told}")
+        if recorded.changed:
+            names = ", ".join(recorded.changed)
+            print(
+                f"rx90_run: warning: {names} changed in that run; here the controller file holds throughout",
+                file=sys.stderr,
+            )
         run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
     else:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rx90_common.bags.changes import read_changes
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.trajectories import read_trajectories
@@ -19,6 +20,8 @@ from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 
+OF_LAW = ("servo.", "feed_forward.", "supervision.")
+"""How the names of parameters begin that are constants of the law: the sections of the controller file."""
 _AT_REST = 0.01  # rad/s
 _LATEST = 100.0  # s of simulated time before the bag begins; the loop runs through it
 
@@ -31,11 +34,13 @@ class RecordedRun:
         commands: the trajectories, in the order of their start.
         initial_position: where the arm rested, rad, shape (6,).
         duration: simulated time at the end of the bag, s.
+        changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
     """
 
     commands: tuple[MotionCommand, ...]
     initial_position: Array
     duration: float
+    changed: tuple[str, ...] = ()
 
 
 def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = None) -> RecordedRun:
@@ -74,7 +79,8 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
             raise TrajectoryError(f"{plain(bag)}: {error}") from error
         commands.append(MotionCommand(start, points))
     step = setup.rates.position_period
-    return RecordedRun(tuple(commands), initial_position, last / NANOSECONDS + step)
+    changed = {change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)}
+    return RecordedRun(tuple(commands), initial_position, last / NANOSECONDS + step, tuple(sorted(changed)))
 
 
 def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bool = False) -> RunResult:

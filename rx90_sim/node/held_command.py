@@ -26,7 +26,7 @@ class _BrakeLines:
     """Says when the brakes open and close, a few times in a while; what comes more often is counted."""
 
     def __init__(self, channel: TickChannel, timeout: float, announce: Callable[[str], None]) -> None:
-        self._channel, self._timeout, self._announce = channel, timeout, announce
+        self._channel, self.timeout, self._announce = channel, timeout, announce
         self._closed = False
         self._changes = 0  # that have not been announced
         self._lines: deque[float] = deque(maxlen=_LINES)
@@ -52,7 +52,7 @@ class _BrakeLines:
             return f"commands on {topic}: the brakes open"
         if not heard:
             return f"waiting for a controller on {topic}: the brakes hold the arm"
-        return f"no command on {topic} for {self._timeout:g} s: torque off, brakes closed"
+        return f"no command on {topic} for {self.timeout:g} s: torque off, brakes closed"
 
 
 class HeldCommand:
@@ -88,8 +88,7 @@ class HeldCommand:
         self._channel = channel
         self._decode = decode
         self._period_ns = period_ns
-        self._timeout = timeout
-        self._oldest = max(MOST_AGE, round(timeout * NANOSECONDS / period_ns))
+        self._timeout, self._oldest = timeout, self._ticks(timeout)
         self._announce = announce
         self._interrupted = interrupted
         self._log = ThrottledLog(announce)
@@ -101,6 +100,14 @@ class HeldCommand:
         self.two_controllers = False
         self._brakes = _BrakeLines(channel, timeout, announce)
         self.missed = self.waited = 0
+
+    def _ticks(self, timeout: float) -> int:
+        return max(MOST_AGE, round(timeout * NANOSECONDS / self._period_ns))
+
+    def wait_for(self, timeout: float) -> None:
+        """Wait so long for a command, s, from the next tick on; callable from every thread."""
+        self._timeout, self._oldest = timeout, self._ticks(timeout)
+        self._brakes.timeout = timeout
 
     def forget(self) -> None:
         """Drop the command, after a reset."""

@@ -11,7 +11,8 @@ from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
-from rx90_common.exchange.node_tools import declare, declare_rates, declare_robot_files
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.node_tools import declare, declare_rates
 from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_sim.plant import Plant
@@ -48,7 +49,7 @@ class SimulationParameters:
 
 
 def read_parameters(node: Node) -> SimulationParameters:
-    """Declare and read the node's parameters.
+    """Declare the node's parameters, if they are not, and read them.
 
     Raises:
         ConfigError: naming parameter, value and accepted range.
@@ -83,13 +84,12 @@ def read_parameters(node: Node) -> SimulationParameters:
     )  # fmt: skip
 
 
-def build_plant(node: Node, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
+def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:
     """Read the robot's files and put the arm at its initial position.
 
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    files = declare_robot_files(node, "urdf", "tool", "drives", "friction")
     robot = load_robot(files.urdf, files.tool)
     friction = load_friction(files.friction, robot.joint_names)
     for line in friction.passivity_warnings(robot.max_velocity.tolist()):

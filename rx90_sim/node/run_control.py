@@ -27,6 +27,7 @@ class RunControl:
         self._changed = threading.Condition()
         self._wake = wake
         self._paused = paused
+        self._held = False
         self._steps = 0
         self._reset = False
         self._stopped = False
@@ -38,6 +39,11 @@ class RunControl:
         """Return whether time stands still on request."""
         with self._changed:
             return self._paused and self._steps == 0
+
+    @property
+    def held(self) -> bool:
+        """Return whether time stands still by `hold`."""
+        return self._held
 
     @property
     def stopped(self) -> bool:
@@ -77,6 +83,14 @@ class RunControl:
     def resume(self) -> None:
         """Let time run again."""
         self._request(lambda: setattr(self, "_paused", False))
+
+    def hold(self) -> None:
+        """Stop time before the next tick, whatever else is asked for, until `release`."""
+        self._request(lambda: setattr(self, "_held", True))
+
+    def release(self) -> None:
+        """End what `hold` began: time runs, unless it is paused."""
+        self._request(lambda: setattr(self, "_held", False))
 
     def step(self, ticks: int, timeout: float) -> bool:
         """Pause, then run `ticks` ticks; return whether they were done within `timeout` seconds."""
@@ -120,7 +134,7 @@ class RunControl:
         self._request(lambda: setattr(self, "_stopped", True))
 
     def _runnable(self) -> bool:
-        return self._stopped or self._reset or not self._paused or self._steps > 0
+        return self._stopped or self._reset or not (self._held or (self._paused and self._steps == 0))
 
     def _take_turn(self) -> Turn:
         if self._stopped:
@@ -136,7 +150,7 @@ class RunControl:
 
     def _look(self) -> None:
         """Note whether ticks follow each other without anybody's asking for anything."""
-        self._undisturbed = not (self._paused or self._reset or self._stopped or self._steps)
+        self._undisturbed = not (self._held or self._paused or self._reset or self._stopped or self._steps)
 
     def _wait_until(self, done: Callable[[], bool], timeout: float) -> bool:
         with self._changed:

@@ -30,7 +30,7 @@ _MATCH_ATTEMPTS = 100  # of 50 ms
 
 
 class Ticks:
-    """Runs the plant tick by tick, on a thread of its own.
+    """Runs the plant tick by tick, on a thread of its own; held at first.
 
     Args:
         node: the node whose topics are published.
@@ -59,9 +59,9 @@ class Ticks:
         rates, log = parameters.rates, node.get_logger()
         self._period_ns = rates.period_ns
         self._lock_step = parameters.time_mode == LOCK_STEP
-        self._unpaced = parameters.real_time_factor == 0.0
-        self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._publications = Publications(node, plant, parameters, transforms)
+        self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
+        self._channel = make_channel(node, MOTOR_STATES, MOTOR_COMMANDS, TICK_QOS.profile)
         self._heartbeat = Heartbeat(self._publications.repeat)
         self._publishers = (*self._publications.publishers, self._channel.publisher)
         self._published_tick = -1
@@ -70,7 +70,7 @@ class Ticks:
         self._torques: NDArray[np.float64] | None = None  # of the newest command; brakes closed for None
         self._throttled = ThrottledLog(log.error)
         self.control = RunControl(parameters.paused, self._channel.wake, parameters.last_tick)
-        self.pacer = Pacer(rates.period, parameters.real_time_factor if self._lock_step else 1.0)
+        self.control.hold()
         self.lockstep = LockstepSimulation(self._channel, log.info)
         ticks = min(rates.ratio, rates.base_hz // parameters.joint_state_rate)
         self.listeners = Listeners(self._publications.publishers, ticks, self.control.interrupting)
@@ -83,6 +83,11 @@ class Ticks:
             log.info,
             self.control.interrupting,
         )
+
+    @property
+    def next_stamp_ns(self) -> int:
+        """Return the simulated time, ns, from which on at the latest a change counts that is made now."""
+        return (self._plant.tick + 1) * self._period_ns
 
     @property
     def time(self) -> float:
@@ -125,7 +130,7 @@ class Ticks:
         if raw is None:
             return False
         plant.step(self._torques)
-        if self._unpaced:
+        if self.pacer.factor == 0.0:
             self.listeners.tick_done()
         self.pacer.wait()
         return True

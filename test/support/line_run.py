@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import yaml
 from processes import Processes
-from ros_client import Client
+from ros_client import Client, seconds
 
 from rx90_common.bags.comparison import BagComparison, compare_bags
 from rx90_common.process.children import executable
@@ -56,11 +57,13 @@ def run_both_ways(
     around: Sequence[str] = ("/usr/bin/env",),
     composed: bool = False,
     burners: int = 0,
+    rests: int = 0,
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
-    process. So many `burners` take the processors while the simulation runs.
+    process. So many `burners` take the processors while the simulation runs, which is deactivated and activated so many
+    times in between: `rests`. Then it is paced, and the pace is changed each time.
     """
     files = setup.files
     assert files is not None
@@ -72,8 +75,8 @@ def run_both_ways(
     parameters = folder / "parameters.yaml"
     pose = [float(angle) for angle in plan.start_pose]
     of_simulation = {
-        "initial_position": pose, "duration": START + plan.duration, "real_time_factor": 0.0, "paused": True,
-        "robot": str(files.urdf.parent),
+        "initial_position": pose, "duration": START + plan.duration, "paused": True,
+        "real_time_factor": 0.5 if rests else 0.0, "robot": str(files.urdf.parent),
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
     sections = {"rx90_sim": of_simulation, "rx90_controller": of_controller}
@@ -93,7 +96,18 @@ def run_both_ways(
     for burner in burning:
         burner.wait_for("up")
     client.simulation.pause(False)
+    for rest in range(rests):
+        client.spin_until(lambda at=START + 0.1 * rest: client.simulation.time > at, "the motion")  # type: ignore[misc]
+        assert client.transition("rx90_sim", "deactivate")
+        joints = client.listen("joint_states")
+        client.spin_until(lambda heard=joints: len(heard) > 2, "the newest sample again")  # type: ignore[misc]
+        assert len({seconds(message) for message in joints}) == 1
+        assert client.set_parameters("rx90_sim", real_time_factor=0.6 + 0.1 * rest) == [""]
+        assert client.transition("rx90_sim", "activate")
     assert simulation.wait() == 0
+    stops = re.findall("inactive: time stands still at (.*) s", simulation.output)
+    assert len(stops) == rests
+    assert all(START < float(stop) < START + plan.duration for stop in stops)
     for burner in burning:
         burner.signal(signal.SIGKILL)
     recorder.signal(signal.SIGINT)

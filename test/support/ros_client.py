@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from processes import TIMEOUT
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
@@ -72,6 +76,27 @@ class Client:
     def enable(self, on: bool) -> None:
         """Switch the controller's torque on or off."""
         assert self.asking.call(SetBool, "rx90_controller/enable", SetBool.Request(data=on)).success
+
+    def transition(self, node: str, label: str) -> bool:
+        """Ask a managed node for a transition by its label; return whether it was made."""
+        request = ChangeState.Request(transition=Transition(label=label))
+        return bool(self.asking.call(ChangeState, f"{node}/change_state", request).success)
+
+    def state(self, node: str) -> str:
+        """Return the state of a managed node."""
+        return str(self.asking.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label)
+
+    def set_parameters(self, node: str, *, atomically: bool = False, **values: Any) -> list[str]:
+        """Set parameters, `__` in the names for a dot; return for each why not, empty if it was set."""
+        given = [Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()]
+        if atomically:
+            whole = SetParametersAtomically.Request(parameters=given)
+            results = [self.asking.call(SetParametersAtomically, f"{node}/set_parameters_atomically", whole).result]
+        else:
+            each = SetParameters.Request(parameters=given)
+            results = self.asking.call(SetParameters, f"{node}/set_parameters", each).results
+        assert all(result.successful != bool(result.reason) for result in results)
+        return [result.reason for result in results]
 
     def send(self, points: Sequence[tuple[float, Sequence[float]]], names: Sequence[str] = tuple(JOINTS)) -> None:
         """Send a trajectory that starts now: times in s and positions in rad, at rest in the last point."""

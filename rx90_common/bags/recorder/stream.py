@@ -16,7 +16,7 @@ from rosbags.interfaces import Qos
 from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
-from rx90_common.bags.topics import CLOCK, JOINT_STATE
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, tells_changes
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -104,7 +104,7 @@ class Stream:
         self.topic = topic
         self.index = index
         self.msgtype = _one_type(topic, endpoints)
-        self.time_source = time_source(self.msgtype)
+        self.time_source = time_source(topic, self.msgtype)
         message_class = _message_class(topic, self.msgtype)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
         reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
@@ -189,10 +189,12 @@ class Stream:
             return int(event.take_event().total_count)
 
 
-def time_source(msgtype: str) -> TimeSource:
-    """Return where messages of this type have their log time from."""
+def time_source(topic: str, msgtype: str) -> TimeSource:
+    """Return where a topic's messages have their log time from."""
     if msgtype == JOINT_STATE:
         return TimeSource.CLOCK
+    if tells_changes(topic, msgtype):
+        return TimeSource.STAMP
     _, fields = typestore().fielddefs.get(msgtype, ((), ()))
     first = fields[0][1][1] if fields else None
     return TimeSource.STAMP if first == _HEADER else TimeSource.NEWEST

@@ -12,6 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 import rclpy
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -43,6 +45,12 @@ def main() -> None:
     publishers = {topic: node.create_publisher(JointState, topic, qos) for topic in (*FAST, *SLOW)}
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     node.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    event = ParameterEvent(
+        node="/rx90_sim", changed_parameters=[Parameter("pace", value=[2.0, 0.5]).to_parameter_msg()]
+    )
+    event.stamp.nanosec = 200_000_000
+    for topic in ("rx90_sim/parameters", "rx90_controller/parameters"):
+        node.create_publisher(ParameterEvent, topic, latched).publish(event)
     accepted = node.create_publisher(JointTrajectory, "rx90_controller/trajectory_accepted", latched)
     trajectory = node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", qos)
     fast = [publishers[topic].publish for topic in FAST]

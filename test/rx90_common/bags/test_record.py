@@ -27,6 +27,7 @@ from rosbags.interfaces import QosDurability
 from warm_start import COLD
 
 from rx90_common.bags.reading import BagReader, read_joint_states
+from rx90_common.bags.summary import summarise
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError
 
@@ -35,6 +36,7 @@ pytestmark = pytest.mark.ros
 ROOT = Path(__file__).parents[3]
 TIMEOUT_S = 60.0
 TICKS = 4000
+EVENTS = ("/rx90_controller/parameters", "/rx90_sim/parameters")
 
 
 class Process:
@@ -129,7 +131,7 @@ def record_suite(start: Start, folder: Path, storage: str) -> Path:
     recorder.signal(signal.SIGINT)
     code, out, err = recorder.finish()
     assert (code, err) == (0, "")
-    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 3} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
+    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 5} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * 7} repetitions" in out
     publisher.child.kill()
     return folder / "bag"
@@ -146,14 +148,18 @@ def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, stor
             message: Any = reader.deserialize(data, connection.msgtype)
             if connection.topic == "/robot_description":
                 assert (message.data, log_ns) == ("<robot/>", 0)
+            elif connection.topic in EVENTS:
+                assert (message.stamp.nanosec, log_ns) == (200_000_000, 200_000_000)
             else:
                 assert message.header.stamp.nanosec + message.header.stamp.sec * 10**9 == log_ns
         latched = next(c for c in reader.connections if c.topic == "/robot_description")
         assert latched.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
     trajectories = ("/rx90_controller/joint_trajectory", "/rx90_controller/trajectory_accepted")
-    once = dict.fromkeys(("/robot_description", *trajectories), 1)
+    once = dict.fromkeys(("/robot_description", *trajectories, *EVENTS), 1)
     fast = dict.fromkeys(("/motor_states", "/motor_commands"), TICKS)
     assert counts == dict.fromkeys([f"/{t}" for t in SUITE_TOPICS], TICKS // 4) | fast | once
+    told = [(c.node, c.name, c.value, c.stamp_ns) for c in summarise(bag).changes]
+    assert told == [("/rx90_sim", "pace", "[2.0, 0.5]", 200_000_000)] * 2
     motors = read_joint_states(bag, "motor_states")
     assert motors.position is not None
     np.testing.assert_array_equal(motors.stamp_ns, np.arange(TICKS) * 250_000)

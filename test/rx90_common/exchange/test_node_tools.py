@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros_client import Client
 from sensor_msgs.msg import JointState
@@ -18,7 +19,7 @@ def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: 
     (tmp_path / "drives.yaml").touch()
     client = Client()
     try:
-        client.node._parameter_overrides["robot"] = node_tools.Parameter("robot", value=str(tmp_path))
+        client.node._parameter_overrides["robot"] = Parameter("robot", value=str(tmp_path))
         files = node_tools.declare_robot_files(client.node, "urdf", "drives", "tool")
         assert (files.urdf, files.drives, files.tool) == (tmp_path / "robot.urdf", tmp_path / "drives.yaml", None)
     finally:

@@ -9,6 +9,7 @@ from typing import BinaryIO
 import numpy as np
 import pytest
 
+from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.reading import read_bag
 from rx90_common.base.errors import BagError
 from rx90_controller.trajectory import TrajectoryPoints
@@ -116,10 +117,13 @@ points:
 """
 
 
-def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """From a bag alone come trajectory, start and initial position; the new bag has the same bits.
 
-    The robot is named again, and both this command and the identification refuse the bag of another one.
+    Gains that were changed in that run are named, as here they are the file's. The robot is named again, and both this
+    command and the identification refuse the bag of another one.
     """
     robot = ["--robot", "tx40"]
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
@@ -134,8 +138,11 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(tmp_path: Path, capsys: p
     with pytest.raises(BagError, match=said):
         RecordedRobot.load(RobotOptions()).layout(first, fast=True)
     assert RecordedRobot.load(RobotOptions(robot="tx40")).layout(first, fast=True).topic == "motor_states"
+    changes = [ParameterChange(node, f"{node}.kp", "[]", 0) for node in ("servo", "other")]
+    monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_changes", lambda _: changes)
     assert run("rx90_run", ["--from-bag", str(first), *robot, "--output", str(second)]) == 0
-    out = capsys.readouterr().out
+    out, err = capsys.readouterr()
+    assert "rx90_run: warning: servo.kp changed in that run; here the controller file holds throughout" in err
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s" in out
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
     position = read_bag(first)["joint_states"].position

@@ -25,8 +25,11 @@ IN_CELL_1 = ("--ros-args", "-r", "__ns:=/cell_1")
 def test_one_process_gives_the_closed_loops_bits(
     processes: Processes, client: Client, shipped: Setup, tmp_path: Path
 ) -> None:
-    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit."""
-    comparison = run_both_ways(processes, client, shipped, tmp_path, composed=True)
+    """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
+
+    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed.
+    """
+    comparison = run_both_ways(processes, client, shipped, tmp_path, composed=True, rests=3)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
 

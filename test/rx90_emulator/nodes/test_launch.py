@@ -32,6 +32,7 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     assert defaults["robot"] == DEFAULT_ROBOT
     assert defaults.keys() - MODEL_FILES == {
         *("robot", "namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
+        "autostart",
         *("robot_state_publisher", "rviz"),
     }
     for node in made.values():
@@ -43,9 +44,10 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     text = Path(file.given[0]).read_text(encoding="utf-8")
     sections = yaml.safe_load(re.sub(r"\$\(var (\w+)\)", r"\1", text))
     own = ("time_mode", "real_time_factor", "initial_position", "paused", "robot", "urdf", "tool", "drives", "friction")
+    other = ("robot", "urdf", "drives", "controller")
     assert sections == {
-        "/**/rx90_sim": {"ros__parameters": {name: name for name in own}},
-        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("robot", "urdf", "drives", "controller")}},
+        "/**/rx90_sim": {"ros__parameters": {name: name for name in ("autostart", *own)}},
+        "/**/rx90_controller": {"ros__parameters": {name: name for name in ("autostart", *other)}},
     }
 
 

@@ -1,0 +1,260 @@
+"""Managed nodes, as design.ros2.org/articles/node_lifecycle.html has them: states, transitions, and who ticks when."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from lifecycle_msgs.msg import State
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+
+from rx90_common.base.errors import Rx90Error
+from rx90_common.base.quoting import one_line, plain
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.exchange.node_tools import TickingNode, declare, declare_robot_files, refuse_unknown_parameters
+from rx90_common.exchange.parameter_changes import ParameterChanges
+from rx90_common.exchange.ros_start import reason
+
+_ABOUT = "configure and activate the node when it starts; else that is left to its lifecycle services"
+
+
+class Managed(TickingNode, Protocol):
+    """What a managed node is made of; the transitions are called on the executor's thread."""
+
+    @property
+    def node(self) -> ManagedNode:
+        """The node, with the services."""
+
+    def configure(self) -> None:
+        """Load what the parameters say; raises Rx90Error. What it makes of the node is destroyed at the cleanup."""
+
+    def activate(self) -> None:
+        """Begin to work."""
+
+    def deactivate(self) -> None:
+        """Rest."""
+
+    def cleanup(self) -> None:
+        """Let go of all that was loaded; also after a `configure` that was refused."""
+
+    def leave(self) -> None:
+        """End `tick_loop` soon; `stop` follows, which is not called from within a callback."""
+
+
+_Member = TypeVar("_Member", bound=Managed)
+
+
+class ManagedNode(LifecycleNode):
+    """The services of a managed node, and what its states mean for its parameters and for what it is made of.
+
+    Args:
+        name: of the node.
+        own_args: arguments for ROS that concern this node of its process alone.
+        managed: what the transitions are handed to.
+
+    Attributes:
+        changes: answers requests to set parameters.
+        autostart: whether it is configured and activated at the start, by `started`.
+        starting: whether that is going on.
+        error: why the last transition was refused, if it was.
+    """
+
+    def __init__(self, name: str, own_args: Sequence[str], managed: Managed) -> None:
+        super().__init__(name, cli_args=list(own_args))
+        self._managed = managed
+        self.changes = ParameterChanges(self, lambda: not self.configured)
+        self.autostart = declare(self, "autostart", True, _ABOUT, read_only=True)
+        self.starting = False
+        self.error: Exception | None = None
+        self._before: _Entities | None = None
+        service = self._service_change_state
+        service.callback = self._answering(service.callback)
+
+    @property
+    def configured(self) -> bool:
+        """Return whether its state is another than unconfigured."""
+        return bool(self._state_machine.current_state[0] != State.PRIMARY_STATE_UNCONFIGURED)
+
+    def declare_robot_files(self, *names: str) -> RobotFiles:
+        """Declare what `node_tools.declare_robot_files` does; with another robot come its files, but for named ones.
+
+        Raises:
+            ConfigError: for a robot or a file that is not there.
+        """
+
+        def files(robot: Any) -> dict[str, str]:
+            before, now = (RobotFiles.named(text) for text in (self.get_parameter("robot").value, robot))
+            own = [name for name in names if self.get_parameter(name).value == before.text(name)]
+            return {name: now.text(name) for name in own}
+
+        chosen = declare_robot_files(self, *names)
+        self.changes.lead("robot", files)
+        return chosen
+
+    # Transitions.
+
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Configure; all or nothing."""
+        self._before = _Entities.of(self)
+
+        def configure() -> None:
+            self._managed.configure()
+            if not self.starting:
+                refuse_unknown_parameters([self])
+            self.changes.tell_values()
+
+        done = self._try("configure", configure)
+        if done is not TransitionCallbackReturn.SUCCESS:
+            self._clean_up()
+        return done
+
+    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Activate."""
+        return self._try("activate", self._managed.activate)
+
+    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Deactivate."""
+        return self._try("deactivate", self._managed.deactivate)
+
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to unconfigured."""
+        return self._try("clean up", self._clean_up)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the process, with exit code 0."""
+        if state.state_id == State.PRIMARY_STATE_ACTIVE:
+            self._try("deactivate", self._managed.deactivate)
+        self._managed.leave()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _clean_up(self) -> None:
+        self._managed.cleanup()
+        self.changes.forbid_all()
+        if self._before is not None:
+            self._before.restore(self)
+
+    def _try(self, what: str, transition: Callable[[], None]) -> TransitionCallbackReturn:
+        self.error = None
+        try:
+            transition()
+        except Exception as error:  # the service answers whatever happens
+            self.error = error
+            if not self.starting:
+                text = str(error) if isinstance(error, Rx90Error) else f"{type(error).__name__}: {reason(error)}"
+                self.get_logger().error(one_line(f"cannot {what}: {text}"))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def _answering(self, change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def answer(request: Any, response: Any) -> Any:
+            known = {each[0]: each[1] for each in self._state_machine.available_transitions}
+            asked = request.transition
+            # rclpy raises for one that is not possible now, and nobody would be answered.
+            if asked.label in known.values() or (not asked.label and asked.id in known):
+                return change(request, response)
+            name = plain(asked.label) if asked.label else f"transition {asked.id}"
+            state, accepted = self._state_machine.current_state[1], ", ".join(known.values())
+            self.get_logger().error(f"{name} is not possible in state {state}; accepted: {accepted}")
+            response.success = False
+            return response
+
+        return answer
+
+
+class _Entities(NamedTuple):
+    """What a node has, to destroy later what it did not have."""
+
+    publishers: list[Any]
+    subscriptions: list[Any]
+    clients: list[Any]
+    services: list[Any]
+    timers: list[Any]
+    guards: list[Any]
+
+    @classmethod
+    def of(cls, node: Node) -> _Entities:
+        return cls(*(list(getattr(node, kind)) for kind in cls._fields))
+
+    def restore(self, node: Node) -> None:
+        for kind, kept in zip(self._fields, self, strict=True):
+            destroy = getattr(node, f"destroy_{'guard_condition' if kind == 'guards' else kind[:-1]}")
+            for entity in set(getattr(node, kind)).difference(kept):
+                destroy(entity)
+
+
+def started(members: Iterable[_Member]) -> list[_Member]:
+    """Configure all nodes that start themselves, in this order, then activate them; return all.
+
+    Raises:
+        Rx90Error: what `configure` raises.
+    """
+    members = list(members)
+    own = [member.node for member in members if member.node.autostart]
+    for node in own:
+        node.starting = True
+        _insist(node, node.trigger_configure())
+    refuse_unknown_parameters([member.node for member in members if member.node.configured])
+    for node in own:
+        _insist(node, node.trigger_activate())
+        node.starting = False
+    return members
+
+
+def _insist(node: ManagedNode, done: TransitionCallbackReturn) -> None:
+    if done is not TransitionCallbackReturn.SUCCESS:
+        raise node.error or RuntimeError(f"{node.get_name()}: {done}")
+
+
+class TickThread:
+    """The ticking thread of a managed node: it runs what was configured, until the cleanup."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._run: Callable[[], None] | None = None
+        self._end: Callable[[], None] | None = None
+        self._busy = self._stopped = False
+
+    def loop(self) -> None:
+        """Run what there is to run, again and again; return after `stop`, or when a run has ended by itself."""
+        while (run := self._next()) is not None:
+            try:
+                run()
+            finally:
+                with self._changed:
+                    self._busy = False
+                    by_itself = self._run is run
+                    self._changed.notify_all()
+            if by_itself:
+                return
+
+    def _next(self) -> Callable[[], None] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopped or self._run is not None)
+            self._busy = not self._stopped
+            return None if self._stopped else self._run
+
+    def begin(self, run: Callable[[], None], end: Callable[[], None]) -> None:
+        """Have `run` run; `end`, callable from every thread, makes it return soon."""
+        with self._changed:
+            self._run, self._end = run, end
+            self._changed.notify_all()
+
+    def finish(self) -> None:
+        """End what runs, and wait until it has ended."""
+        with self._changed:
+            end, self._run, self._end = self._end, None, None
+        if end is not None:
+            end()
+        with self._changed:
+            self._changed.wait_for(lambda: not self._busy)
+
+    def stop(self) -> None:
+        """End `loop` soon."""
+        with self._changed:
+            self._stopped = True
+            end = self._end
+            self._changed.notify_all()
+        if end is not None:
+            end()
