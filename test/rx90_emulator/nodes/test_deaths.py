@@ -17,7 +17,8 @@ def test_a_killed_controller_pauses_time_until_another_is_there(processes: Proce
     """After SIGKILL of the controller time stands still, announced once, and runs on with the next controller."""
     simulation = processes.start("rx90_sim", *UNPACED)
     first = processes.start("rx90_controller")
-    heard = client.listen("joint_states")
+    # As deep as the simulation can get until the signal arrives: nobody takes messages while the line is waited for.
+    heard = client.listen("joint_states", depth=20_000)
     client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.2, "time to run")
     first.signal(signal.SIGKILL)
     simulation.wait_for("time stands still")
