@@ -130,20 +130,20 @@ class ServoLoop:
 
     # Any thread.
 
-    def enable(self, on: bool) -> None:
-        """Switch the torque on or off; off, the brakes hold the arm."""
+    def enable(self, on: bool, why: str = "the torque is off") -> None:
+        """Switch the torque on or off; off, the brakes hold the arm, and the goal ends with `why`."""
         with self._lock:
             self.enabled = on
             if on:
                 self.fault = None
             else:
                 self._released = True
-                self._goals.drop("the torque is off")
+                self._goals.drop(why)
 
     def activate(self, on: bool) -> None:
         """Follow the node into its state active, where the torque is on, or out of it."""
         self.active = on
-        self.enable(on)
+        self.enable(on, "the controller is deactivated, the torque is off")
 
     @property
     def inactive(self) -> str:

@@ -16,6 +16,7 @@ class SpeedScaling:
 
     def __init__(self, node: Node, loop: ServoLoop) -> None:
         self._loop, self._log = loop, node.get_logger()
+        self._said: float | None = None
         # As the original has it: who asked before this node was there is heard, too.
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_factor, LATCHED_QOS.profile)
 
@@ -26,4 +27,6 @@ class SpeedScaling:
         except TrajectoryError as error:
             self._log.error(f"{error}; ignored")
         else:
-            self._log.info(f"speed scaling {message.factor:g}")
+            if message.factor != self._said:  # some repeat theirs hundreds of times a second
+                self._log.info(f"speed scaling {message.factor:g}")
+                self._said = message.factor

@@ -226,13 +226,19 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
     def activate() -> None:
         assert bench.client.transition("rx90_controller", "activate")
 
-    for off, on, reason in (
+    for off, on, end, reason in (
         (
             lambda: bench.client.enable(False),
             lambda: bench.client.enable(True),
+            "the torque is off, at ",
             "disabled; accepted: after a call of ~/enable with true",
         ),
-        (deactivate, activate, "inactive; accepted: in state active"),
+        (
+            deactivate,
+            activate,
+            "the controller is deactivated, the torque is off, at ",
+            "inactive; accepted: in state active",
+        ),
     ):
         bench.home()
         result = bench.goals.result_of(bench.goals.send(move(0.05, 0.4)))
@@ -240,7 +246,7 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         off()
         ended = bench.goals.wait(result)
         assert (ended.status, ended.result.error_code) == (ABORTED, -1)
-        assert ended.result.error_string.startswith("the torque is off, at ")
+        assert ended.result.error_string.startswith(end)
         bench.time.run(STEP)
         assert not bench.goals.send(move(0.0)).accepted
         bench.said(f"goal rejected: the controller is {reason}")
@@ -395,7 +401,7 @@ def test_cancelling_before_the_start_and_after_the_end(bench: Bench) -> None:
 def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:
     """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on.
 
-    A factor that is none is a line. controller_state has the speed along the path.
+    A factor that is none is a line, one that is repeated is none. controller_state has the speed along the path.
     """
     from action_client import move
     from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
@@ -417,6 +423,7 @@ def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.flo
         begin = bench.now
         bench.time.run(0.1)
         scale(0.5, "speed scaling 0.5")
+        factor.publish(SpeedScalingFactor(factor=0.5))
         scale(1.5, "speed scaling 1.5; accepted: a number in [0, 1]; ignored")
         scale(float("nan"), "speed scaling nan; accepted: a number in [0, 1]; ignored")
         bench.time.run(0.2)
@@ -428,8 +435,9 @@ def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.flo
         assert not bench.velocities()[-50:].any()
         scale(1.0, "speed scaling 1")
         assert bench.time.until(result).status == SUCCEEDED
+        assert bench.cell.output.count("speed scaling 0.5") == 1
     finally:
-        scale(1.0, "speed scaling 1")
+        factor.publish(SpeedScalingFactor(factor=1.0))
     # 0.1 s at full speed, some 0.2 s at half of it, 0.3 s at none: the path's 0.4 s take 0.8 s, but for the ramps.
     assert bench.now - begin == pytest.approx(0.8, abs=0.06)
     assert (bench.fastest_change() <= acceleration).all()
