@@ -68,15 +68,18 @@ def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
             off_at[0] = emulated.time
 
     emulated.board.run = watched  # type: ignore[method-assign]
+    stopped = 0
     for _ in range(10):
-        bench.arm()
+        bench.arm_again()
         busy = bench.link.submit(lambda client: client.torque(30))
         asked_at = emulated.time
         bench.link.stop_rig()
         wait_until(lambda: not emulated.board.stage_on, "the stage to go off")
         assert off_at[0] - asked_at < 0.1
+        stopped += off_at[0] >= asked_at  # before, it was the watchdog: nobody kept it alive on the busy machine
         busy.exception(10.0)
-        wait_until(lambda: bench.state == State.DISARMED, "a disarmed rig")
+        wait_until(lambda: bench.state in (State.DISARMED, State.FAULT), "a rig that is off")
+    assert stopped
 
 
 def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig) -> None:

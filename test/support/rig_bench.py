@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
+import time
 from pathlib import Path
 
-from processes import wait_until
+from processes import TIMEOUT, wait_until
 
+from friction_bench.protocol.errors import RigError
 from friction_bench.protocol.messages import ResetCause, State
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient
@@ -84,10 +87,18 @@ class Bench:
         wait_until(lambda: self.state == State.ARMED, "an armed rig")
 
     def arm_again(self) -> None:
-        """Arm a rig that has been switched off, perhaps by its watchdog."""
-        if self.state == State.FAULT:
-            self.link.submit(RigClient.clear).result(10.0)
-        self.arm()
+        """Arm a rig that was switched off, perhaps by its watchdog, and may be again while this waits on a busy machine."""
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline:
+            with contextlib.suppress(RigError):  # what it reported is no more
+                if self.state == State.FAULT:
+                    self.link.submit(RigClient.clear).result(10.0)
+                self.link.submit(RigClient.arm).result(10.0)
+            heard = self.samples
+            wait_until(lambda heard=heard: self.state == State.ARMED or self.samples > heard + 1, "readings")
+            if self.state == State.ARMED:
+                return
+        raise AssertionError(f"the rig stays {self.state}")
 
     def abandon(self) -> None:
         """Stop saying that the link's owner is alive."""
