@@ -87,7 +87,7 @@ class Bench:
         wait_until(lambda: self.state == State.ARMED, "an armed rig")
 
     def arm_again(self) -> None:
-        """Arm a rig that was switched off, perhaps by its watchdog, and may be again while this waits on a busy machine."""
+        """Arm a rig that was switched off, perhaps by its watchdog, which a busy machine may bring to do it again."""
         deadline = time.monotonic() + TIMEOUT
         while time.monotonic() < deadline:
             with contextlib.suppress(RigError):  # what it reported is no more
