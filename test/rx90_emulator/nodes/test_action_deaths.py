@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import Processes, on_own_domain, running_processes
+from processes import TIMEOUT, Processes, on_own_domain, running_processes
 from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 from warm_start import WarmPopen
@@ -52,6 +53,10 @@ class Pair:
             for topic, kind in topics.items()
         ]
         handle = self.goals.send(move(0.05, 0.4, start=0.1))
+        deadline = time.monotonic() + TIMEOUT
+        while not handle.accepted and time.monotonic() < deadline:  # the controller has not found the simulation yet
+            time.sleep(0.05)
+            handle = self.goals.send(move(0.05, 0.4, start=0.1))
         result = self.goals.result_of(handle)
         self.controller.wait_for("a goal waits for the simulation's first tick")
         self.time.run(0.1)
