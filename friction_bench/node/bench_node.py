@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -26,6 +25,7 @@ from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
+from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
 from rx90_common.exchange.qos_overrides import publish
@@ -58,7 +58,6 @@ class _Readings:
         scale = math.tau / self._rig.counts_per_revolution
         elapsed = sample.time - previous.time
         velocity = (sample.counts - previous.counts) * scale / elapsed if elapsed > 0.0 else 0.0
-        seconds, nanoseconds = divmod(self._epoch_ns + round(sample.time * NANOSECONDS), NANOSECONDS)
         state = JointState(
             name=[JOINT],
             position=[sample.counts * scale],
@@ -66,7 +65,7 @@ class _Readings:
             effort=[self._rig.measured_torque(sample.report.adc)],
         )
         command = JointState(name=[JOINT], effort=[self._rig.torque(sample.report.dac)])
-        state.header.stamp = command.header.stamp = Time(sec=seconds, nanosec=nanoseconds)
+        state.header.stamp = command.header.stamp = ros_time(self._epoch_ns + round(sample.time * NANOSECONDS))
         self._states.publish(state)
         self._commands.publish(command)
 

@@ -2,6 +2,7 @@
 
 __all__ = [
     "arrivals",
+    "cdr_body",
     "cdr_reader",
     "channel",
     "client_node",
@@ -12,6 +13,7 @@ __all__ = [
     "listeners",
     "local_link",
     "lockstep",
+    "message_times",
     "motor_messages",
     "node_tools",
     "pacing",

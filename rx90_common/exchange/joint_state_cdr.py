@@ -10,7 +10,6 @@ whatever was in memory there and up to 15 unused bytes at the end; apart from th
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -20,7 +19,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ExchangeError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, HEAD, LITTLE_ENDIAN, STAMP_BYTES
+from rx90_common.base.stamps import ENCAPSULATION, HEAD, STAMP_BYTES
+from rx90_common.exchange.cdr_body import CdrBody
 from rx90_common.exchange.frame import MARGIN, NO_MATCH, read_frame, write_frame
 from rx90_common.exchange.joint_state_parser import parse_joint_state
 
@@ -48,17 +48,19 @@ class _Layout:
 
     def __init__(self, names: tuple[str, ...], frame_id: str, present: tuple[bool, ...]) -> None:
         numbers = 8 * len(names)
-        body = bytearray(STAMP_BYTES) + _names_block(names, frame_id)
+        body = CdrBody()
+        body.zeros(STAMP_BYTES)
+        body.string(frame_id)
+        body.strings(names)
         blocks = []
         for there in present:
-            body += bytes(-len(body) % 4) + struct.pack("<I", len(names) if there else 0)
+            body.count(len(names) if there else 0)
             if there:
-                body += bytes(-len(body) % 8)
-            blocks.append(_BODY + len(body) if there else -1)
-            body += bytes(numbers if there else 0)
-        self.size = ENCAPSULATION + len(body)
+                body.align(8)
+            blocks.append(_BODY + body.zeros(numbers) if there else -1)
+        self.size = ENCAPSULATION + len(body.raw)
         self.shape = np.array([self.size, len(names), *blocks], dtype=np.int64)
-        self.expected = np.frombuffer(LITTLE_ENDIAN + bytes(body), dtype=np.uint8)
+        self.expected = np.frombuffer(bytes(body.message()), dtype=np.uint8)
         self.mask = np.full(self.size, 255, dtype=np.uint8)
         self.mask[ENCAPSULATION:HEAD] = 0
         for at in blocks:
@@ -74,20 +76,6 @@ class _Layout:
         self.shape_at = self.shape.ctypes.data
         self.reading = (self.expected.ctypes.data, self.mask.ctypes.data, self.incoming.ctypes.data, self.shape_at)
         self.outgoing_at = self.outgoing.ctypes.data
-
-
-def _names_block(names: tuple[str, ...], frame_id: str) -> bytearray:
-    """Return frame_id, the number of names and the names; the block starts at a multiple of 4."""
-    block = bytearray(_string(frame_id))
-    block += bytes(-len(block) % 4) + struct.pack("<I", len(names))
-    for name in names:
-        block += bytes(-len(block) % 4) + _string(name)
-    return block
-
-
-def _string(text: str) -> bytes:
-    encoded = text.encode() + b"\0"
-    return struct.pack("<I", len(encoded)) + encoded
 
 
 class JointStateCodec:

@@ -39,9 +39,6 @@ class Managed(TickingNode, Protocol):
     def cleanup(self) -> None:
         """Let go of all that was loaded; also after a `configure` that was refused."""
 
-    def leave(self) -> None:
-        """End `tick_loop` soon; `stop` follows, which is not called from within a callback."""
-
 
 _Member = TypeVar("_Member", bound=Managed)
 
@@ -56,6 +53,7 @@ class ManagedNode(LifecycleNode):
 
     Attributes:
         changes: answers requests to set parameters.
+        ticking: the thread that ticks, from a `configure` to the cleanup.
         autostart: whether it is configured and activated at the start, by `started`.
         starting: whether that is going on.
         error: why the last transition was refused, if it was.
@@ -65,6 +63,7 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, cli_args=list(own_args))
         self._managed = managed
         self.changes = ParameterChanges(self, lambda: not self.configured)
+        self.ticking = TickThread()
         self.autostart = declare(self, "autostart", True, _ABOUT, read_only=True)
         self.starting = False
         self.error: Exception | None = None
@@ -126,7 +125,7 @@ class ManagedNode(LifecycleNode):
         """End the process, with exit code 0."""
         if state.state_id == State.PRIMARY_STATE_ACTIVE:
             self._try("deactivate", self._managed.deactivate)
-        self._managed.leave()
+        self.ticking.stop()  # what else there is to do at the end is not for a callback: `stop` follows
         return TransitionCallbackReturn.SUCCESS
 
     def _clean_up(self) -> None:

@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, NamedTuple
 
-from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterEvent, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -15,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import plain
-from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.topics import PARAMETERS
 
 OF_ROS = ("use_sim_time", "start_type_description_service")
@@ -127,8 +126,7 @@ class ParameterChanges:
             group.apply(group.check(values), partial(self._tell, changed))
 
     def _tell(self, changed: Sequence[Parameter], stamp_ns: int) -> None:
-        sec, nanosec = divmod(stamp_ns, NANOSECONDS)
-        event = ParameterEvent(stamp=Time(sec=sec, nanosec=nanosec), node=self._node.get_fully_qualified_name())
+        event = ParameterEvent(stamp=ros_time(stamp_ns), node=self._node.get_fully_qualified_name())
         event.changed_parameters = [parameter.to_parameter_msg() for parameter in changed]
         self._publisher.publish(event)
 

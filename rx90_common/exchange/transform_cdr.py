@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.base.stamps import ENCAPSULATION, LITTLE_ENDIAN
+from rx90_common.base.stamps import ENCAPSULATION
+from rx90_common.exchange.cdr_body import CdrBody
 
-_STAMP, _COUNT = struct.Struct("<iI"), struct.Struct("<I")
+_STAMP = struct.Struct("<iI")
 _TRANSLATION, _ROTATION = struct.Struct("<3d"), struct.Struct("<4d")
 
 
@@ -22,19 +23,18 @@ class TransformCodec:
     """
 
     def __init__(self, links: Sequence[tuple[str, str]], translation: Array) -> None:
-        body = bytearray(_COUNT.pack(len(links)))
+        body = CdrBody()
+        body.count(len(links))
         self._stamps, self._rotations = [], []
         for (parent, child), shift in zip(links, translation, strict=True):
-            _align(body, 4)
-            self._stamps.append(ENCAPSULATION + len(body))
-            body += bytes(_STAMP.size) + _string(parent)
-            _align(body, 4)
-            body += _string(child)
-            _align(body, 8)
-            body += _TRANSLATION.pack(*shift)
-            self._rotations.append(ENCAPSULATION + len(body))
-            body += bytes(_ROTATION.size)
-        self._message = bytearray(LITTLE_ENDIAN) + body
+            body.align(4)
+            self._stamps.append(ENCAPSULATION + body.zeros(_STAMP.size))
+            body.string(parent)
+            body.string(child)
+            body.align(8)
+            body.raw += _TRANSLATION.pack(*shift)
+            self._rotations.append(ENCAPSULATION + body.zeros(_ROTATION.size))
+        self._message = body.message()
 
     def encode(self, stamp_ns: int, rotation: Array) -> bytes:
         """Return the message.
@@ -49,12 +49,3 @@ class TransformCodec:
         for at, quaternion in zip(self._rotations, rotation.tolist(), strict=True):
             _ROTATION.pack_into(self._message, at, *quaternion)
         return bytes(self._message)
-
-
-def _align(body: bytearray, size: int) -> None:
-    body += bytes(-len(body) % size)
-
-
-def _string(text: str) -> bytes:
-    encoded = text.encode() + b"\0"
-    return _COUNT.pack(len(encoded)) + encoded

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.message_times import ros_time
 from rx90_controller.goals.execution import Feedback, Outcome
 
 
 def feedback_message(feedback: Feedback, names: Sequence[str], tick_ns: int) -> Any:
     """Return a FollowJointTrajectory.Feedback; `tick_ns` is the period of the position loop."""
-    sec, nanosec = divmod(feedback.tick * tick_ns, NANOSECONDS)
     return FollowJointTrajectory.Feedback(
-        header=Header(stamp=Time(sec=sec, nanosec=nanosec)),
+        header=Header(stamp=ros_time(feedback.tick * tick_ns)),
         joint_names=list(names),
         desired=_point(feedback.desired, feedback.desired_time),
         actual=_point(feedback.actual, feedback.actual_time),

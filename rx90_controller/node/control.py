@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
-from builtin_interfaces.msg import Time
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -16,13 +15,14 @@ from trajectory_msgs.msg import JointTrajectory
 
 from rx90_common.base.errors import ExchangeError, MessageError
 from rx90_common.base.quoting import one_line, plain
-from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.base.rates import Rates
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lifecycle import ManagedNode
+from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates
 from rx90_common.exchange.pacing import Pacer
@@ -142,8 +142,7 @@ class ControllerOutputs:
     def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
         """Publish a trajectory as it came, stamped with its start."""
         taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
-        sec, nanosec = divmod(start_ns, NANOSECONDS)
-        taken.header.stamp = Time(sec=sec, nanosec=nanosec)
+        taken.header.stamp = ros_time(start_ns)
         self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.

@@ -10,7 +10,7 @@ from rclpy.publisher import Publisher
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.lifecycle import ManagedNode, TickThread, started
+from rx90_common.exchange.lifecycle import ManagedNode, started
 from rx90_common.exchange.node_tools import declare_rates
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
@@ -36,7 +36,6 @@ class ControllerNode:
     ) -> None:
         self.node = ManagedNode("rx90_controller", own_args, self)
         self._ends, self._local = Ends(make_channel), local
-        self._thread = TickThread()
         self._control: Control | None = None
         self._time_mode: TimeMode | None = None
         self._answering = threading.Lock()
@@ -62,7 +61,7 @@ class ControllerNode:
             control.follow(self._time_mode)
         if self._local:
             self._serve = control.hand_over()
-        self._thread.begin(control.tick_loop, control.stop)
+        self.node.ticking.begin(control.tick_loop, control.stop)
 
     def activate(self) -> None:
         """Give the motors torque."""
@@ -76,7 +75,7 @@ class ControllerNode:
 
     def cleanup(self) -> None:
         """Let go of the robot."""
-        self._thread.finish()
+        self.node.ticking.finish()
         with self._answering:
             control, self._control = self._control, None
         if control is not None:
@@ -116,15 +115,11 @@ class ControllerNode:
         Raises:
             ExchangeError: if the simulation's rates are not this one's.
         """
-        self._thread.loop()
-
-    def leave(self) -> None:
-        """End `tick_loop` soon."""
-        self._thread.stop()
+        self.node.ticking.loop()
 
     def stop(self) -> None:
         """End `tick_loop` soon, and send what there is to say."""
-        self._thread.stop()
+        self.node.ticking.stop()
         if self._control is not None:
             self._control.take_leave()
 

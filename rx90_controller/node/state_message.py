@@ -6,14 +6,14 @@ values give equal bytes; the serialiser of rclpy leaves there whatever was in me
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.stamps import ENCAPSULATION, LITTLE_ENDIAN
+from rx90_common.base.stamps import ENCAPSULATION
+from rx90_common.exchange.cdr_body import CdrBody
 
 _FIELDS = ("positions", "velocities", "accelerations", "effort")
 _POINTS = {
@@ -37,9 +37,9 @@ class StateMessage:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        body = _Body()
+        body = CdrBody()
         stamp = body.zeros(8)
-        body.strings([""], counted=False)  # frame_id
+        body.string("")  # frame_id
         body.strings(names)
         numbers, times = {}, []
         for point, given in _POINTS.items():
@@ -57,7 +57,7 @@ class StateMessage:
         body.align(8)
         scaling = body.zeros(8)
 
-        self._raw = bytearray(LITTLE_ENDIAN) + body.raw
+        self._raw = body.message()
 
         def part(kind: str, at: int, size: int) -> NDArray[Any]:
             return np.frombuffer(self._raw, kind, size, ENCAPSULATION + at)
@@ -70,31 +70,3 @@ class StateMessage:
     def encode(self) -> bytes:
         """Return the message as it is now."""
         return bytes(self._raw)
-
-
-class _Body:
-    """The body of a CDR message, zeros where numbers are to come."""
-
-    def __init__(self) -> None:
-        self.raw = bytearray()
-
-    def align(self, size: int) -> None:
-        self.raw += bytes(-len(self.raw) % size)
-
-    def zeros(self, size: int) -> int:
-        """Add zero bytes; return where they begin."""
-        self.raw += bytes(size)
-        return len(self.raw) - size
-
-    def count(self, count: int) -> None:
-        self.align(4)
-        self.raw += struct.pack("<I", count)
-
-    def strings(self, texts: Sequence[str], *, counted: bool = True) -> None:
-        if counted:
-            self.count(len(texts))
-        for text in texts:
-            encoded = text.encode() + b"\0"
-            self.count(len(encoded))
-            self.raw += encoded
-        self.align(4)

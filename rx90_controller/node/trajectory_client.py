@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Duration
 from rclpy.duration import Duration as RclpyDuration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -21,6 +21,7 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.client_node import POLL, ClientNode
+from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.ros_start import reason
 from rx90_controller.lines.plan import LinePlan, approach_time, check_plan
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
@@ -184,8 +185,7 @@ class TrajectoryClient:
 def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> JointTrajectory:
     """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
     message = JointTrajectory(joint_names=list(names))
-    sec, nanosec = divmod(round(start_time * NANOSECONDS), NANOSECONDS)
-    message.header.stamp = Time(sec=sec, nanosec=nanosec)
+    message.header.stamp = ros_time(round(start_time * NANOSECONDS))
     message.points = [
         JointTrajectoryPoint(
             positions=point.position,

@@ -10,7 +10,7 @@ from rclpy.publisher import Publisher
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
-from rx90_common.exchange.lifecycle import ManagedNode, TickThread, started
+from rx90_common.exchange.lifecycle import ManagedNode, started
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
@@ -35,7 +35,6 @@ class Simulation:
     def __init__(self, make_channel: MakeChannel = Channel, own_args: Sequence[str] = ()) -> None:
         self.node = ManagedNode("rx90_sim", own_args, self)
         self._ends = Ends(make_channel)
-        self._thread = TickThread()
         self._arm: SimulatedArm | None = None
         self._follow: Callable[[TimeMode | None], None] = lambda _: None
         self._also_listening: Callable[[], Sequence[Publisher]] = tuple
@@ -73,7 +72,7 @@ class Simulation:
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
         self._allow("step_ticks", int, lambda _: None)  # looked at by each call
         self._follow(arm.time_mode)
-        self._thread.begin(arm.ticks.run, arm.ticks.control.stop)
+        self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)
 
     def _allow(self, name: str, check: Callable[[Any], Any], change: Callable[[Any], None]) -> None:
         def apply(value: Any, effective: Effective) -> None:
@@ -95,7 +94,7 @@ class Simulation:
 
     def cleanup(self) -> None:
         """Let go of the robot."""
-        self._thread.finish()
+        self.node.ticking.finish()
         self._follow(None)
         self._arm = None
         self._ends.close()
@@ -108,15 +107,11 @@ class Simulation:
         Raises:
             DivergenceError: naming joint and tick.
         """
-        self._thread.loop()
-
-    def leave(self) -> None:
-        """End `tick_loop` soon."""
-        self._thread.stop()
+        self.node.ticking.loop()
 
     def stop(self) -> None:
         """End `tick_loop` soon."""
-        self._thread.stop()
+        self.node.ticking.stop()
 
 
 def spin(args: Sequence[str]) -> None:

@@ -6,20 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from joint_moves import HOME, NAMES, PERIOD, ZERO
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator, TrajectoryPoints
 
-Array = NDArray[np.float64]
-NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 MOST = np.array([18.0, 6.0, 12.0, 40.0, 40.0, 60.0])
 LIMITS = JointLimits(NAMES, np.full(6, -3.0), np.full(6, 3.0), np.full(6, 4.0), MOST, 1e-3)
-PERIOD = 1e-3
-HOME = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
-ZERO = np.zeros(6)
 TIMES = np.array([0.0, 0.4, 0.9, 1.3])
 WAY = HOME + np.array([ZERO, [0.3, -0.1, 0.2, 0.4, -0.2, 0.1], [0.2, 0.1, 0.3, -0.2, 0.2, 0.3], ZERO])
 SPEED = np.array([ZERO, [0.3, 0.2, 0.3, -0.4, 0.5, 0.5], [-0.5, 0.1, -0.3, -0.5, 0.4, -0.2], ZERO])

@@ -278,7 +278,8 @@ def _filtered(
     rate = _rate(time)
     even = _even(time, rate)
     position = _resampled(time, record.position[piece], even, 5)
-    torque = _resampled(time - torque_lead, record.torque[piece], even, 1)
+    stamps = time - torque_lead
+    torque = _resampled(stamps, record.torque[piece], even, 1)
     target = None if reference is None else _resampled(time, reference[piece], even, 5)
     sections = butter(_ORDER, bandwidths.position, fs=rate, output="sos")
     smooth = sosfiltfilt(sections, position, axis=0, padlen=min(3 * edge, len(even) - 1))
@@ -286,8 +287,9 @@ def _filtered(
     count = np.arange(len(even)) / rate
     curve = make_interp_spline(count, smooth, k=5)
     inner = slice(edge, len(even) - edge)
-    stamps = time - torque_lead
-    moved = TorqueStamps.of(stamps, even[inner], lambda at: np.asarray(curve(at - even[0], 1)))
+    at_torque = None
+    if not _is_even(stamps, even):
+        at_torque = TorqueStamps.of(stamps, even[inner], lambda at: np.asarray(curve(at - even[0], 1)))
     return FilteredRun(
         source=record.bag,
         names=record.names,
@@ -298,7 +300,7 @@ def _filtered(
         torque=torque[inner],
         reference=None if target is None else target[inner],
         bandwidths=bandwidths,
-        stamps=None if _is_even(stamps, even) else moved,
+        stamps=at_torque,
     )
 
 
