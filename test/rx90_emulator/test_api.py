@@ -19,7 +19,7 @@ import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs/python.md"
+PAGE = ROOT / "docs/tutorials/python.md"
 EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 LIGHT = "numpy scipy numba pinocchio rclpy rosbags matplotlib pyarrow yaml tqdm jinja2 serial"
 
@@ -103,7 +103,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 
 
 def test_the_documented_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every example of docs/python.md runs, one after the other, in an empty folder, and leaves what it names."""
+    """Every example of python.md runs, one after the other, in an empty folder, and leaves what it names."""
     import matplotlib
 
     matplotlib.use("Agg")
