@@ -102,26 +102,6 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         _ = rx.load_setups  # type: ignore[attr-defined]
 
 
-def test_the_documented_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every example of python.md runs, one after the other, in an empty folder, and leaves what it names."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
-    for example in EXAMPLES:
-        exec(compile(example, str(PAGE), "exec"), names)
-    for made in (
-        "path_error.png",
-        "friction.png",
-        "run.npz",
-        "reference_run/metadata.yaml",
-        "grid.parquet",
-        "scatter.parquet",
-    ):
-        assert (tmp_path / made).is_file()
-
-
 def test_the_first_example_is_short_and_shows_an_effect() -> None:
     """Changing tau_s, running the line, plotting the path error: under 15 lines, and the plotted errors differ."""
     import matplotlib.pyplot as plt
