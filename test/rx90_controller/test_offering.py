@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.goal import Goal
+from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.node.offering import joined
 from rx90_controller.trajectory import TrajectoryGenerator, points
@@ -236,3 +236,47 @@ def test_what_is_no_trajectory_leaves_the_one_that_waits(rig: Rig) -> None:
     assert rig.around.lines[-1].startswith("trajectory rejected: unknown joint 'elbow'")
     rig.loop.hold(rig.states(400))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 0.100 s"
+
+
+@pytest.mark.parametrize(
+    ("option", "change", "refusal"),
+    [
+        ("allow_partial_joints_goal", "joints", "joint 'joint_1' is missing"),
+        ("allow_nonzero_velocity_at_trajectory_end", "end", "point 1: joint_1 ends at 0.01 rad/s"),
+        ("allow_trajectory_replacement", "first", "point 0: joint_1 starts at 0.5 rad"),
+    ],
+)
+def test_options_of_goals_hold_for_the_topic(rig: Rig, option: str, change: str, refusal: str) -> None:
+    """A part of the joints, a last point that moves and a first one elsewhere: refused, and followed by the option."""
+    rig.loop.hold(rig.states(0))
+    given = message(rig, 2, 2.0)
+    if change == "joints":
+        given.joint_names = given.joint_names[1:]
+        for each in given.points:
+            each.positions, each.velocities = each.positions[1:], each.velocities[1:]
+    elif change == "end":
+        given.points[-1].velocities = [0.01] * 6
+    else:
+        given.points[0].positions, given.points[0].time_from_start = [0.5] * 6, SimpleNamespace(sec=0, nanosec=0)
+    rig.loop.offer(given)
+    assert rig.around.lines[-1].startswith(f"trajectory rejected: {refusal}")
+    with rig.loop.between_ticks() as goals:
+        goals.options = GoalOptions(**{option: True})
+    rig.loop.offer(given)
+    assert "accepted" in rig.around.lines[-1]
+    held, velocity, _ = rig.cs7b.trajectory.setpoints(2000)[0]
+    assert held == pytest.approx([0.0 if change == "joints" else 0.02, *[0.02] * 5])
+    assert velocity == pytest.approx([0.01 if change == "end" else 0.0] * 6)
+
+
+def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) -> None:
+    """Each message takes the place of the one before, whoever sent it; deactivated, each is refused with why."""
+    rig.loop.hold(rig.states(0))
+    for target in (0.01, -0.01, 0.02):
+        rig.loop.offer(rig.trajectory(target))
+    assert rig.cs7b.trajectory.setpoints(1000)[0, 0] == pytest.approx([0.02] * 6)
+    rig.loop.activate(False)
+    for given in (rig.trajectory(0.1), rig.empty(), message(rig, 30, 1.0)):
+        rig.loop.offer(given)
+        assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
+    assert rig.loop.rejected == 3
