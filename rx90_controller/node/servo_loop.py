@@ -179,7 +179,7 @@ class ServoLoop:
                 self._requests.wait(trajectory)
             elif not self._requests.take(trajectory, self.inactive):
                 return
-            self._goals.drop("replaced by a trajectory on the topic")
+            self._goals.drop("replaced by a trajectory on the topic", wanted=True)
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

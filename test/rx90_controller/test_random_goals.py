@@ -135,3 +135,4 @@ def check(path: NDArray[np.float64]) -> None:
     assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * slack).all()
     moved = np.diff(position, axis=0) - 0.5 * PERIOD * (velocity[1:] + velocity[:-1])
     assert (np.abs(moved) <= 0.25 * LIMITS.acceleration * PERIOD**2 * slack).all()
+    assert (np.abs(np.diff(position, 2, axis=0)) <= LIMITS.acceleration * PERIOD**2 * slack).all()

@@ -154,6 +154,10 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
         "robot": ("tx40", "robot is read when the node is configured; accepted: in state unconfigured"),
         "start_horizon": (1.0, "start_horizon is read when the node is configured"),
         "autostart": (False, "read-only"),
+        "servo_kp": (
+            1.0,
+            "^parameter servo_kp is unknown to rx90_controller; accepted: .*, servo.ki, servo.kp, [^\n]*$",
+        ),
         "servo.kp": ([1.0] * 5, r"parameter: servo.kp is .*; accepted: 6 numbers, each a number >= 0"),
         "servo.kv": ([1, 2, 3, 4, 5, -6], r"parameter: servo.kv\[5\] is -6.0; accepted: 6 numbers, each a number >= 0"),
         "supervision.over_speed": (0, r"supervision.over_speed is 0.0; accepted: a number > 0"),
