@@ -85,10 +85,7 @@ class GoalRequests:
         return self._runner.active is not None or self._waiting is not None
 
     def drop(self, reason: str, *, halt: bool = False, wanted: bool = False) -> None:
-        """End the goal, if there is one, with ABORTED, INVALID_GOAL and a reason; with `halt` stop on its path.
-
-        `wanted` says that somebody has sent something else to follow: nothing went wrong.
-        """
+        """End the goal, if there is one, with -1 and a reason: `halt` on its path; `wanted`, so nothing went wrong."""
         now = self._cs7b.position_tick
         if self._waiting is not None:
             waiting, self._waiting = self._waiting, None

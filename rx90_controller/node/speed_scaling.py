@@ -19,7 +19,7 @@ class SpeedScaling:
         self._loop, self._log = loop, node.get_logger()
         self._said: float | None = None
         # Some repeat theirs hundreds of times a second, right or wrong.
-        self._complaints = ThrottledLog(lambda text: self._log.error(text))
+        self._complaints = ThrottledLog(lambda text: node.get_logger().error(text))
         # As the original has it: who asked before this node was there is heard, too.
         subscribe(node, SpeedScalingFactor, "~/speed_scaling_input", self._on_factor, LATCHED_QOS.profile)
 
