@@ -91,7 +91,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     tolerances = GoalTolerances.defaults(NAMES)
     now, handed_over, reasons, path = 1000, 0, [], []
     for key in range(GOALS):
-        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 3)))
+        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
         before = runner.active
         try:
             goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)

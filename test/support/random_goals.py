@@ -25,11 +25,12 @@ class Options:
     allow_partial_joints_goal: bool
     allow_nonzero_velocity_at_trajectory_end: bool
     allow_trajectory_replacement: bool
+    velocities_from_positions: bool
 
     @classmethod
     def random(cls, generator: Generator) -> Options:
-        """Return any of the eight."""
-        return cls(*(bool(flag) for flag in generator.integers(0, 2, 3)))
+        """Return any of the sixteen."""
+        return cls(*(bool(flag) for flag in generator.integers(0, 2, 4)))
 
 
 @dataclass(frozen=True)
