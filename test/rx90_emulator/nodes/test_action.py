@@ -149,11 +149,21 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
 def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
     """Return what is rejected: a goal, made at a simulated time, and what the log says."""
     from action_client import goal, move, point
-    from control_msgs.msg import JointTolerance
+    from control_msgs.msg import JointComponentTolerance, JointTolerance
 
     def efforts(_: float) -> Any:
         message = move(0.0)
         message.trajectory.points[0].effort = [1.0] * 6
+        return message
+
+    def several_dof(_: float) -> Any:
+        message = move(0.0)
+        message.multi_dof_trajectory.joint_names = ["base"]
+        return message
+
+    def accelerations_alone(_: float) -> Any:
+        message = move(0.0)
+        message.trajectory.points[0].velocities, message.trajectory.points[0].accelerations = [], [0.0] * 6
         return message
 
     end = point(1.0, [0.0] * 6)
@@ -169,6 +179,12 @@ def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
         "equal times": (lambda _: goal(end, end), "time_from_start 1 s after 1 s"),
         "wrong size": (lambda _: goal(point(1.0, [0.0] * 5)), "5 positions; accepted: 6"),
         "effort": (efforts, "carries effort"),
+        "accelerations alone": (accelerations_alone, "accelerations without velocities"),
+        "a joint of several degrees of freedom": (several_dof, "multi_dof_trajectory is given"),
+        "a tolerance of components": (
+            lambda _: move(0.0, component_path_tolerance=[JointComponentTolerance(joint_name="base")]),
+            "component_path_tolerance of 1 joints; accepted: none",
+        ),
         "a tolerance of nothing": (lambda _: move(0.0, path_tolerance=[JointTolerance(name="elbow")]), "'elbow'"),
     }
 
@@ -257,6 +273,25 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         bench.client.enable(on)
     assert not bench.goals.send(move(0.0)).accepted  # not before the loops hold the arm again
     bench.time.run(STEP)
+    bench.home()
+
+
+def test_a_fault_of_the_supervision_ends_a_goal_and_refuses_the_next(bench: Bench, shipped: Setup) -> None:
+    """Beyond the following error: ABORTED, -1, with joint, value and limit; goals are rejected until `enable`."""
+    from action_client import move
+
+    bench.home()
+    usual = shipped.controller.following_error.tolist()
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=[1e-5] * 6) == [""]
+    ended = bench.follow(move(0.05, 0.4))
+    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+    reason = r"joint_\d: following error \S+ rad at \S+ s; accepted: up to 1e-05 rad; torque off, brakes closed, at .*"
+    assert re.fullmatch(reason, ended.result.error_string), ended.result.error_string
+    assert not bench.goals.send(move(0.0)).accepted
+    bench.cell.wait_for(r"goal rejected: joint_\d: following error .*; accepted: after a call of ~/enable with true")
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=usual) == [""]
+    bench.client.enable(True)
+    bench.time.run(0.1)
     bench.home()
 
 
