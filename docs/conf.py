@@ -16,11 +16,11 @@ extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "sphinx.ext.mathjax",
     "sphinxarg.ext",
     "sphinx_copybutton",
     "api_text",
     "schemas",
+    "mathml",
 ]
 exclude_patterns = ["_ext", "_build"]
 
@@ -30,6 +30,7 @@ nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
 nb_output_stderr = "remove"
+nb_ipywidgets_js: dict[str, dict[str, str]] = {}  # of another host, and no notebook has widgets
 
 default_role = "code"
 nitpicky = True
@@ -45,6 +46,7 @@ python_maximum_signature_line_length = 88
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = True
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "rx90_emulator"
 html_static_path = ["_static"]

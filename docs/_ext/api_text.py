@@ -13,14 +13,17 @@ _GROUP = re.compile(r"^(\w[\w ]*?) {2,}(\S.*)$|^(Series and bags|Identification)
 def _overview(lines: list[str]) -> list[str]:
     """Return the module's docstring with its example as code, and its groups of names as a list of links."""
     found: list[str] = []
+    code = False
     for line in lines:
         group = _GROUP.match(line)
+        code = code and (line.startswith("    ") or not line)
         if group:
             names = group[2] or group[4]
             found += [f"- **{group[1] or group[3]}**: {_linked(names)}"]
-        elif line.startswith("    ") and found and found[-1].startswith(("- **", "  ")):
+        elif line.startswith("    ") and not code and found[-1].startswith(("- **", "  ")):
             found += [f"  {_linked(line.strip())}"]
-        elif line.startswith("    ") and found and not found[-1].strip():
+        elif line.startswith("    ") and not code:
+            code = True
             found += ["::", "", line]
         else:
             found.append(line)

@@ -129,7 +129,7 @@ def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:
     ("module", "managed", "apt", "advice"),
     [
         ("numba", False, False, f"{sys.executable} -m pip install numba"),
-        ("numba", True, True, "a virtual environment with numba in it, as in README.md, With ROS 2 Jazzy"),
+        ("numba", True, True, "a virtual environment with numba in it, as in docs/start/install.md"),
         ("scipy", True, True, "sudo apt install python3-scipy"),
         ("pinocchio", False, True, "sudo apt install ros-jazzy-pinocchio"),
         ("pinocchio", False, False, f"{sys.executable} -m pip install pin"),
