@@ -38,7 +38,7 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5"]
 
 setup(
     name=NAME,

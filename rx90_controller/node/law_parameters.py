@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from rclpy.node import Node
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
+from rx90_common.base.section import Section
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
