@@ -13,6 +13,7 @@ from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
+from rx90_controller.trajectory.planning import Entrance
 
 _NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
 
@@ -48,6 +49,10 @@ class Goal:
     points: TrajectoryPoints
     tolerances: GoalTolerances
     start: int | None
+
+    def entrance(self, options: GoalOptions) -> Entrance:
+        """Return how it comes into the generator."""
+        return Entrance(self.points, self.start, anywhere=options.allow_trajectory_replacement)
 
 
 def check_goal(

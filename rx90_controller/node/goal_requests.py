@@ -14,12 +14,7 @@ from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.runner import Event, GoalRunner
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
-from rx90_controller.trajectory.planning import Plan
-
-_FEW, _SHORT = 20, 20.0  # points, s
-# Later by so much a long goal begins whose start is "now": s, for each point, and for each second of it, in which a
-# thousand set-points may have to be checked.
-_LEAD, _LEAD_EACH, _LEAD_SECOND = 5e-3, 1e-4, 5e-4
+from rx90_controller.trajectory.planning import Entrance, Plan
 
 
 class Sender(Protocol):
@@ -126,14 +121,14 @@ class GoalRequests:
         self._waiting = _Waiting(sender, goal, trajectory)
         self._requests.note("a goal waits for the simulation's first tick")
 
-    def plan(self, goal: Goal) -> Plan | None:
-        """Return what a goal is to be joined to beside the ticks; None for a short one, which is taken at once."""
-        count, duration = len(goal.points.times), float(goal.points.times[-1])
-        if count <= _FEW and duration <= _SHORT:
-            return None
-        seconds = _LEAD + _LEAD_EACH * count + _LEAD_SECOND * duration
-        lead = round(seconds / self._cs7b.rates.position_period)
-        return self._runner.plan(self._cs7b.position_tick, lead)
+    def plan(self, entrance: Entrance, attempt: int) -> Plan:
+        """Return what a trajectory is to be joined to beside the ticks; each attempt, from 0 on, has more time."""
+        lead = entrance.lead(self._cs7b.rates.position_period) * 4**attempt
+        return Plan(self._cs7b.trajectory, entrance, self._cs7b.position_tick, lead)
+
+    def fits(self, plan: Plan) -> bool:
+        """Return whether a plan can be adopted, or tells why not, in this tick."""
+        return plan.fits(self._cs7b.position_tick)
 
     def take(self, sender: Sender, goal: Goal, trajectory: Any, inactive: str, plan: Plan | None = None) -> None:
         """Follow a goal in place of the one before, or abort it and let that one go on.

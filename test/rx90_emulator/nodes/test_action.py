@@ -74,6 +74,11 @@ class Bench:
         self.client.spin_until(lambda: seconds(self.set_points[-1]) >= newest, f"the set-point of {newest} s", 10.0)
         return self.set_points
 
+    def set_points_from(self, begin: float, count: int) -> NDArray[np.float64]:
+        """Return the positions of the ticks after a time, rad, shape (count, 6)."""
+        commanded = {round((seconds(message) - begin) * 1e3): message.position for message in self.heard()}
+        return np.array([commanded[k] for k in range(1, count + 1)])
+
     def velocities(self) -> NDArray[np.float64]:
         """Return the velocities of the set-points, rad/s, shape (n, 6)."""
         return np.array([message.velocity for message in self.heard()])
@@ -530,8 +535,9 @@ def test_a_paused_simulation_keeps_a_goal_waiting_and_a_reset_aborts_it(bench: B
 
 
 def test_ten_thousand_points(bench: Bench) -> None:
-    """A goal of 10,000 points is followed through all of them."""
+    """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
     from action_client import goal, point
+    from trajectory_msgs.msg import JointTrajectory
 
     bench.home()
     begin, times = bench.now + STEP, np.arange(1, 10_001) * 1e-4
@@ -540,9 +546,17 @@ def test_ten_thousand_points(bench: Bench) -> None:
     speed[-1] = 0.0
     points = [point(t, [q] * 6, [v] * 6) for t, q, v in zip(times, shape, speed, strict=True)]
     assert bench.follow(goal(*points, start=begin)).status == SUCCEEDED
-    commanded = {round((seconds(m) - begin) * 1e3): m.position for m in bench.heard()}
-    passed = np.array([commanded[k] for k in range(1, 1001)])
+    passed = bench.set_points_from(begin, 1000)
     assert np.abs(passed - shape[9::10][:, None]).max() < 1e-9
+
+    bench.home()
+    begin = bench.now + STEP
+    topic = bench.client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1)
+    bench.client.spin_until(lambda: topic.get_subscription_count() > 0, "the controller")
+    topic.publish(goal(*points, start=begin).trajectory)
+    bench.said("trajectory accepted: 10000 points")
+    bench.time.run(1.0 + 2 * STEP)
+    assert np.array_equal(bench.set_points_from(begin, 1000), passed)
 
 
 def test_random_goals_are_refused_with_a_reason_or_followed(bench: Bench, acceleration: NDArray[np.float64]) -> None:
