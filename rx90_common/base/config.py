@@ -149,6 +149,18 @@ def load_yaml(
     return Section(data, path, faults=faults)
 
 
+def yaml_value(text: str) -> Any:
+    """Return what a text means as YAML, as a value in a file would.
+
+    Raises:
+        ConfigError: if it is not YAML.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        raise ConfigError(f"{quoted(text)} is not valid YAML; accepted: a value as in a YAML file") from error
+
+
 def yaml_lines(path: Path) -> dict[str, int]:
     """Return the lines, from 1 on, on which the keys and items of a YAML file stand, by path such as `a.b[2].c`.
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from friction_bench.rig.rig_file import RIG, load_rig
 from rx90_common.bags.importing.mapping import MAPPING, LogMapping
 from rx90_common.bags.tolerance import TOLERANCES, load_rules
 from rx90_common.base.config import load_yaml
 from rx90_common.base.groups import DEFINITIONS, Entries, Group
+from rx90_common.base.section import Section
 from rx90_common.base.shapes import JsonSchema, Number, Switch
 from rx90_common.description.drives import DRIVES, load_drives
 from rx90_common.description.robot_files import FILES
@@ -47,6 +48,16 @@ _MOVEIT_LIMITS = Group(
 )
 
 
+class ReadableShape(Protocol):
+    """What a whole file may hold."""
+
+    def read(self, section: Section) -> dict[str, Any]:
+        """Return what it holds, checked; raises ConfigError."""
+
+    def schema(self) -> JsonSchema:
+        """Return the same as a JSON schema."""
+
+
 @dataclass(frozen=True)
 class FileKind:
     """A kind of YAML file.
@@ -59,7 +70,7 @@ class FileKind:
     """
 
     name: str
-    shape: Group | Entries
+    shape: ReadableShape
     read: Callable[[Path], Any]
     files: tuple[str, ...] = ()
 
@@ -99,4 +110,7 @@ KINDS = (
     FileKind("payloads", PAYLOADS, read_payloads),
     FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent), (f"**/{INDEX}",)),
 )
-"""All kinds; a bag's metadata.yaml is rosbag2's, and what is only written for the record needs no schema."""
+"""All kinds but the nodes' parameter files, which need ROS: see node_file.py.
+
+A bag's metadata.yaml is rosbag2's, and what is only written for the record needs no schema.
+"""
