@@ -62,6 +62,7 @@ setup(
         "Jinja2>=3.1.2,<4",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
+        "shtab>=1.7,<2",
     ],
     extras_require={
         "ros": [

@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_emulator.cli.completion import SHELLS, completion
 from rx90_emulator.cli.options import CommandParser, add_robot_arguments
 
 if TYPE_CHECKING:
     from rx90_emulator.configuration.origins import ShownValue
 
+_COMPLETION = """
+Print the completion of all commands for a shell. To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config
+completion bash)", or zsh; that of zsh behind compinit.
+"""
 _SHOW = """
 Show what a setup comes to: each value with its unit, where it comes from (file and line, command line, default of the
 code), whether it is assumed, and the sentence that names its source.
@@ -36,6 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
     check.set_defaults(verb=_check)
     about = "show what a setup comes to, and where each value comes from"
+    complete = verbs.add_parser(
+        "completion", help="print the completion of all commands for a shell", description=_COMPLETION
+    )
+    complete.add_argument("shell", choices=SHELLS)
+    complete.set_defaults(verb=_completion)
     _add_show(verbs.add_parser("show", help=about, description=_SHOW))
 
 
@@ -75,6 +85,11 @@ def _check(options: argparse.Namespace) -> int:
         for problem in one.problems:
             print(problem)
     return VERDICT_NO if any(one.problems for one in checked) else DONE
+
+
+def _completion(options: argparse.Namespace) -> int:
+    print(completion(options.shell, options.executables))
+    return DONE
 
 
 def _show(options: argparse.Namespace) -> int:

@@ -43,7 +43,8 @@ EXECUTABLES = {
 
 - `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
   with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
-- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself.
+- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself. It finds
+  this table in `options.executables`.
 """
 
 
@@ -80,7 +81,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
 
 def run(program: str, words: Sequence[str]) -> int:
     """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
-    options = SimpleNamespace()
+    options = SimpleNamespace(executables=EXECUTABLES)
     try:
         try:
             return _run(program, words, options)
