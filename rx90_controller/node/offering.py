@@ -65,4 +65,4 @@ def offer(ticks: TickedLoop, requests: Requests, trajectory: Any) -> None:
             requests.wait(request)
         elif not requests.take(request, ticks.inactive, plan):
             return
-        goals.drop("replaced by a trajectory on the topic")
+        goals.drop("replaced by a trajectory on the topic", wanted=True)

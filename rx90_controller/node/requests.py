@@ -124,6 +124,7 @@ class Requests:
             trajectory,
             partial=options.allow_partial_joints_goal,
             moving_end=options.allow_nonzero_velocity_at_trajectory_end,
+            smooth=options.velocities_from_positions,
         ).prepared()
         anywhere = options.allow_trajectory_replacement
         return TrajectoryRequest(trajectory, start, Entrance(points, start, anywhere=anywhere, first_point=True))
@@ -161,6 +162,8 @@ class Requests:
         rates = self._cs7b.rates
         begin = schedule.begin * rates.position_period
         text = f"{what} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+        if points.smooth:
+            text += "; velocities from its positions"
         if schedule.miss > 0.0:
             text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
         self._publish(trajectory, schedule.begin if start is None else start)

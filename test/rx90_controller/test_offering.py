@@ -17,7 +17,7 @@ from rx90_controller.node.offering import joined
 from rx90_controller.trajectory import TrajectoryGenerator, points
 from rx90_controller.trajectory.message import points_from_message
 
-TICKS = 40  # that pass while a stamped trajectory is joined
+TICKS = 8  # that pass while a stamped trajectory is joined
 
 
 class Ways:

@@ -92,7 +92,7 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     tolerances = GoalTolerances.defaults(NAMES)
     now, handed_over, reasons, path = 1000, 0, [], []
     for key in range(GOALS):
-        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 3)))
+        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
         before = runner.active
         try:
             goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
@@ -136,3 +136,4 @@ def check(path: NDArray[np.float64]) -> None:
     assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * slack).all()
     moved = np.diff(position, axis=0) - 0.5 * PERIOD * (velocity[1:] + velocity[:-1])
     assert (np.abs(moved) <= 0.25 * LIMITS.acceleration * PERIOD**2 * slack).all()
+    assert (np.abs(np.diff(position, 2, axis=0)) <= LIMITS.acceleration * PERIOD**2 * slack).all()
