@@ -138,7 +138,8 @@ class FeedForward:
 class CS7BParameters:
     """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
 
-    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward (docs/closed_loop.md).
+    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
+    docs/explanation/closed_loop.md.
 
     Attributes:
         inertia: nominal inertia Mn, kg m^2.

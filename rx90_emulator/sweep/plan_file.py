@@ -1,4 +1,4 @@
-"""Read a sweep's plan from a YAML file; docs/sweep.md shows the format."""
+"""Read a sweep's plan from a YAML file; docs/howto/sweep.md shows the format."""
 
 from __future__ import annotations
 

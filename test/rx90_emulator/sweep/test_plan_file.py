@@ -87,8 +87,8 @@ def test_shipped_plans_fit(name: str) -> None:
 
 
 def test_the_documented_plan_has_the_runs_that_the_page_says(tmp_path: Path) -> None:
-    """The plan in docs/sweep.md is read as it stands, and has as many runs as the page counts."""
-    page = (ROOT / "docs/sweep.md").read_text(encoding="utf-8")
+    """The plan in docs/howto/sweep.md is read as it stands, and has as many runs as the page counts."""
+    page = (ROOT / "docs/howto/sweep.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     plan = tmp_path / "plan.yaml"
     plan.write_text(text, encoding="utf-8")

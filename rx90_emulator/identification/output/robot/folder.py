@@ -35,7 +35,7 @@ _DRIVES_HEAD = """\
 """
 _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
-# Joint-side units, one value per motor (docs/closed_loop.md).
+# Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
 _SLOW = 0.25  # of the nominal speed: where the compensation of two viscous parts meets their sum a second time
 
