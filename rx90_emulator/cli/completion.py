@@ -28,15 +28,14 @@ def completion(shell: str, executables: Mapping[str, str]) -> str:
     """
     import shtab
 
-    parts = []
-    preamble = {"bash": _words_or_files("bash"), "zsh": _words_or_files("zsh")}
+    parts: list[str] = []
     for name, module in sorted(executables.items()):
         parser = _parser(name, module)
         for action in _actions(parser):
             found = _completed_by(action, shtab.FILE, shtab.DIRECTORY)
             if found is not None:
                 action.complete = found  # type: ignore[attr-defined]  # where shtab looks for it
-        parts.append(shtab.complete(parser, shell=shell, preamble=preamble if not parts else ""))
+        parts.append(shtab.complete(parser, shell=shell, preamble="" if parts else _words_or_files(shell)))
     return "\n".join(parts)
 
 

@@ -43,8 +43,8 @@ EXECUTABLES = {
 
 - `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
   with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
-- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself. It finds
-  this table in `options.executables`.
+- `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself.
+  `options.executables` is this table.
 """
 
 

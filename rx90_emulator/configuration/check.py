@@ -11,6 +11,7 @@ from rx90_common.base.config import load_yaml, yaml_lines
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, one_line, plain, quoted
+from rx90_common.base.section import ABOUT
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.configuration.kinds import KINDS, FileKind
@@ -91,7 +92,7 @@ def _known_keys(shape: object, content: Any) -> tuple[int, int]:
     if not isinstance(content, dict):
         return 0, 0
     counts = [0, 0]
-    for key, value in content.items():
+    for key, value in ((key, value) for key, value in content.items() if key not in ABOUT):
         inner = shape.keys.get(key) if isinstance(shape, Group) else shape.of if isinstance(shape, Entries) else None
         if isinstance(shape, Group):
             counts[0] += inner is not None

@@ -25,6 +25,10 @@ _CONSTRAINTS = "constraints"
 """Below it stand names of joints, which are the robot's."""
 
 
+_SECTION: JsonSchema = {"anyOf": [{"required": [PARAMETERS]}, {"additionalProperties": {"type": "object"}}]}
+"""What is no section of a node is a namespace, and holds such sections."""
+
+
 @cache
 def usual_parameters(node: str) -> DeclaredParameters:
     """Return the parameters of a node that is given none."""
@@ -76,7 +80,7 @@ class NodeFile(Shape):
     def rules(self) -> JsonSchema:
         """Return the parameters of each node, in any namespace."""
         nodes: JsonSchema = {f"(^|/){node}$": _node_schema(node) for node in NODES}
-        return {"type": "object", "patternProperties": nodes, "additionalProperties": {"type": "object"}}
+        return {"type": "object", "patternProperties": nodes, "additionalProperties": {"type": "object", **_SECTION}}
 
 
 def _check(node: str, section: Section, given: Mapping[str, Any]) -> None:
@@ -122,6 +126,7 @@ def _node_schema(node: str) -> JsonSchema:
         "description": f"Parameters of the node {node}.",
         "type": "object",
         "properties": {PARAMETERS: parameters},
+        **_SECTION,
     }
 
 

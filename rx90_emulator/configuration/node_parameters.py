@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +21,7 @@ from rx90_common.exchange.qos_overrides import PREFIX
 from rx90_controller.node.control import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.control import declare_decimation, declare_horizon
 from rx90_controller.node.goal_parameters import declare_goal_parameters
-from rx90_controller.node.law_parameters import LawParameters
+from rx90_controller.node.law_parameters import LAW_SHAPES, LawParameters
 from rx90_sim.node.parameters import FILE_PARAMETERS as SIMULATION_FILES
 from rx90_sim.node.parameters import declare_step_ticks, read_parameters
 
@@ -112,6 +113,8 @@ def _controller(node: Any) -> None:
     declare_horizon(node)
     declare_decimation(node)
     LawParameters(node, files.controller, lambda _: None)
+    for name, shape in LAW_SHAPES.items():  # which say more than a descriptor: the range of each number
+        node.shapes[name] = replace(shape, default=node.shapes[name].default)
     declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)
 
 

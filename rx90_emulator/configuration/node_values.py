@@ -17,6 +17,7 @@ from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValu
 
 ARM_NODES = ("rx90_sim", "rx90_controller")
 _ANY = "**"
+_SHARED = ("robot", "base_rate", "position_rate", "urdf", "drives")
 _LAW = ("servo.", "feed_forward.", "supervision.")
 """Parameters that are values of the controller file."""
 
@@ -83,32 +84,25 @@ def node_setup(given: GivenParameters) -> list[ShownValue]:
     """
     found: list[ShownValue] = []
     files: dict[str, str] = {}
+    shared: dict[str, Any] = {}
     chosen: dict[str, str] = {}
     law: dict[str, ShownValue] = {}
     for node in ARM_NODES:
         parameters = declared(node, given.values[node])
         for name, value in parameters.values.items():
             origin = given.origins[node].get(name, OF_CODE) if name in given.values[node] else OF_CODE
+            if name in _SHARED and shared.setdefault(name, value) != value:
+                raise ConfigError(f"{name}: {shared[name]} and {value}; accepted: the same for both nodes")
             if name in FILES:
                 origin = f"robot {parameters.values['robot']}" if origin == OF_CODE else origin
-                _agree(name, files, value)
+                files[name] = value
                 chosen.setdefault(name, origin)
             if name.startswith(_LAW):
                 law[f"controller.{name}"] = ShownValue(f"{node}.{name}", value, "", origin)
             else:
                 found.append(ShownValue(f"{node}.{name}", value, "", origin))
-    for name in ("robot", "base_rate", "position_rate"):
-        values = {one.value for one in found if one.name.endswith(f".{name}")}
-        if len(values) > 1:
-            raise ConfigError(f"{name}: {' and '.join(map(str, sorted(values)))}; accepted: the same for both nodes")
-    robot = next(one.value for one in found if one.name.endswith(".robot"))
-    of_setup = setup_values(RobotFiles.named(robot, **files), chosen)
+    of_setup = setup_values(RobotFiles.named(shared["robot"], **files), chosen)
     return found + [_with(one, law.get(one.name)) for one in of_setup]
-
-
-def _agree(name: str, files: dict[str, str], value: str) -> None:
-    if files.setdefault(name, value) != value:
-        raise ConfigError(f"{name}: {files[name]} and {value}; accepted: the same file for both nodes")
 
 
 def _with(one: ShownValue, given: ShownValue | None) -> ShownValue:

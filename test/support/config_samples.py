@@ -6,7 +6,10 @@ from pathlib import Path
 
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, shipped_robots
-from rx90_emulator.configuration.kinds import KINDS, FileKind
+from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.node_file import NODE_FILE
+
+EVERY_KIND = (*KINDS, NODE_FILE)
 
 OWN = {
     "trajectory": """\
@@ -34,6 +37,24 @@ joint_states:
   position: 1.0e-9
   joints: {joint_1: {position: 1.0e-8, effort: 2}}
 """,
+    "node_parameters": """\
+/**/rx90_sim:
+  ros__parameters:
+    real_time_factor: 0
+    robot: tx40
+    initial_position: [0, 0.1, 0, 0, 0, 0]
+    paused: true
+cell_1/rx90_controller:
+  ros__parameters:
+    servo: {kp: [1, 2, 3, 4, 5, 6]}
+    feed_forward.coulomb: false
+    constraints: {joint_1.goal: 0.1, goal_time: 1}
+    detail_decimation: 5
+friction_bench:
+  ros__parameters: {seed: 3, ramp_slope: 0.03}
+rviz2:
+  ros__parameters: {use_sim_time: true}
+""",
     "payloads": """\
 loaded: {mass: 4.0, centre: [0.0, 0.01, 0.1], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.02]}
 """,
@@ -44,11 +65,6 @@ excitation: []
 validation: [three]
 """,
 }
-
-
-def kind_named(name: str) -> FileKind:
-    """Return the kind of this name."""
-    return next(kind for kind in KINDS if kind.name == name)
 
 
 def shipped() -> list[tuple[str, Path]]:

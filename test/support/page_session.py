@@ -141,7 +141,7 @@ class PageSession:
 
     def _words(self, line: str) -> list[str]:
         """Return the command line to start for one of the page's, which bash reads as the reader's shell does."""
-        first = line.split()[0]
+        first = line.split(maxsplit=1)[0]
         if first not in EXECUTABLES and first != "ros2":
             folder = Path(sys.executable).parent
             return ["/bin/bash", "-c", f"PATH={folder}:$PATH; {line}"]
