@@ -19,6 +19,8 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinxarg.ext",
     "sphinx_copybutton",
+    "api_text",
+    "schemas",
 ]
 exclude_patterns = ["_ext", "_build"]
 
@@ -26,8 +28,10 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath", "deflist"]
 nb_execution_mode = "cache"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300
+nb_output_stderr = "remove"
 
+default_role = "code"
 nitpicky = True
 nitpick_ignore_regex = [(r"py:.*", r".*")]  # of NumPy and others, whose inventories are on other hosts
 autodoc_typehints = "signature"
