@@ -12,10 +12,12 @@ from rx90_common.base.section import ABOUT
 from rx90_common.base.shapes import LEFT_OUT, Shape
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.friction.parameters import SIGNS
 from rx90_emulator.configuration.check import kind_named
 
 OF_CODE = "default of the code"
 COMMAND_LINE = "command line"
+ASSUMED = "assumed"
 _OTHERS = "others"
 
 
@@ -81,8 +83,26 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
         origin = OF_CODE if line is None else f"{name}:{line}"
         said = about if line is not None else _About(None, None)
         one = ShownValue(f"{role}.{place}", value, shape.unit, origin, said.provenance or "", said.source or "")
-        found.append(one)
+        found.append(_by_itself(one, root.content))
     return found
+
+
+def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
+    """Return a value with what the block `identification` of a friction file says of it, if it says anything."""
+    _, blocks, *names = one.name.split(".")
+    known = content.get("identification", {}).get("parameters", {}) if blocks == "elements" else {}
+    if not names or names[0] not in known:
+        return one
+    parameter, *sign = names[1:]
+    entries = [known[names[0]].get(name) for name in (parameter, *(f"{parameter}_{each}" for each in sign or SIGNS))]
+    said = [entry for entry in entries if entry is not None]
+    if not said:
+        return one
+    first = next((entry for entry in said if entry["provenance"] == ASSUMED), said[0])
+    taken = first.get("taken_from")
+    reasons = [first.get("reason"), None if taken is None else f"taken from {taken}"]
+    source = "; ".join(reason for reason in reasons if reason)
+    return one._replace(provenance=first["provenance"], source=source or one.source)
 
 
 def _leaves(shape: Shape, content: Any, path: str, about: _About) -> Iterator[tuple[str, Shape, Any, _About]]:

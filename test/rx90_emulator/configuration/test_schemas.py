@@ -15,6 +15,7 @@ import pytest
 import yaml
 from config_samples import EVERY_KIND, OWN, shipped, written
 from jsonschema import Draft202012Validator
+from schema_faults import schema_faults, validator
 
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import Rx90Error
@@ -39,11 +40,6 @@ ELSEWHERE |= {"rx90_emulator.identification.output.robot.folder"}
 def samples(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, Path]]:
     """A good file, or several, of every kind."""
     return shipped() + written(tmp_path_factory.mktemp("samples"))
-
-
-def validator(kind: str) -> Draft202012Validator:
-    """Return what checks data against the shipped schema of a kind."""
-    return Draft202012Validator(yaml.safe_load(config_path(f"schemas/{kind}.json").read_text(encoding="utf-8")))
 
 
 def test_the_shipped_schemas_are_those_of_the_readers() -> None:
@@ -71,8 +67,7 @@ def test_good_files_fit_their_schemas(samples: list[tuple[str, Path]]) -> None:
     assert {kind for kind, _ in samples} == {kind.name for kind in EVERY_KIND}
     for kind, path in samples:
         kind_named(kind).read(path)
-        errors = [error.message for error in validator(kind).iter_errors(load_yaml(path).content)]
-        assert errors == [], path
+        assert schema_faults(kind, path) == [], path
 
 
 def test_shipped_files_name_their_schemas() -> None:
