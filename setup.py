@@ -16,6 +16,7 @@ EXECUTABLES = (
     "rx90_run",
     "rx90_bag",
     "rx90_compare_measured",
+    "rx90_config",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",
@@ -46,7 +47,7 @@ DOCS = [
     "sphinx-argparse>=0.5.2,<0.7",
     "sphinx-copybutton>=0.5.2,<0.6",
 ]
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5"]
 
 setup(
     name=NAME,
@@ -69,6 +70,7 @@ setup(
         "Jinja2>=3.1.2,<4",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
+        "shtab>=1.7,<2",
     ],
     extras_require={
         "ros": [

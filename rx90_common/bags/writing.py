@@ -82,7 +82,8 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
-    Equal calls give equal files, byte for byte. All calls must come from one thread.
+    An error within its context before anything was written is a refusal: no folder stays. Equal calls give equal files,
+    byte for byte. All calls must come from one thread.
 
     Args:
         path: folder to make; must not exist.
@@ -101,7 +102,8 @@ class BagWriter:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._opened = self._closed = False
+        self._opened = self._closed = self._begun = False
+        self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = BulkWriter(
                 self.path, version=BulkWriter.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
@@ -118,6 +120,11 @@ class BagWriter:
         else:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
+            if not self._begun:
+                shutil.rmtree(self.path, ignore_errors=True)
+                with suppress(OSError):
+                    for folder in self._above:
+                        folder.rmdir()
 
     def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = (), definition: str = "") -> Connection:
         """Announce a topic and return the handle that `write` wants; for `definition` see `types_with`.
@@ -153,6 +160,7 @@ class BagWriter:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
         begin = 0
+        self._begun = self._begun or len(messages) > 0
         while begin < len(messages):
             end = self._next_stop(begin, log_ns, messages)
             rows = slice(begin, end)
