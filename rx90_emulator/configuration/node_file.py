@@ -36,10 +36,10 @@ def usual_parameters(node: str) -> DeclaredParameters:
 
 
 def flat(content: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """Return parameters by their whole names: mappings in mappings stand for names with dots."""
+    """Return parameters by their whole names: mappings in mappings stand for names with dots; an empty one stays."""
     found: dict[str, Any] = {}
     for key, value in content.items():
-        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+        found |= flat(value, f"{before}{key}.") if isinstance(value, dict) and value else {f"{before}{key}": value}
     return found
 
 
@@ -71,7 +71,7 @@ class NodeFile(Shape):
         nodes: list[tuple[str, Section]] = []
         root.attempt(lambda: nodes.extend(sections_of(root)))
         for node, section in nodes:
-            given = flat(section.content)
+            given = {name: value for name, value in flat(section.content).items() if value != {} or _known(node, name)}
             found[node] = {**found.get(node, {}), **given}
             if node in NODES:
                 _check(node, section, given)
@@ -80,7 +80,12 @@ class NodeFile(Shape):
     def rules(self) -> JsonSchema:
         """Return the parameters of each node, in any namespace."""
         nodes: JsonSchema = {f"(^|/){node}$": _node_schema(node) for node in NODES}
-        return {"type": "object", "patternProperties": nodes, "additionalProperties": {"type": "object", **_SECTION}}
+        other = {"type": "object", "properties": {PARAMETERS: {"type": "object"}}, **_SECTION}
+        return {"type": "object", "patternProperties": nodes, "additionalProperties": other}
+
+
+def _known(node: str, name: str) -> bool:
+    return node in NODES and usual_parameters(node).has_parameter(name)
 
 
 def _check(node: str, section: Section, given: Mapping[str, Any]) -> None:

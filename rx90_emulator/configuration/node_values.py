@@ -56,6 +56,8 @@ class GivenParameters:
         lines = yaml_lines(path)
         for node, section in sections_of(load_yaml(path)):
             for name, value in flat(section.content).items():
+                if value == {}:  # a name's beginning with nothing behind it
+                    continue
                 origin = f"{path}:{lines.get(f'{section.path}.{name}', 0)}"
                 for each in ARM_NODES if node == _ANY else (node,):
                     if each in ARM_NODES:

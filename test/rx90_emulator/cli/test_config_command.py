@@ -149,6 +149,9 @@ def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captur
     file.write_text("rx90_sim: {ros__parameters: {time_mode: fast}}\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(file)]) == 1
     assert ":1: rx90_sim.ros__parameters.time_mode is 'fast'; accepted: lock_step, free_r" in capsys.readouterr().out
+    file.write_text("rx90_sim: {ros__parameters: {paused: {}}}\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(file)]) == 1
+    assert ":1: rx90_sim.ros__parameters.paused is {}; accepted: true or false" in capsys.readouterr().out
 
 
 def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show) -> None:
