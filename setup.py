@@ -16,6 +16,7 @@ EXECUTABLES = (
     "rx90_run",
     "rx90_bag",
     "rx90_compare_measured",
+    "rx90_config",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",
@@ -38,7 +39,15 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+DOCS = [
+    "sphinx>=8.1,<9.1",
+    "myst-parser>=4,<6",
+    "myst-nb>=1.4,<2",
+    "furo>=2025.12,<2026.12",
+    "sphinx-argparse>=0.5.2,<0.7",
+    "sphinx-copybutton>=0.5.2,<0.6",
+]
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5"]
 
 setup(
     name=NAME,
@@ -61,6 +70,7 @@ setup(
         "Jinja2>=3.1.2,<4",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
+        "shtab>=1.7,<2",
     ],
     extras_require={
         "ros": [
@@ -68,6 +78,7 @@ setup(
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
+        "docs": DOCS,
         "test": TEST,
         "dev": [
             *TEST,
@@ -75,6 +86,10 @@ setup(
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
             "wheel>=0.42,<1",
+            "markdown-it-py>=3,<5",
+            "nbclient>=0.10,<0.12",
+            "nbformat>=5.10,<6",
+            "ipykernel>=6.29,<8",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
             "ruff>=0.17,<0.18",

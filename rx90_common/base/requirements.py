@@ -31,6 +31,7 @@ SOURCES = {
     "rosbags": Source("rosbags"),
     "scipy": Source("scipy", "python3-scipy"),
     "serial": Source("pyserial", "python3-serial"),
+    "shtab": Source("shtab", "python3-shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }
@@ -84,7 +85,7 @@ def _accepted(module: str) -> str:
     if source.apt and _APT_FOLDER in sys.path and os.environ.get("ROS_DISTRO") == "jazzy":
         return f"sudo apt install {source.apt}"
     if managed:
-        return f"a virtual environment with {source.pip} in it, as in README.md, With ROS 2 Jazzy"
+        return f"a virtual environment with {source.pip} in it, as in docs/start/install.md"
     return _pip(source.pip)
 
 
