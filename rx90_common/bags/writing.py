@@ -200,7 +200,7 @@ class BagWriter:
         except (WriterError, OSError, sqlite3.Error) as error:
             with suppress(OSError, sqlite3.Error):
                 self._writer.abort()
-            raise self._explained(error) from error
+            raise _explained(error, self._named, opened=self._opened) from error
 
     def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
@@ -226,16 +226,17 @@ class BagWriter:
         try:
             yield
         except (WriterError, OSError, sqlite3.Error) as error:
-            raise self._explained(error) from error
+            raise _explained(error, self._named, opened=self._opened) from error
 
-    def _explained(self, error: Exception) -> BagError:
-        if isinstance(error, WriterError):
-            return BagError(plain(error, 1000))
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        # What is refused before anything is written is the user's to mend: another folder, another name.
-        failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-        half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
-        return (BagWriteError if failed else BagError)(f"{plain(self._named)}: cannot be written ({reason}){half}")
+
+def _explained(error: Exception, named: Path, *, opened: bool) -> BagError:
+    if isinstance(error, WriterError):
+        return BagError(plain(error, 1000))
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    # What is refused before anything is written is the user's to mend: another folder, another name.
+    failed = opened or getattr(error, "errno", None) in DISK_ERRORS
+    half = "; what was written before stays, and rx90_bag info says how much of it is whole" if opened else ""
+    return (BagWriteError if failed else BagError)(f"{plain(named)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ SOURCES = {
     "rosbags": Source("rosbags"),
     "scipy": Source("scipy", "python3-scipy"),
     "serial": Source("pyserial", "python3-serial"),
-    "shtab": Source("shtab", "python3-shtab"),
+    "shtab": Source("shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }

@@ -15,13 +15,12 @@ from rx90_common.base.groups import DEFINITIONS, Entries, Group
 from rx90_common.base.section import Section
 from rx90_common.base.shapes import JsonSchema, Number, Switch
 from rx90_common.description.drives import DRIVES, load_drives
-from rx90_common.description.robot_files import FILES
 from rx90_common.description.tool import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
 from rx90_controller.law.parameters import CONTROLLER, load_controller
 from rx90_controller.lines.task import TASK, load_task
 from rx90_emulator.identification.excitation.payload import PAYLOADS, read_payloads
-from rx90_emulator.identification.experiments.folder import EXPERIMENTS, INDEX, read_index
+from rx90_emulator.identification.experiments.folder import EXPERIMENTS, read_index
 from rx90_emulator.identification.experiments.poses import POSES, Poses
 from rx90_emulator.loop.trajectory_file import TRAJECTORY, load_trajectory
 from rx90_emulator.sweep.plan_file import PLAN, load_sweep_plan
@@ -66,13 +65,11 @@ class FileKind:
         name: of the kind and of its schema.
         shape: what the file may hold.
         read: the reader of all who use the file; raises Rx90Error.
-        files: what such files are called where their name is fixed, as patterns of VS Code.
     """
 
     name: str
     shape: ReadableShape
     read: Callable[[Path], Any]
-    files: tuple[str, ...] = ()
 
     def json_schema(self) -> JsonSchema:
         """Return the JSON schema, draft 2020-12, of a file."""
@@ -88,27 +85,21 @@ def _read_trajectory(path: Path) -> object:
     return load_trajectory(path, TRAJECTORY.read(load_yaml(path, first=True))["joint_names"])
 
 
-def _of_robot(role: str) -> tuple[str, ...]:
-    return (f"**/{FILES[role]}",)
-
-
 KINDS = (
-    FileKind("drives", DRIVES, load_drives, _of_robot("drives")),
-    FileKind("tool", TOOL, load_tool, _of_robot("tool")),
-    FileKind("friction", FRICTION, FrictionFile.read, _of_robot("friction")),
-    FileKind("controller", CONTROLLER, load_controller, _of_robot("controller")),
-    FileKind("task", TASK, load_task, _of_robot("task")),
-    FileKind("poses", POSES, Poses.load, _of_robot("poses")),
-    FileKind(
-        "moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path)), ("**/joint_limits.yaml",)
-    ),
+    FileKind("drives", DRIVES, load_drives),
+    FileKind("tool", TOOL, load_tool),
+    FileKind("friction", FRICTION, FrictionFile.read),
+    FileKind("controller", CONTROLLER, load_controller),
+    FileKind("task", TASK, load_task),
+    FileKind("poses", POSES, Poses.load),
+    FileKind("moveit_limits", _MOVEIT_LIMITS, lambda path: _MOVEIT_LIMITS.read(load_yaml(path))),
     FileKind("rig", RIG, load_rig),
     FileKind("sweep_plan", PLAN, lambda path: Sweep(load_sweep_plan(path))),
     FileKind("trajectory", TRAJECTORY, _read_trajectory),
     FileKind("log_mapping", MAPPING, LogMapping.load),
     FileKind("tolerances", TOLERANCES, load_rules),
     FileKind("payloads", PAYLOADS, read_payloads),
-    FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent), (f"**/{INDEX}",)),
+    FileKind("experiments", EXPERIMENTS, lambda path: read_index(path.parent)),
 )
 """All kinds but the nodes' parameter files, which need ROS: see node_file.py.
 

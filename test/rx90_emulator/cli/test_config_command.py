@@ -229,6 +229,7 @@ def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None
         ("rx90_bag record motor_s", {"motor_states"}),
         ("rx90_run --robot r", {"rx90b", "robots"}),
         ("rx90_run --task m", {"my_task.yaml"}),
+        ("rx90_run --output ", {"robots"}),
         ("rx90_sweep run sweep/p", {"sweep/payload_and_speed.yaml"}),
         ("rx90_config check m", {"my_task.yaml"}),
         ("rx90_sim --params-file m", {"my_task.yaml"}),
@@ -249,6 +250,7 @@ $function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
 """
     done = subprocess.run(["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
     assert set(done.stdout.split()) >= expected, done
+    assert "my_task.yaml" not in done.stdout or "my_task.yaml" in expected
     assert not [each for each in done.stdout.split() if not each.startswith(words.rpartition(" ")[2])]
 
 

@@ -27,6 +27,7 @@ CALLS = {
     "friction_rig_emulator": ([], "numpy yaml numba"),
     "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
     "rx90_compare_measured": (["bag"], "numba scipy"),
+    "rx90_config": (["completion", "bash"], "shtab yaml"),
     "rx90_demo": ([], "numba"),
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
