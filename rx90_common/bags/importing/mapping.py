@@ -27,10 +27,10 @@ from typing import Any, Final, TypeAlias
 
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 
 Column: TypeAlias = int | str
 """Number of a column, from 1 on, or its name."""
