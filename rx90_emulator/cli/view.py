@@ -1,8 +1,9 @@
-"""Look at an arm in the browser: the arm of running nodes, its laser spot, its friction."""
+"""Look at an arm in the browser, and move it: the arm of running nodes, its laser spot, its friction."""
 
 from __future__ import annotations
 
 import argparse
+import time
 
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import add_robot_arguments
@@ -19,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one alone)",
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
-    add_robot_arguments(parser, "urdf", "tool", "task")
+    add_robot_arguments(parser, "urdf", "tool", "friction", "controller", "task")
 
 
 def main(options: argparse.Namespace) -> None:
@@ -38,6 +39,8 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.view.live.live_view import LiveView
     from rx90_emulator.view.live.source import LiveSource
     from rx90_emulator.view.page import Page
+    from rx90_emulator.view.panel.operator import NodeNames
+    from rx90_emulator.view.panel.panel import DoPanel
 
     files = RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
@@ -45,12 +48,17 @@ def main(options: argparse.Namespace) -> None:
     page = Page("rx90_view", options.host, options.port)
     try:
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            LiveView(page, LiveSource(client, robot), robot, line)
+            source = LiveSource(client, robot)
+            live = LiveView(page, source, robot, line)
+            names = NodeNames(ros_args=tuple(options.ros_args))
+            panel = DoPanel(page, files, lambda: source.newest(time.monotonic()), names, live.lay_line)
             print(f"page: {page.address} (Ctrl-C ends it)", flush=True)
             try:
                 page.run()
             except KeyboardInterrupt:
                 return
+            finally:
+                panel.close()
     finally:
         page.close()
 

@@ -53,7 +53,9 @@ class LineScene:
     def __init__(self, page: Page, name: str, start: Array, end: Array) -> None:
         self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
         points = np.stack([self._start, self._end])[None]
-        page.scene.add_line_segments(f"{name}/line", points, (30, 30, 30), thickness=2.0, thickness_units="screen")
+        self._line = page.scene.add_line_segments(
+            f"{name}/line", points, (30, 30, 30), thickness=2.0, thickness_units="screen"
+        )
         self._spot = page.scene.add_icosphere(f"{name}/spot", 0.008, _SPOT, subdivisions=2, cast_shadow=False)
         self._trace = page.scene.add_line_segments(
             f"{name}/trace", points, (150, 150, 150), thickness=5.0, thickness_units="screen", visible=False
@@ -79,6 +81,12 @@ class LineScene:
         self._trace.points = np.stack([tips[:-1], tips[1:]], axis=1).astype(np.float32)
         self._trace.colors = np.stack([colors[:-1], colors[1:]], axis=1)
         self._trace.visible = True
+
+    def lay(self, start: Array, end: Array) -> None:
+        """Show another line from now on, each end (3,) m."""
+        self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        self._line.points = np.stack([self._start, self._end])[None].astype(np.float32)
+        self.clear()
 
     def clear(self) -> None:
         """Forget the trace."""

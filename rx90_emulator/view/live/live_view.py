@@ -30,7 +30,7 @@ class LiveView:
     """
 
     def __init__(self, page: Page, source: LiveSource, robot: RobotModel, line: LineTask | None) -> None:
-        self._source, self._robot = source, robot
+        self._page, self._source, self._robot = page, source, robot
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
         reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
@@ -46,6 +46,13 @@ class LiveView:
         self._said = ""
         page.every(_POSE_PERIOD, self._update)
         page.every(_PLOT_PERIOD, self._draw)
+
+    def lay_line(self, task: LineTask) -> None:
+        """Show a line that was sent; from now on the spot's path error is its distance from this one."""
+        start, end = np.array(task.start), np.array(task.end)
+        if self._line is None:
+            self._line = LineScene(self._page, "/reference", start, end)
+        self._line.lay(start, end)
 
     def _update(self, now: float) -> None:
         state = self._source.take(now)

@@ -29,6 +29,7 @@ class LiveSource:
         self.diagnostics = DiagnosticsTopic(client.node)
         self._elements: ElementState | None = None
         self._heard: float | None = None
+        self._newest: ArmState | None = None
 
     def take(self, now: float) -> ArmState | None:
         """Return the state that came since the last call, None if none did; `now` is the steady clock's time, s."""
@@ -39,7 +40,12 @@ class LiveSource:
         if joints is None:
             return None
         self._heard = now
-        return _state(joints, self._elements)
+        self._newest = _state(joints, self._elements)
+        return self._newest
+
+    def newest(self, now: float) -> ArmState | None:
+        """Return the newest state that was taken; None where there is none, or its simulation has gone."""
+        return None if self.problem(now) else self._newest
 
     def problem(self, now: float) -> str:
         """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""
