@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.options import add_robot_arguments
@@ -20,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one alone)",
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
+    parser.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
     add_robot_arguments(parser, "urdf", "tool", "friction", "controller", "task")
 
 
@@ -48,10 +48,8 @@ def main(options: argparse.Namespace) -> None:
     page = Page("rx90_view", options.host, options.port)
     try:
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            source = LiveSource(client, robot)
-            live = LiveView(page, source, robot, line)
-            names = NodeNames(ros_args=tuple(options.ros_args))
-            panel = DoPanel(page, files, lambda: source.newest(time.monotonic()), names, live.lay_line)
+            live = LiveView(page, LiveSource(client, robot, options.node), robot, line)
+            panel = DoPanel(page, files, live.newest, NodeNames.beside(options.node, options.ros_args), live.lay_line)
             print(f"page: {page.address} (Ctrl-C ends it)", flush=True)
             try:
                 page.run()

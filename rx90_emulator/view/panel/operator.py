@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from rx90_common.base.errors import ExchangeError
@@ -32,6 +32,11 @@ class NodeNames:
     simulation: str = "rx90_sim"
     controller: str = "rx90_controller"
     ros_args: tuple[str, ...] = ()
+
+    @classmethod
+    def beside(cls, controller: str, ros_args: Sequence[str]) -> NodeNames:
+        """Return a controller, relative or absolute, and the simulation in its namespace."""
+        return cls(f"{controller[: controller.rfind('/') + 1]}{cls.simulation}", controller, tuple(ros_args))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.operator import NodeNames
 from rx90_emulator.view.panel.panel import DoPanel
+from rx90_emulator.view.state import ArmState
 
 Open = Callable[..., BrowserPage]
 START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
@@ -40,9 +40,11 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
     sent: list[LineTask] = []
     with client_node("test_view", 1.0, print) as client:
         page = Page("test", port=0)
-        source = LiveSource(client, shipped.robot)
-        page.every(0.05, source.take)
-        parts = DoPanel(page, shipped.files, lambda: source.newest(time.monotonic()), NodeNames(), sent.append)
+        source = LiveSource(client, shipped.robot, "rx90_controller")
+        states: list[ArmState] = []
+        page.every(0.05, lambda now: states.extend(filter(None, [source.take(now)])))
+        names = NodeNames.beside("/rx90_controller", ())
+        parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
         with served(page):
             yield page, cell, sent
         parts.close()
@@ -70,7 +72,7 @@ def test_what_is_done_on_the_page_happens(panel: Any, open_page: Open, shipped: 
     _an_element_is_changed(shown)
     cell.signal(signal.SIGINT)
     press(shown, "Move")
-    shown.wait_until(lambda: "cannot be sent: there is no rx90_controller" in shown.text(), "the reason")
+    shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
     shown.wait_until(lambda: not shown.page.get_by_role("button", name="Pause").is_enabled(), "no pause")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
