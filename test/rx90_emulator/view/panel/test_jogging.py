@@ -28,18 +28,20 @@ def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: Setup) -> No
         np.testing.assert_array_equal(points.position, [target])
 
 
-def test_a_jog_in_mid_motion_is_accepted(shipped: Setup) -> None:
-    """Targets that are dragged to and fro, every 0.2 s from what the arm then does, keep to the controller's limits."""
-    limits = shipped.controller.limits(shipped.robot)
+def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
+    """Targets that are dragged to and fro, every 0.2 s, are taken, and accelerate the set-points like one move."""
+    limits, gentle = shipped.controller.limits(shipped.robot), Approach()
     generator = TrajectoryGenerator(limits, 1e-3, ZERO)
     rng = np.random.default_rng(7)
-    last = 0
+    last, peak = 0, 0.0
     for tick in range(0, 6000, 200):
-        position, velocity, _ = generator.setpoints(tick, 1)[0]
-        target = np.clip(rng.normal(0.0, 0.6, 6), limits.lower * 0.9, limits.upper * 0.9)
-        # What the page knows is some milliseconds old.
-        old = generator.setpoints(max(tick - 1, 0), 1)[0] if tick else np.stack([position, velocity, ZERO])
-        last = generator.accept(jog(old[0], old[1], target, limits, Approach()), tick, None).end
+        # What the page knows is some time old.
+        position, velocity, _ = generator.setpoints(max(tick - 1, 0), 1)[0]
+        target = position + rng.choice([-1.0, 1.0], 6) * rng.uniform(0.02, 0.3, 6)
+        last = generator.accept(jog(position, velocity, target, limits, gentle), tick, None).end
+        peak = max(peak, float(np.abs(generator.setpoints(tick, 200)[:, 2]).max()))
+    # A move begins with the acceleration that the last one has there, which the page does not know.
+    assert 0.9 * gentle.acceleration < peak < 1.3 * gentle.acceleration
     np.testing.assert_allclose(generator.setpoints(last, 1)[0, 0], target, atol=1e-12)
 
 
