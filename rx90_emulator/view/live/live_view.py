@@ -75,6 +75,11 @@ class LiveView:
         """Return the newest state; None where there is none, or its simulation has gone."""
         return None if self._source.problem(time.monotonic()) else self.state
 
+    def rests(self, seconds: float) -> bool:
+        """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
+        state, span = self.state, self._source.watch.trajectory
+        return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
+
     def _update(self, now: float) -> None:
         state = self._source.take(now)
         if state is None:
