@@ -137,8 +137,9 @@ def _an_element_is_changed(shown: BrowserPage) -> None:
     fill(shown, "tau", "40")
     text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
     shown.wait_until(lambda: text in shown.text(), "the element's refusal")
+    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
     fill(shown, "tau", "20 28")
-    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive 25 -> 20 Nm" in shown.text(), "the change")
+    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
     velocity, before, after = map(np.array, shown.plots()[title]["data"])
     # Half a radian per second is ten Stribeck velocities: what is left is Coulomb and viscous friction.
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
