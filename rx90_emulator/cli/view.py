@@ -1,4 +1,4 @@
-"""Look at an arm in the browser: the arm of running nodes, its laser spot, its friction."""
+"""Look at an arm in the browser, and move it: the arm of running nodes, its laser spot, its friction."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
     page.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-    add_robot_arguments(parser, "urdf", "tool", "controller", "task")
+    add_robot_arguments(parser, "urdf", "tool", "friction", "controller", "task")
 
 
 def main(options: argparse.Namespace) -> None:
