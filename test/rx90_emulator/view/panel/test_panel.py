@@ -89,9 +89,9 @@ def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]
     shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
     assert not send.is_enabled()
     fill(shown, "speed", f"{SPEED}")
-    shown.wait_until(send.is_enabled, "a line that can be sent")
     length = float(np.linalg.norm(END - START))
-    assert f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of" in shown.text()
+    said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
+    shown.wait_until(lambda: said in shown.text() and send.is_enabled(), "the line with its approach")
     client = Client()
     heard = client.listen("joint_states", depth=20_000)  # nobody spins while the page is used
     client.spin_until(lambda: bool(heard), "the arm")
@@ -140,12 +140,13 @@ def _an_element_is_changed(shown: BrowserPage) -> None:
     shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
     fill(shown, "tau", "20 28")
     shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
+    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 28.0}" in shown.text(), "the YAML")
+    shown.wait_until(lambda: not np.equal(*shown.plots()[title]["data"][1:]).all(), "the other curve")
     velocity, before, after = map(np.array, shown.plots()[title]["data"])
     # Half a radian per second is ten Stribeck velocities: what is left is Coulomb and viscous friction.
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
         assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
-    assert "tau_c: {positive: 20.0, negative: 28.0}" in shown.text()
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
 
