@@ -11,6 +11,7 @@ __all__ = [
     "robot",
     "robot_files",
     "rotations",
+    "tip",
     "urdf",
     "wrist",
 ]
