@@ -1,0 +1,101 @@
+"""The plots of recordings: the whole length, and what was around the time that is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rx90_common.base.rates import NANOSECONDS
+from rx90_emulator.view.bags.curves import Curve, CurvesPlot
+from rx90_emulator.view.bags.difference import Difference
+from rx90_emulator.view.bags.recording import Recording
+from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import COLOURS
+
+_ALL = "all joints"
+_SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
+_MM, _MRAD = 1e3, 1e3
+_HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
+
+
+class BagPlots:
+    """Plots of one recording, or of two and their difference.
+
+    Args:
+        page: to draw in.
+        recordings: one or two, on one time.
+        difference: of two.
+        path_errors: distance from the set-points' path, for each recording that has set-points.
+        span_ns: beginning and end of all.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        recordings: Sequence[Recording],
+        difference: Difference | None,
+        path_errors: Sequence[Track],
+        span_ns: tuple[int, int],
+    ) -> None:
+        self._span = span_ns
+        self._joints = recordings[0].arm.names
+        whole = []
+        if difference is not None:
+            whole.append(("distance of the tips [mm]", _curves([difference.tip], "position", _MM)))
+            whole.append(("difference of the joints [mrad]", _curves([difference.joints], "position", _MRAD)))
+        if path_errors:
+            whole.append(("path error at the tip [mm]", _curves(path_errors, "position", _MM)))
+        whole.append(("joint angles [rad]", _curves([recording.arm for recording in recordings], "position")))
+        with page.plot_tab("Whole length"):
+            self._whole = [CurvesPlot(page, title, curves, span_ns[0]) for title, curves in whole]
+            page.gui.add_markdown(_HINT)
+        with page.plot_tab("Around the time"):
+            joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), _ALL)
+            self._width = page.gui.add_dropdown("width, s", _SPANS, "2")
+            self._around = [
+                CurvesPlot(page, title, curves, span_ns[0]) for title, curves in _states(recordings) if curves
+            ]
+        joint.on_update(lambda _: page.later(lambda: self._choose(joint.value)))
+        self._width.on_update(lambda _: page.later(self.forget))
+        self._drawn: int | None = None
+
+    def forget(self) -> None:
+        """Draw at the next call, even if the time is the same."""
+        self._drawn = None
+
+    def draw(self, shown_ns: int) -> None:
+        """Draw for a time, if it is another one than before."""
+        if shown_ns == self._drawn:
+            return
+        self._drawn = shown_ns
+        for plot in self._whole:
+            plot.draw(*self._span, shown_ns)
+        half = round(float(self._width.value) * NANOSECONDS / 2)
+        for plot in self._around:
+            plot.draw(shown_ns - half, shown_ns + half, shown_ns)
+
+    def _choose(self, joint: str) -> None:
+        for plot in self._around:
+            plot.choose(lambda name: joint in (_ALL, name))
+        self.forget()
+
+
+def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[Curve]]]:
+    arms = [recording.arm for recording in recordings]
+    frictions = [recording.friction for recording in recordings if recording.friction is not None]
+    return [
+        ("drive torque [Nm]", _curves(arms, "effort")),
+        ("friction torque [Nm]", _curves(frictions, "effort")),
+        ("velocity [rad/s]", _curves(arms, "velocity")),
+        ("position [rad]", _curves(arms, "position")),
+    ]
+
+
+def _curves(tracks: Sequence[Track], field: str, scale: float = 1.0) -> list[Curve]:
+    """Return the columns of tracks; those of the second are dashed."""
+    return [
+        Curve(name, track, field, column, scale, COLOURS[column % len(COLOURS)], dashed=number > 0)
+        for number, track in enumerate(tracks)
+        if field in track.values
+        for column, name in enumerate(track.names)
+    ]
