@@ -20,6 +20,7 @@ EXECUTABLES = (
     "rx90_sweep",
     "rx90_experiment",
     "rx90_identify",
+    "rx90_view",
 )
 
 
@@ -38,6 +39,7 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
+VIEW = ["viser>=1.1,<1.2"]
 TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
 
 setup(
@@ -68,9 +70,12 @@ setup(
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
+        "view": VIEW,
         "test": TEST,
         "dev": [
             *TEST,
+            *VIEW,
+            "playwright>=1.50,<2",
             "pyarrow>=18,<27",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

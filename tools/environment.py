@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, or to test them with the
 # versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
-EXTRAS = {"run": ("ros",), "dev": ("ros", "dev"), "jazzy": ("ros", "test")}
+EXTRAS = {"run": ("ros", "view"), "dev": ("ros", "dev"), "jazzy": ("ros", "test")}
 FOLDERS = {"run": ".venv", "dev": ".venv", "jazzy": ".venv-jazzy"}
 CONSTRAINTS = {"jazzy": "tools/constraints-jazzy.txt"}
 _NEWEST_FOR = {"jazzy": (3, 12)}

@@ -29,9 +29,11 @@ SOURCES = {
     "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
     "pyarrow": Source("pyarrow"),
     "rosbags": Source("rosbags"),
+    "rich": Source("viser"),
     "scipy": Source("scipy", "python3-scipy"),
     "serial": Source("pyserial", "python3-serial"),
     "tqdm": Source("tqdm", "python3-tqdm"),
+    "viser": Source("viser"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }
 """Of each module outside the standard library and ROS that the project imports."""
