@@ -1,10 +1,11 @@
-"""Look at an arm in the browser: the arm of running nodes, its laser spot, its friction."""
+"""Look at an arm in the browser: the arm of running nodes, its laser spot, its friction; or bags, played again."""
 
 from __future__ import annotations
 
 import argparse
 
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.cli import view_bags
 from rx90_emulator.cli.options import add_robot_arguments
 
 _LAST_PORT = 65535
@@ -13,21 +14,26 @@ _LAST_PORT = 65535
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.set_defaults(ros_args=[])
+    view_bags.add_arguments(parser)
     page = parser.add_argument_group("page")
     page.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one alone)",
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
-    add_robot_arguments(parser, "urdf", "tool", "task")
+    add_robot_arguments(parser, "urdf", "tool", "drives", "task")
+    view_bags.add_layout_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> None:
     """Show the page until Ctrl-C.
 
     Raises:
-        Rx90Error: where the page cannot be served or the robot cannot be read.
+        Rx90Error: where the page cannot be served, or the robot or a bag cannot be read.
     """
+    if view_bags.check(options):
+        view_bags.main(options)
+        return
     from rx90_common.exchange.environment import prepare
 
     prepare()

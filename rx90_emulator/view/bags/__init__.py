@@ -1,4 +1,7 @@
-"""Recorded bags made ready to be looked at: states at any time, envelopes for plots, two bags' difference.
+"""Recorded bags, played on the page: states at any time, envelopes for plots, two bags' difference.
 
-layout (whose joint angles) -> recording (a bag's series in memory) -> track (at any time), difference -> playback.
+layout (whose joint angles) -> recording (a bag's series in memory, as tracks) -> difference, path -> player (arms,
+controls, plots, facts); job puts these together.
 """
+
+__all__ = ["job"]

@@ -50,8 +50,8 @@ class BagPlots:
             self._whole = [CurvesPlot(page, title, curves, span_ns[0]) for title, curves in whole]
             page.gui.add_markdown(_HINT)
         with page.plot_tab("Around the time"):
-            joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), _ALL)
-            self._width = page.gui.add_dropdown("width, s", _SPANS, "2")
+            joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), initial_value=_ALL)
+            self._width = page.gui.add_dropdown("width, s", _SPANS, initial_value="2")
             self._around = [
                 CurvesPlot(page, title, curves, span_ns[0]) for title, curves in _states(recordings) if curves
             ]

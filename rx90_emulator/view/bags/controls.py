@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import viser
 
@@ -31,11 +32,12 @@ class PlayControls:
         self._moved_at = -1.0
         self._now = 0.0
         self._slider = gui.add_slider(
-            "time, s", 0.0, max(playback.end, _STEP), _STEP, 0.0, marks=tuple(marks[:_MOST_MARKS]) or None
-        )
+            "time, s", 0.0, max(playback.end, _STEP), _STEP, initial_value=0.0,
+            marks=tuple(marks[:_MOST_MARKS]) or None,
+        )  # fmt: skip
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
-        self._speed = gui.add_dropdown("speed", _SPEEDS, "1", hint="recorded seconds in each second")
-        self._loop = gui.add_checkbox("loop", False, hint="begin again at the end")
+        self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1", hint="recorded seconds in each second")
+        self._loop = gui.add_checkbox("loop", initial_value=False, hint="begin again at the end")
         self._slider.on_update(_by_hand(page, self._scrub))
         self._play.on_click(lambda _: page.later(self._toggle))
         self._speed.on_update(_by_hand(page, self._take_choices))
@@ -45,17 +47,21 @@ class PlayControls:
         """Show a time, s, and stay there."""
         self._playback.playing = False
         self._playback.seek(time)
-        self._slider.value = self._playback.time
+        self._set(self._playback.time)
 
     def follow(self, now: float) -> None:
         """Show what the playback does; `now` is the steady clock's time, s."""
         self._now = now
         if now - self._moved_at > _HOLDS_STILL:
-            self._slider.value = round(self._playback.time / _STEP) * _STEP
+            self._set(self._playback.time)
         label = "Pause" if self._playback.playing else "Play"
         if self._play.label != label:
             self._play.label = label
             self._play.icon = viser.Icon.PLAYER_PAUSE if self._playback.playing else viser.Icon.PLAYER_PLAY
+
+    def _set(self, time: float) -> None:
+        # mypy does not find the setter, which viser defines apart from its property.
+        self._slider.value = round(time / _STEP) * _STEP  # type: ignore[misc]
 
     def _scrub(self) -> None:
         self._moved_at = self._now
@@ -72,10 +78,10 @@ class PlayControls:
         self._playback.loop = bool(self._loop.value)
 
 
-def _by_hand(page: Page, function: Callable[[], None]) -> Callable[[viser.GuiEvent], None]:
+def _by_hand(page: Page, function: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
     """Return a callback that has `function` called for changes made on a page, not for those of this program."""
 
-    def changed(event: viser.GuiEvent) -> None:
+    def changed(event: viser.GuiEvent[Any]) -> None:
         if event.client is not None:
             page.later(function)
 

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rx90_common.bags.reading import BagReader, BagTopic
 from rx90_common.bags.topics import absolute
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.urdf import JOINT_COUNT
 from rx90_common.description.wrist import coupling_matrix
 from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.measured.options import MeasuredLayout
 
 _JOINT_STATES = "joint_states"
+_SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
 
 
 def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: MeasuredLayout) -> BagLayout:
@@ -30,11 +34,10 @@ def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: Me
         IdentificationError: if gears and coupling do not fit together.
     """
     topic = _topic(bag, options.topic)
-    count = len(robot.joint_names)
-    for name, size in (("names", count), ("gear", count), ("zero", count), ("coupling", count**2)):
+    for name, size in _SIZES.items():
         values = getattr(options, name)
         if values is not None and len(values) != size:
-            raise BagError(f"--{name}: {len(values)} values; accepted: {size}")
+            raise BagError(f"--{name.replace('_', '-')}: {len(values)} values; accepted: {size}")
     motors = topic.name.rpartition("/")[2] == MOTOR_STATES
     messages = tuple(options.names or (MOTOR_NAMES if motors else robot.joint_names))
     if options.gear is None and not motors:
@@ -43,10 +46,18 @@ def arm_layout(bag: BagReader, robot: RobotModel, files: RobotFiles, options: Me
         layout = BagLayout(topic.name, messages, robot.joint_names)
     else:
         gear = load_drives(files.drives).gear if options.gear is None else np.array(options.gear, dtype=np.float64)
-        coupling = coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (count, count))
+        coupling = (
+            coupling_matrix() if options.coupling is None else np.reshape(options.coupling, (JOINT_COUNT, JOINT_COUNT))
+        )
         layout = BagLayout.motor_side(topic.name, messages, robot.joint_names, gear, coupling)
-    zero = None if options.zero is None else np.array(options.zero, dtype=np.float64)
-    return replace(layout, zero=zero, record_time=options.record_time)
+    return replace(
+        layout, record_time=options.record_time, zero=_array(options.zero),
+        torque_constant=_array(options.torque_constant),
+    )  # fmt: skip
+
+
+def _array(values: Sequence[float] | None) -> Array | None:
+    return None if values is None else np.array(values, dtype=np.float64)
 
 
 def _topic(bag: BagReader, wanted: str | None) -> BagTopic:

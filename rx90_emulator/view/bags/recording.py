@@ -162,6 +162,8 @@ def _of_bag(path: Path, error: BagError) -> BagError:
 def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:
     """Return the joints' states, in the order of the robot's joints."""
     fields = dict(series.fields)
+    if layout.torque_constant is not None and "effort" in fields:
+        fields["effort"] = fields["effort"] * layout.torque_constant
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns).T
         for field, values in fields.items():
