@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.curves import Curve, CurvesPlot
@@ -16,6 +17,7 @@ _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
 _MM, _MRAD = 1e3, 1e3
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
+_SECOND = "dashed: the second bag"
 
 
 class BagPlots:
@@ -46,10 +48,13 @@ class BagPlots:
         if path_errors:
             whole.append(("path error at the tip [mm]", _curves(path_errors, "position", _MM)))
         whole.append(("joint angles [rad]", _curves([recording.arm for recording in recordings], "position")))
+        legend = _legend(recordings)
         with page.plot_tab("Whole length"):
+            page.gui.add_html(legend)
             self._whole = [CurvesPlot(page, title, curves, span_ns[0]) for title, curves in whole]
             page.gui.add_markdown(_HINT)
         with page.plot_tab("Around the time"):
+            page.gui.add_html(legend)
             joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), initial_value=_ALL)
             self._width = page.gui.add_dropdown("width, s", _SPANS, initial_value="2")
             self._around = [
@@ -78,6 +83,18 @@ class BagPlots:
         for plot in self._around:
             plot.choose(lambda name: joint in (_ALL, name))
         self.forget()
+
+
+def _legend(recordings: Sequence[Recording]) -> str:
+    """Return the colours of joints and friction elements, as HTML."""
+    first = recordings[0]
+    names = first.arm.names if first.friction is None else first.friction.names
+    parts = [
+        f'<span style="color:{COLOURS[number % len(COLOURS)]}">&#9632;</span>&nbsp;{escape(name)}'
+        for number, name in enumerate(names)
+    ]
+    text = " ".join([*parts, *[f"({_SECOND})"] * (len(recordings) - 1)])
+    return f'<div style="padding:0.4em 0.8em 0;font-size:0.8em">{text}</div>'
 
 
 def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[Curve]]]:

@@ -15,6 +15,7 @@ from rx90_emulator.view.page import Page
 
 _BUCKETS = 300  # about one for each pixel of a plot
 _CURSOR = "#888888"
+_MOST_PARTS = 8  # of a curve with gaps
 
 
 class Curve(NamedTuple):
@@ -53,10 +54,11 @@ class CurvesPlot:
     def __init__(self, page: Page, title: str, curves: Sequence[Curve], origin_ns: int, height: int = 170) -> None:
         self._curves, self._origin = tuple(curves), origin_ns
         self._chosen = [True] * len(self._curves)
+        self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
         self._span = (0, 0)
         self._points: tuple[Array, list[Array]] = (np.zeros(0), [])
         self._plot = page.gui.add_uplot(
-            tuple(np.zeros(2) for _ in range(2 + len(self._curves))),
+            tuple(np.zeros(2) for _ in range(3 + self._parts * len(self._curves))),
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
@@ -78,15 +80,20 @@ class CurvesPlot:
             self._span = (begin_ns, end_ns)
             self._points = self._envelopes(begin_ns, end_ns)
         time, values = self._points
+        seen = [part[np.isfinite(part)] for part, chosen in zip(values, self._chosen, strict=True) if chosen]
+        finite = np.concatenate(seen)
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        if low == high:  # uPlot would show 0 to 100
+            low, high = low - (abs(low) or 1.0), high + (abs(high) or 1.0)
         shown = (shown_ns - self._origin) / NANOSECONDS
-        seen = [part for part, chosen in zip(values, self._chosen, strict=True) if chosen]
-        finite = np.concatenate([part[np.isfinite(part)] for part in seen] or [np.zeros(0)])
         place = int(np.searchsorted(time, shown))
-        line = np.full(len(time) + 2, np.nan)
-        line[place : place + 2] = (finite.min(), finite.max()) if len(finite) else (0.0, 1.0)
-        here = [np.interp(shown, time, part) for part in values]
-        columns = [np.insert(part, place, [at, at]) for part, at in zip(values, here, strict=True)]
-        self._plot.data = (np.insert(time, place, [shown, shown]), *columns, line)
+        line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)
+        line[place : place + 2] = extent[:2] = low, high
+        columns = []
+        for curve in values:
+            for part in _parts_of(curve, self._parts):
+                columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
+        self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
 
     def _envelopes(self, begin_ns: int, end_ns: int) -> tuple[Array, list[Array]]:
         found = {}
@@ -99,13 +106,30 @@ class CurvesPlot:
         return (time_ns - self._origin) / NANOSECONDS, columns
 
     def _series(self) -> tuple[uplot.Series, ...]:
+        """Return how the columns are drawn: time, what the ordinate must show, the parts of each curve, and the line.
+
+        uPlot draws a line across NaN, hence the parts; and it finds no range for a column that begins with NaN, hence
+        one that is not drawn and has all it needs to know.
+        """
         lines = []
         for curve, chosen in zip(self._curves, self._chosen, strict=True):
             series = uplot.Series(
-                label=curve.label, stroke=curve.color, width=1.5, show=chosen,
-                points={"show": False},
-            )  # fmt: skip
+                label=curve.label, stroke=curve.color, width=1.5, show=chosen, auto=False, points={"show": False}
+            )
             if curve.dashed:
                 series["dash"] = (6, 4)
-            lines.append(series)
-        return (uplot.Series(label="time [s]"), *lines, uplot.Series(label="shown", stroke=_CURSOR, width=1.0))
+            lines += [series] * self._parts
+        extent = uplot.Series(label="extent", stroke="rgba(0,0,0,0)", points={"show": False})
+        shown = uplot.Series(label="shown", stroke=_CURSOR, width=1.0, auto=False, points={"show": False})
+        return (uplot.Series(label="time [s]"), extent, *lines, shown)
+
+
+def _parts_of(curve: Array, most: int) -> list[Array]:
+    """Return a curve as `most` columns, each without a gap inside; of too many gaps the shortest are drawn across."""
+    known = np.flatnonzero(np.isfinite(curve))
+    jumps = np.flatnonzero(np.diff(known) > 1)
+    jumps = np.sort(jumps[np.argsort(np.diff(known)[jumps], kind="stable")[::-1][: most - 1]])
+    columns = [np.full(len(curve), np.nan) for _ in range(most)]
+    for column, rows in zip(columns, np.split(known, jumps + 1), strict=False):
+        column[rows] = curve[rows]
+    return columns

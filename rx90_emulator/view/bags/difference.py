@@ -32,7 +32,7 @@ class Difference:
     """The second recording less the first, at the stamps of the first that both cover.
 
     Attributes:
-        joints: position, rad, of each joint; NaN in gaps of the second.
+        joints: position, rad, of each joint; nothing in gaps of the second.
         tip: position, the distance of both tips, m, under the name TIP.
         exact: share of the stamps at which the second has a sample of its own; at the others the line between two is
             taken.
@@ -62,21 +62,21 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
     begin, end = max(first.begin_ns, second.begin_ns), min(first.end_ns, second.end_ns)
     low, high = np.searchsorted(first.time_ns, begin), np.searchsorted(first.time_ns, end, side="right")
     time_ns = first.time_ns[low:high]
-    known = len(time_ns) > 0
-    if known:
-        joints, tip = np.empty((len(time_ns), len(first.names))), np.empty((len(time_ns), 1))
-        for start in range(0, len(time_ns), _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            one, other = first.values["position"][low:high][rows], second.at("position", time_ns[rows])
-            joints[rows] = other - one
-            tip[rows, 0] = np.linalg.norm(tip_position(chain, other) - tip_position(chain, one), axis=1)
-        known = bool(np.isfinite(tip).any())
-    if not known:
+    joints, tip = np.empty((len(time_ns), len(first.names))), np.empty((len(time_ns), 1))
+    for start in range(0, len(time_ns), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        one, other = first.values["position"][low:high][rows], second.at("position", time_ns[rows])
+        joints[rows] = other - one
+        tip[rows, 0] = np.linalg.norm(tip_position(chain, other) - tip_position(chain, one), axis=1)
+    known = np.isfinite(tip[:, 0])
+    if not known.any():
         spans = " and ".join(
             f"{plain(path)} from {_seconds(track.begin_ns)} to {_seconds(track.end_ns)} s"
             for path, track in zip(paths, (first, second), strict=True)
         )
         raise BagError(f"{spans} have no time in common; accepted: --align start, trajectory, or a time in s")
+    if not known.all():
+        time_ns, joints, tip = time_ns[known], joints[known], tip[known]
     exact = float(np.isin(time_ns, second.time_ns, assume_unique=True).mean())
     return Difference(
         Track(first.names, time_ns, {"position": joints}, first.gap_ns),
@@ -87,7 +87,7 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
 
 def _worst(track: Track, column: int) -> Worst:
     values: Array = track.values["position"][:, column]
-    row = int(np.nanargmax(np.abs(values)))
+    row = int(np.argmax(np.abs(values)))
     return Worst(float(values[row]), int(track.time_ns[row]))
 
 

@@ -39,10 +39,11 @@ def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
         shown = ", ".join(f"{seconds(a - origin_ns)} to {seconds(b - origin_ns)} s" for a, b in gaps[:_MOST_GAPS])
         more = f" and {len(gaps) - _MOST_GAPS:,} more" if len(gaps) > _MOST_GAPS else ""
         lines.append(f"- Gaps, in which no arm is drawn: {shown}{more}")
-    lines += ["", "| topic | messages | 1/s |", "|---|---:|---:|"]
+    lines.append("")
+    steps = len(arm.time_ns) - 1
     for topic in recording.topics:
-        rate = f"{(topic.count - 1) / lasting:.4g}" if topic.is_joint_state and topic.count > 1 else ""
-        lines.append(f"| {_escaped(topic.name)} | {topic.count:,} | {rate} |")
+        rate = f", {topic.count * steps / ((steps + 1) * lasting):.4g} Hz" if topic.is_joint_state else ""
+        lines.append(f"- {_escaped(topic.name)}: {topic.count:,}{rate}")
     return "\n".join(lines + _changes(recording, origin_ns))
 
 

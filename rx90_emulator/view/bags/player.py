@@ -68,10 +68,10 @@ class BagPlayer:
             self._add_controls(page)
             if errors[0] is not None:
                 page.gui.add_html(legend_html())
-        with page.tab("About"):
             if difference is not None:
                 names = [recording.path.name for recording in recordings]
                 page.gui.add_markdown(difference_text(difference, names, begin, shift_ns))
+        with page.tab("About"):
             for recording in recordings:
                 page.gui.add_markdown(recording_text(recording, robot.model.name, begin))
         known = [error for error in errors if error is not None]

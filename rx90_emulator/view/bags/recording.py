@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
 from rx90_common.bags.changes import ParameterChange, changes_of
@@ -107,6 +108,10 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
     states = series.pop(arm)
     if states is None or states.position is None:
         raise BagError(f"{plain(path)}: {layout.topic} carries no positions; accepted: a bag with joint angles")
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(states.position).all(axis=1))
+    if not finite.all():
+        notes.append(f"{len(finite) - finite.sum():,} messages of {layout.topic} without finite positions are left out")
+        states = states.take(finite)
     track = _track(path, _on_joint_side(states, layout), notes)
     others = {topic.name.rpartition("/")[2]: _track(path, one, notes) for topic, one in series.items() if one}
     return Recording(
@@ -178,9 +183,9 @@ def _track(path: Path, series: JointSeries, notes: list[str]) -> Track:
     if resets:
         notes.append(f"the time of {series.topic} goes back {resets} times; shown is what comes after the last one")
     if len(track.time_ns) < 2:
-        stamp = f"{track.begin_ns / NANOSECONDS:.9f} s"
+        last = f", all at {track.begin_ns / NANOSECONDS:.9f} s" if len(track.time_ns) else ""
         raise BagError(
-            f"{plain(path)}: {series.topic}: {len(series.stamp_ns)} messages with the stamp {stamp} alone; accepted: "
+            f"{plain(path)}: {series.topic}: {len(series.stamp_ns)} messages that can be shown{last}; accepted: "
             "increasing stamps, or --record-time"
         )
     return track

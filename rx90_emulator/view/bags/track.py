@@ -19,7 +19,7 @@ class Track:
 
     Attributes:
         names: k of them.
-        time_ns: increasing, int64 of shape (n,), n at least 1.
+        time_ns: increasing, int64 of shape (n,).
         values: by field, float64 of shape (n, k).
         gap_ns: an interval longer than this is a gap, in which nothing is known.
     """
