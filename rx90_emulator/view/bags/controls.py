@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import viser
 
@@ -29,8 +28,8 @@ class PlayControls:
     def __init__(self, page: Page, playback: Playback, marks: Sequence[float]) -> None:
         gui = page.gui
         self._playback = playback
-        self._moved_at = -1.0
-        self._now = 0.0
+        self._moved_at = 0.0
+        self._set_to = 0.0
         self._slider = gui.add_slider(
             "time, s", 0.0, max(playback.end, _STEP), _STEP, initial_value=0.0,
             marks=tuple(marks[:_MOST_MARKS]) or None,
@@ -38,10 +37,7 @@ class PlayControls:
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1", hint="recorded seconds in each second")
         self._loop = gui.add_checkbox("loop", initial_value=False, hint="begin again at the end")
-        self._slider.on_update(_by_hand(page, self._scrub))
         self._play.on_click(lambda _: page.later(self._toggle))
-        self._speed.on_update(_by_hand(page, self._take_choices))
-        self._loop.on_update(_by_hand(page, self._take_choices))
 
     def go_to(self, time: float) -> None:
         """Show a time, s, and stay there."""
@@ -50,9 +46,14 @@ class PlayControls:
         self._set(self._playback.time)
 
     def follow(self, now: float) -> None:
-        """Show what the playback does; `now` is the steady clock's time, s."""
-        self._now = now
-        if now - self._moved_at > _HOLDS_STILL:
+        """Take what was chosen on the page, and show what the playback does; `now` is the steady clock's time, s."""
+        self._playback.speed = float(self._speed.value)
+        self._playback.loop = bool(self._loop.value)
+        # Looked at here and not in a callback, which might come after the page has moved the slider on.
+        if self._slider.value != self._set_to:
+            self._set_to, self._moved_at = self._slider.value, now
+            self._playback.seek(self._set_to)
+        elif now - self._moved_at > _HOLDS_STILL:
             self._set(self._playback.time)
         label = "Pause" if self._playback.playing else "Play"
         if self._play.label != label:
@@ -60,32 +61,15 @@ class PlayControls:
             self._play.icon = viser.Icon.PLAYER_PAUSE if self._playback.playing else viser.Icon.PLAYER_PLAY
 
     def _set(self, time: float) -> None:
+        self._set_to = round(time / _STEP) * _STEP
         # mypy does not find the setter, which viser defines apart from its property.
-        self._slider.value = round(time / _STEP) * _STEP  # type: ignore[misc]
-
-    def _scrub(self) -> None:
-        self._moved_at = self._now
-        self._playback.seek(self._slider.value)
+        self._slider.value = self._set_to  # type: ignore[misc]
 
     def _toggle(self) -> None:
         if self._playback.playing:
             self._playback.playing = False
         else:
             self._playback.play()
-
-    def _take_choices(self) -> None:
-        self._playback.speed = float(self._speed.value)
-        self._playback.loop = bool(self._loop.value)
-
-
-def _by_hand(page: Page, function: Callable[[], None]) -> Callable[[viser.GuiEvent[Any]], None]:
-    """Return a callback that has `function` called for changes made on a page, not for those of this program."""
-
-    def changed(event: viser.GuiEvent[Any]) -> None:
-        if event.client is not None:
-            page.later(function)
-
-    return changed
 
 
 def relative(time_ns: int, origin_ns: int) -> float:
