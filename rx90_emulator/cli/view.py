@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one alone)",
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
+    parser.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
     add_robot_arguments(parser, "urdf", "tool", "drives", "task")
     view_bags.add_layout_arguments(parser)
 
@@ -51,7 +52,7 @@ def main(options: argparse.Namespace) -> None:
     page = Page("rx90_view", options.host, options.port)
     try:
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            LiveView(page, LiveSource(client, robot), robot, line)
+            LiveView(page, LiveSource(client, robot, options.node), robot, line)
             print(f"page: {page.address} (Ctrl-C ends it)", flush=True)
             try:
                 page.run()

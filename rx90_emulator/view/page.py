@@ -10,16 +10,20 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 
+import numpy as np
 import rich
 import viser
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
+from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
-_PLOT_WIDTH = 400  # pixels
-_PANEL_WIDTH = 330
+_FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
+_FIELD = 0.75  # rad, upright
+_PLOT_WIDTH = 370  # pixels
+_PANEL_WIDTH = 310
 
 
 class Page:
@@ -50,6 +54,7 @@ class Page:
         self.address = f"http://{shown}:{self.server.get_port()}"
         # The button would ask another machine for a tunnel.
         self.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.gui.main_panel.dock_right()
         self.gui.main_panel.set_width(_PANEL_WIDTH)
         self._tabs = self.gui.add_tab_group()
         self._plots = self.gui.add_panel()
@@ -68,17 +73,13 @@ class Page:
         """Add a tab to the panel of plots, to be filled in a `with` block."""
         return self._plots.add_tab(label)
 
-    def look_at(self, center: tuple[float, float, float], distance: float) -> None:
-        """Place the camera of pages that are opened from now on.
-
-        Args:
-            center: the point in the middle, m.
-            distance: from it, m.
-        """
-        x, y, z = center
-        self.server.initial_camera.position = (x + 0.72 * distance, y - 0.62 * distance, z + 0.32 * distance)
-        self.server.initial_camera.look_at = center
-        self.server.initial_camera.fov = 0.75
+    def look_at_arm(self, robot: RobotModel) -> None:
+        """Place the camera of pages that are opened from now on, so that the whole arm is seen."""
+        reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
+        camera = self.server.initial_camera
+        center = np.array([0.25, 0.0, 0.4]) * reach
+        camera.position, camera.look_at = center + _FROM * reach, center
+        camera.fov = _FIELD
 
     def every(self, period: float, function: Callable[[float], None]) -> None:
         """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out."""
@@ -125,6 +126,8 @@ def _furnish(scene: viser.SceneApi) -> None:
     scene.set_up_direction("+z")
     scene.world_axes.visible = False
     scene.add_grid("/floor", 2.4, 2.4, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, -0.001))
+    # The usual environment takes the colours away.
+    scene.configure_environment_map("studio", environment_intensity=0.35)
 
 
 def _check_free(host: str, port: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from viser import uplot
 
 from rx90_common.base.arrays import Array
@@ -27,6 +28,7 @@ class RollingPlot:
         window: s.
         capacity: samples in the window.
         height: pixels.
+        legend: name the curves; a click on a name hides its curve.
     """
 
     def __init__(
@@ -37,36 +39,37 @@ class RollingPlot:
         *,
         window: float = 10.0,
         capacity: int = 400,
-        height: int = 170,
+        height: int = 150,
+        legend: bool = True,
     ) -> None:
         self._names, self._window = tuple(names), window
         self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
         self._count = 0
-        self._shown = tuple(range(len(self._names)))
+        self._shown = frozenset(range(len(self._names)))
         self._plot = page.gui.add_uplot(
             tuple(np.array([0.0, 0.0]) for _ in range(1 + len(self._names))),
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
             axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
-            legend=uplot.Legend(show=False),
+            legend=uplot.Legend(show=legend, live=False),
             padding=(0, 12, 0, 0),
             height=height,
         )
 
     def choose(self, shown: Sequence[int]) -> None:
         """Show only these joints, by their indices."""
-        self._shown = tuple(shown)
+        self._shown = frozenset(shown)
         self._plot.series = self._series()
 
-    def add(self, time: float, values: Array) -> None:
+    def add(self, time: float, values: ArrayLike) -> None:
         """Add the values (n,) at a time, s; a time before the last one begins anew."""
         if self._count and time < self._samples[self._count - 1, 0]:
             self._count = 0
         if self._count == len(self._samples):
             self._samples[:-1] = self._samples[1:]
             self._count -= 1
-        self._samples[self._count] = [time, *values]
+        self._samples[self._count, 0], self._samples[self._count, 1:] = time, values
         self._count += 1
 
     def draw(self) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel
@@ -19,13 +18,13 @@ from rx90_emulator.view.bags.facts import difference_text, recording_text, secon
 from rx90_emulator.view.bags.path import path_error_track, tip_path
 from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.bags.recording import Recording
-from rx90_emulator.view.line import error_colors, legend_html
+from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.line import legend_html, line_colors
 from rx90_emulator.view.page import Page
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.15
 _GHOST = (0, 114, 178)
-_UNKNOWN = (120, 120, 120)
 _PIECES = 3000  # of the tip's way
 
 
@@ -60,8 +59,7 @@ class BagPlayer:
         self.arms = [ArmScene(page, "/arm", robot)]
         if len(recordings) > 1:
             self.arms.append(ArmScene(page, "/ghost", robot, ghost=True, tint=_GHOST))
-        reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
-        page.look_at((0.3 * reach, 0.0, 0.35 * reach), 1.7 * reach)
+        page.look_at_arm(robot)
         errors = [path_error_track(recording, robot.chain) for recording in recordings]
         self._draw_path(page, robot, errors[0])
         with page.tab("Bag"):
@@ -97,16 +95,15 @@ class BagPlayer:
             button.on_click(lambda _: page.later(lambda: self._controls.go_to(relative(worst, self._origin))))
         self._status = gui.add_markdown("")
 
-    def _draw_path(self, page: Page, robot: RobotModel, error: object) -> None:
+    def _draw_path(self, page: Page, robot: RobotModel, error: Track | None) -> None:
         """Draw where the first recording's tip has been."""
-        path = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)  # type: ignore[arg-type]
+        path = tip_path(self._recordings[0].arm, error, robot.chain, _PIECES)
         pieces = np.stack([path.points[:-1], path.points[1:]], axis=1)
-        known = np.isfinite(path.error)
-        colors: Array = np.where(known[:, None], error_colors(np.where(known, path.error, 0.0)), _UNKNOWN)
+        colors = line_colors(path.error)
         there = np.isfinite(pieces).all(axis=(1, 2))
         if there.any():
             page.scene.add_line_segments(
-                "/path", pieces[there].astype(np.float32), np.repeat(colors[there, None], 2, axis=1).astype(np.uint8),
+                "/path", pieces[there].astype(np.float32), np.repeat(colors[there, None], 2, axis=1),
                 thickness=4.0, thickness_units="screen",
             )  # fmt: skip
 

@@ -87,7 +87,7 @@ def test_scrubbing_shows_what_was_recorded(
 
     In a gap an arm is not drawn, the button leads to the worst difference, curves keep its peak, and playing ends.
     """
-    shown = open_page(played.page.address, (700, 500))
+    shown = open_page(played.page.address, (500, 400))
     player, bags = played.player, played.bags
 
     def wait_for_both_at(message: int) -> list[np.ndarray]:
@@ -113,6 +113,8 @@ def test_scrubbing_shows_what_was_recorded(
     assert np.nanmax(np.array(parts, dtype=float)) == pytest.approx(worst, rel=1e-9)
     assert np.nanmax(np.array(line, dtype=float)) == pytest.approx(worst, rel=1e-9)
     assert len(parts) == 2  # before the gap and after it
+    scrub(shown, "1.98")
+    wait_for_both_at(1980)
     shown.page.get_by_text("Play", exact=True).dispatch_event("click")
     wait_for_both_at(1999)
     shown.page.get_by_text("Play", exact=True).wait_for()
