@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rx90_common.bags.comparison import time_shift
+from rx90_common.base.quoting import one_line
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.measured.options import MeasuredLayout
@@ -32,6 +34,9 @@ def open_player(
     """
     robot = load_robot(files.urdf, files.tool)
     recordings = [open_recording(path, robot, files, layout) for path in paths]
+    for path, recording in zip(paths, recordings, strict=True):
+        for note in recording.notes:
+            print(one_line(f"{path}: {note}"), file=sys.stderr)
     found, shift = None, 0
     if len(recordings) > 1:
         shift = time_shift(align, paths, lambda number: recordings[number].arm.begin_ns)

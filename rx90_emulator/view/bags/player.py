@@ -37,9 +37,6 @@ class BagPlayer:
         recordings: one or two; the second is already moved to the first one's time.
         difference: of two.
         shift_ns: what the second was moved by.
-
-    Raises:
-        ConfigError: where the robot's shapes cannot be drawn.
     """
 
     def __init__(

@@ -30,6 +30,7 @@ from rx90_emulator.view.bags.track import Track
 _FRICTION, _REFERENCE = "friction_states", "reference"
 _SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}
 """What is read beside the arm's own states: friction torque, and set-points."""
+_SLACK = 0.05  # rad beyond a joint's range: end stops give way
 _STEP = 8192  # messages between two looks at the progress bar
 
 
@@ -113,6 +114,7 @@ def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: Me
         notes.append(f"{len(finite) - finite.sum():,} messages of {layout.topic} without finite positions are left out")
         states = states.take(finite)
     track = _track(path, _on_joint_side(states, layout), notes)
+    notes += _beyond_range(track, robot)
     others = {topic.name.rpartition("/")[2]: _track(path, one, notes) for topic, one in series.items() if one}
     return Recording(
         path, kind, tuple(topics), track, others.get(_FRICTION), others.get(_REFERENCE), tuple(changes), tuple(notes)
@@ -176,6 +178,22 @@ def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:
     if layout.zero is not None:
         fields["position"] = fields["position"] - layout.zero
     return JointSeries(series.topic, layout.names, series.stamp_ns, **fields)
+
+
+def _beyond_range(track: Track, robot: RobotModel) -> list[str]:
+    """Return a line for joints that go where this robot cannot: many bags do not say whose they are."""
+    values = track.values["position"]
+    low, high = values.min(axis=0), values.max(axis=0)
+    beyond = np.maximum(robot.lower - low, high - robot.upper)
+    joint = int(np.argmax(beyond))
+    if beyond[joint] <= _SLACK:
+        return []
+    span = f"from {low[joint]:.4g} to {high[joint]:.4g} rad"
+    accepted = f"[{robot.lower[joint]:.4g}, {robot.upper[joint]:.4g}]"
+    return [
+        f"{robot.joint_names[joint]} goes {span}, which {robot.model.name} cannot: {accepted} rad; another robot's bag "
+        "(--robot), or other zeros (--zero)?"
+    ]
 
 
 def _track(path: Path, series: JointSeries, notes: list[str]) -> Track:

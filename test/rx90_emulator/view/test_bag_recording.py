@@ -124,6 +124,22 @@ def test_a_bag_of_another_robot_is_refused(tx40: Setup) -> None:
         open_recording(REFERENCE, tx40.robot, RobotFiles.named("tx40"), MeasuredLayout())
 
 
+def test_what_is_odd_in_a_bag_is_told(tmp_path: Path, shipped: Setup) -> None:
+    """Joints beyond their range, as another robot's, positions that are no numbers, and resets each make a note."""
+    good = [(k, [0.1] * 6) for k in range(5)]
+    odd = [(k, [0.1, 0.1, 9.0, 0.1, 0.1, 0.1]) for k in range(4)]
+    messages = [
+        ("/joint_states", number, joint_state(k * STEP, JOINTS, values))
+        for number, (k, values) in enumerate([*good, (5, [np.nan] * 6), *odd])
+    ]
+    recording = opened(write_ros2(tmp_path / "bag", messages), shipped)
+    assert len(recording.arm.time_ns) == 4
+    said = " ".join(recording.notes)
+    assert "1 messages of /joint_states without finite positions" in said
+    assert "goes back 1 times" in said
+    assert "joint_3 goes from 0.1 to 9 rad, which rx90b cannot" in said
+
+
 def test_times_of_recording_take_the_place_of_stamps(tmp_path: Path, shipped: Setup) -> None:
     """Where stamps are all 0, the times of recording can be taken."""
     messages = [("/joint_states", 5 * k * STEP, joint_state(0, JOINTS, [0.1 * k] * 6)) for k in range(4)]
