@@ -1,4 +1,4 @@
-"""The part of `rx90_view` that plays bags."""
+"""What `rx90_view` plays of bags."""
 
 from __future__ import annotations
 
@@ -15,36 +15,35 @@ _OF_BAGS = ("topic", "names", "gear", "coupling", "torque_constant", "zero", "re
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bags."""
-    parser.add_argument("bags", nargs="*", type=Path, metavar="BAG",
-                        help="a bag to play in place of running nodes, and a second one as a ghost beside it: folder, "
-                        ".mcap, .db3 or ROS 1 .bag file")  # fmt: skip
-    parser.add_argument("--align", default=None, metavar="start|trajectory|S",
-                        help="move the stamps of the second bag: so that both begin together, so that their last "
-                        "trajectories do, or by a time in s (0)")  # fmt: skip
+    """Add the bags, and the options that say what their messages hold."""
+    bags = parser.add_argument_group("bags", "what they hold is by default joint_states, else motor_states, as here")
+    bags.add_argument("bags", nargs="*", type=Path, metavar="BAG",
+                      help="a bag to play in place of running nodes, and a second one as a ghost beside it: folder, "
+                      ".mcap, .db3 or ROS 1 .bag file")  # fmt: skip
+    bags.add_argument("--align", metavar="start|trajectory|S",
+                      help="move the stamps of the second bag: so that both begin together, so that their last "
+                      "trajectories do, or by a time in s (0)")  # fmt: skip
+    add_message_arguments(bags, "joint_states in any namespace, else motor_states", "as here", "the robot's wrist")
+    add_record_arguments(bags)
 
 
-def add_layout_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what the messages of a bag hold."""
-    layout = parser.add_argument_group("what the bags hold", "by default joint_states, else motor_states, as here")
-    add_message_arguments(layout, "joint_states in any namespace, else motor_states", "as here", "the robot's wrist")
-    add_record_arguments(layout)
-
-
-def check(options: argparse.Namespace) -> bool:
+def wanted(options: argparse.Namespace) -> bool:
     """Return whether bags are to be played.
 
     Raises:
-        BagError: for more bags than two, and options for bags without any.
+        BagError: for more bags than two, options for bags without any, and for nodes with bags.
     """
-    if len(options.bags) > _MOST:
-        raise BagError(f"{len(options.bags)} bags; accepted: one, or two to be compared")
-    if options.align is not None and len(options.bags) < _MOST:
-        raise BagError(f"--align {plain(options.align)} with {len(options.bags)} bags; accepted: two bags")
+    count = len(options.bags)
+    if count > _MOST:
+        raise BagError(f"{count} bags; accepted: one, or two to be compared")
+    if options.align is not None and count < _MOST:
+        raise BagError(f"--align {plain(options.align)} with {count} bags; accepted: two bags")
     given = [name for name in _OF_BAGS if getattr(options, name)]
-    if given and not options.bags:
+    if given and not count:
         raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
-    return bool(options.bags)
+    if count and options.demo:
+        raise BagError(f"--demo with the bag {plain(options.bags[0])}; accepted: one of them")
+    return count > 0
 
 
 def main(options: argparse.Namespace) -> None:
@@ -66,7 +65,7 @@ def main(options: argparse.Namespace) -> None:
         align,
     )  # fmt: skip
     try:
-        print(f"page: {page.address} (Ctrl-C ends it)", flush=True)
+        page.announce(browser=not options.no_browser)
         page.run()
     except KeyboardInterrupt:
         return

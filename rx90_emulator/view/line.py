@@ -14,7 +14,7 @@ _STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), 
 _AWAY = np.array([150.0, 150.0, 150.0])
 _NEAR = 2e-3  # m; what is farther from the line is on its way to it
 _STANDS = 1e-4  # m from one look to the next; what moves less stands
-_ALONG = 0.9  # least share of a step that leads along the line
+_ALONG = 0.9  # least share of a step that leads along the line, towards its end
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
 _SPOT = (255, 40, 40)
@@ -112,7 +112,7 @@ class LineScene:
         along, _ = decompose(step[None], self._end - self._start)
         way = float(np.linalg.norm(step))
         moves = way > _STANDS
-        if distance >= _NEAR or (moves and abs(float(along[0])) < _ALONG * way):
+        if distance >= _NEAR or (moves and float(along[0]) < _ALONG * way):
             self._error, self._worst = None, 0.0
             return
         self._error = distance

@@ -62,6 +62,11 @@ class LiveView:
         magnified.on_click(lambda event: page.later(lambda: line.magnify(float(event.target.value))))
         clear.on_click(lambda _: page.later(line.clear))
 
+    def rests(self, seconds: float) -> bool:
+        """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
+        state, span = self.state, self._source.watch.trajectory
+        return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
+
     def _update(self, now: float) -> None:
         state = self._source.take(now)
         if state is None:

@@ -129,6 +129,7 @@ def test_scrubbing_shows_what_was_recorded(
         (["first", "--align", "start"], "--align start with 1 bags; accepted: two bags"),
         (["first", "first", "--align", "noon"], "--align is 'noon'; accepted: start, trajectory, or a time"),
         (["--record-time"], "--record-time without a bag"),
+        (["first", "--demo"], "--demo with the bag first"),
         (["nothing"], "nothing: no such bag"),
         (["first", "--robot", "tx40"], "recorded of the robot 'rx90b', not of"),
     ],
