@@ -115,7 +115,12 @@ def generate_launch_description() -> LaunchDescription:
     arm = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("rx90.launch.py"))),
         # The other RViz stays closed; what is set here holds for what comes after it, too.
-        launch_arguments={"robot_state_publisher": "true", "rviz": "false"}.items(),
+        # Velocities of Pilz' lines do not belong to their positions (docs/moveit.md).
+        launch_arguments={
+            "robot_state_publisher": "true",
+            "rviz": "false",
+            "velocities_from_positions": "true",
+        }.items(),
     )
     # A missing package ends the launch: what may be missing comes first, so that no node is left behind then.
     return LaunchDescription([*declared, OpaqueFunction(function=moveit), arm])

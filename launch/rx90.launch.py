@@ -27,6 +27,7 @@ ARGUMENTS = (
     ("autostart", "true", "be active at once; else as the nodes' lifecycle services say"),
     ("robot", DEFAULT_ROBOT, "name of a shipped robot, or your own robot folder"),
     *((name, "", f"{DESCRIPTIONS[name]}; left out: the robot's") for name in MODEL_FILES),
+    ("velocities_from_positions", "false", "leave aside the velocities that points carry between both ends"),
     ("composed", "false", "both nodes in one process, which is several times faster"),
     ("robot_state_publisher", "false", "publish the transforms of the arm"),
     ("rviz", "false", "show the arm in RViz, with its transforms"),

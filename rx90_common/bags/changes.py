@@ -42,12 +42,23 @@ def read_changes(path: Path | str) -> list[ParameterChange]:
     Raises:
         BagError: if the bag cannot be read.
     """
+    return [change for event in _events(path) for change in changes_of(event)]
+
+
+def read_values(path: Path | str) -> dict[str, Any]:
+    """Return the values that a bag tells of parameters as its nodes began, by their names: numbers, lists of these, ...
+
+    Raises:
+        BagError: if the bag cannot be read.
+    """
+    told = [event for event in _events(path) if len(event.new_parameters)]
+    return {each.name: json.loads(_value(each.value)) for event in told for each in event.new_parameters}
+
+
+def _events(path: Path | str) -> list[Any]:
     with BagReader(path) as bag:
         topics = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
-        if not topics:
-            return []
-        events = [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)]
-    return [change for event in events for change in changes_of(event)]
+        return [bag.deserialize(topic, data) for topic, _, data in bag.messages(topics)] if topics else []
 
 
 def _value(value: Any) -> str:

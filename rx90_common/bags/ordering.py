@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
 _MAX_UNDATED_BYTES = 16 << 20
 _UNKNOWN = -1  # in place of a log time
+_COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
 
 
 class TimeSource(Enum):
@@ -26,6 +28,8 @@ class TimeSource(Enum):
     """Their stamp, which is the sample time, and the time of messages that have none."""
     STAMP = auto()
     """Their stamp; where that is 0 ("now"), the newest one of a clock topic."""
+    LIST = auto()
+    """As STAMP, the stamp of the first of those that they are a list of: transforms."""
     NEWEST = auto()
     """The newest stamp of a clock topic, as they have none."""
 
@@ -178,7 +182,7 @@ class LogOrder:
     def _add_other(self, arrived: Arrived, clock: _Clock) -> None:
         """Take messages of a topic that does not give the time."""
         topic, source, messages, received_ns = arrived
-        stamps = messages.stamps_ns() if source is TimeSource.STAMP else np.zeros(len(messages), dtype=np.int64)
+        stamps = _stamps_ns(messages, source)
         log_ns = clock.date(stamps, received_ns)
         if self._newest is None and self._by_reception:
             log_ns = np.where(log_ns == _UNKNOWN, received_ns, log_ns)
@@ -232,3 +236,15 @@ class LogOrder:
         undated, self._undated, self._undated_bytes = self._undated, [], 0
         for topic, _, messages, received_ns in undated:
             self._hold(topic, received_ns if log_ns is None else np.full(len(messages), log_ns), messages)
+
+
+def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:
+    """Return the stamps of messages that do not give the time, ns, int64 (n,); 0 where there is none."""
+    if source is TimeSource.STAMP:
+        return messages.stamps_ns()
+    stamps = np.zeros(len(messages), dtype=np.int64)
+    if source is TimeSource.LIST:
+        for i, message in enumerate(messages):
+            if any(message[_COUNT]):
+                stamps[i] = max(0, cdr_stamp_ns(message[: _COUNT.start] + message[_COUNT.stop :]))
+    return stamps

@@ -17,6 +17,7 @@ JOINT_STATE: Final = "sensor_msgs/msg/JointState"
 CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 
 

@@ -24,7 +24,7 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.rosbag2 import StoragePlugin, WriterError
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
@@ -50,6 +50,18 @@ _INFINITE = QosTime(9_223_372_036, 854_775_807)
 def typestore() -> Typestore:
     """Return the message types of ROS 2 Jazzy's common interfaces."""
     return get_typestore(Stores.ROS2_JAZZY)
+
+
+def types_with(msgtype: str, definition: str) -> Typestore:
+    """Return the message types of the common interfaces, and one more where it has a definition.
+
+    That is the text of its .msg file, and behind it of those that it uses, as bags have it.
+    """
+    if not definition or msgtype in typestore().fielddefs:
+        return typestore()
+    types = get_typestore(Stores.ROS2_JAZZY)
+    types.register(get_types_from_msg(definition, msgtype))
+    return types
 
 
 def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
@@ -107,19 +119,18 @@ class BagWriter:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
 
-    def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = ()) -> Connection:
-        """Announce a topic and return the handle that `write` wants.
+    def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = (), definition: str = "") -> Connection:
+        """Announce a topic and return the handle that `write` wants; for `definition` see `types_with`.
 
         Raises:
-            BagError: if the type is none of ROS 2's common interfaces.
+            BagError: if the type is none of ROS 2's common interfaces and has no definition.
             BagWriteError: if the disk is full.
         """
-        if msgtype not in typestore().fielddefs:
+        types = types_with(msgtype, definition)
+        if msgtype not in types.fielddefs:
             raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
         with self._failures():
-            return self._writer.add_connection(
-                absolute(topic), msgtype, typestore=typestore(), offered_qos_profiles=qos
-            )
+            return self._writer.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=qos)
 
     def write(self, connection: Connection, log_ns: int, cdr: bytes) -> None:
         """Write a serialised message.

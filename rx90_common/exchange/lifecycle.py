@@ -7,13 +7,21 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from lifecycle_msgs.msg import State
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.exchange.node_tools import TickingNode, declare, declare_robot_files, refuse_unknown_parameters
+from rx90_common.exchange.node_tools import (
+    TickingNode,
+    declare,
+    declare_robot_files,
+    declared_instead,
+    refuse_unknown_parameters,
+)
 from rx90_common.exchange.parameter_changes import ParameterChanges
 from rx90_common.exchange.ros_start import reason
 
@@ -91,6 +99,15 @@ class ManagedNode(LifecycleNode):
         chosen = declare_robot_files(self, *names)
         self.changes.lead("robot", files)
         return chosen
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters, all or none; one that there is not is refused with those that there are."""
+        for name in (each.name for each in parameter_list if not self.has_parameter(each.name)):
+            reason = (
+                f"parameter {plain(name)} is unknown to {self.get_name()}; accepted: {declared_instead(self, name)}"
+            )
+            return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     # Transitions.
 

@@ -141,11 +141,11 @@ def refuse_unknown_parameters(nodes: Sequence[Node]) -> None:
         for name in node._parameter_overrides:
             if not node.has_parameter(name) and name not in OF_ROS:
                 owners = [other.get_name() for other in nodes if other.has_parameter(name)]
-                accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else _accepted(node, name)
+                accepted = f"-p {owners[0]}:{name}:=... for that node alone" if owners else declared_instead(node, name)
                 raise ConfigError(f"parameter {plain(name)} is unknown to {node.get_name()}; accepted: {accepted}")
 
 
-def _accepted(node: Node, name: str) -> str:
+def declared_instead(node: Node, name: str) -> str:
     """Return the parameters that the node has instead of `name`."""
     if name.startswith(PREFIX):
         return overridable_topics(node)

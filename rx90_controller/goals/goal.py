@@ -13,13 +13,14 @@ from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import check_joint_names, points_from_message, start_tick
+from rx90_controller.trajectory.planning import Entrance
 
 _NOT_SERVED = ("component_path_tolerance", "component_goal_tolerance")
 
 
 @dataclass(frozen=True)
 class GoalOptions:
-    """What else is accepted; names and defaults as the parameters of joint_trajectory_controller.
+    """What else is accepted; the first three as the parameters of joint_trajectory_controller.
 
     Attributes:
         allow_partial_joints_goal: a goal may name some of the joints; the others hold their set-point, and brake to
@@ -28,11 +29,14 @@ class GoalOptions:
             each joint brakes behind it.
         allow_trajectory_replacement: the first point may lie elsewhere than the set-point at the start: points that are
             not later than the start are left out, and the motion goes to the next one from where the path is then.
+        velocities_from_positions: velocities between the first and the last point are computed from the positions, as
+            `TrajectoryPoints.smoothed` says, in place of those that points carry.
     """
 
     allow_partial_joints_goal: bool = False
     allow_nonzero_velocity_at_trajectory_end: bool = False
     allow_trajectory_replacement: bool = False
+    velocities_from_positions: bool = False
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,10 @@ class Goal:
     points: TrajectoryPoints
     tolerances: GoalTolerances
     start: int | None
+
+    def entrance(self, options: GoalOptions) -> Entrance:
+        """Return how it comes into the generator."""
+        return Entrance(self.points, self.start, anywhere=options.allow_trajectory_replacement)
 
 
 def check_goal(
@@ -81,9 +89,9 @@ def check_goal(
         raise GoalError(ResultCode.INVALID_JOINTS, str(error)) from error
     goal_time = message_time_ns(message.goal_time_tolerance) / NANOSECONDS
     tolerances = defaults.of_goal(message.path_tolerance, message.goal_tolerance, goal_time)
-    moving_end = options.allow_nonzero_velocity_at_trajectory_end
+    moving_end, smooth = options.allow_nonzero_velocity_at_trajectory_end, options.velocities_from_positions
     try:
-        points = points_from_message(robot_joints, trajectory, partial=partial, moving_end=moving_end)
+        points = points_from_message(robot_joints, trajectory, partial=partial, moving_end=moving_end, smooth=smooth)
     except TrajectoryError as error:
         raise GoalError(ResultCode.INVALID_GOAL, str(error)) from error
     return Goal(points.prepared(), tolerances, start_tick(trajectory, position_hz))

@@ -51,10 +51,6 @@ class GoalRunner:
         self._execution: Execution | None = None
         self._velocity, self._tick = np.zeros(6), -1  # of the last step, for the acceleration
 
-    def plan(self, now: int, lead: int) -> Plan:
-        """Return what a goal that takes long may be joined to, beside the ticks; see `Plan`."""
-        return Plan(self._trajectory, now, lead)
-
     def offer(
         self, key: object, goal: Goal, now: int, inactive: str = "", plan: Plan | None = None
     ) -> tuple[Schedule, Event | None]:
@@ -74,12 +70,11 @@ class GoalRunner:
         """
         if inactive:
             raise GoalError(ResultCode.INVALID_GOAL, inactive)
-        anywhere = self.options.allow_trajectory_replacement
         try:
             check_horizon(goal.start, now, self._horizon, self._trajectory.period)
             schedule = plan.adopt(now) if plan is not None else None
             if schedule is None:
-                schedule = self._trajectory.join(goal.points, now, goal.start, anywhere=anywhere)
+                schedule = goal.entrance(self.options).enter(self._trajectory, now)
         except PastError as error:
             raise GoalError(ResultCode.OLD_HEADER_TIMESTAMP, str(error)) from error
         except TrajectoryError as error:

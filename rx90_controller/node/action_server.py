@@ -17,6 +17,7 @@ from rx90_controller.goals.goal import Goal, check_goal
 from rx90_controller.goals.results import GoalError
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.node.action_messages import feedback_message, result_message
+from rx90_controller.node.offering import joined
 from rx90_controller.node.servo_loop import ServoLoop
 
 _LOOK = 0.5  # s between two looks for the simulation, while there is a goal
@@ -163,10 +164,8 @@ class FollowJointTrajectoryAction:
         sender = _Sender(self._server, handle, self._feedback, partial(self._senders.pop, name))
         self._senders[name] = sender
         with loop.between_ticks() as goals:
-            plan, anywhere = goals.plan(goal), goals.options.allow_trajectory_replacement
-        if plan is not None:
-            plan.join(goal.points, goal.start, anywhere=anywhere)  # not between two ticks, as it may take long
-        with loop.between_ticks() as goals:
+            entrance = goal.entrance(goals.options)
+        with joined(loop, entrance) as (goals, plan):
             if loop.running:
                 goals.take(sender, goal, trajectory, loop.inactive, plan)
             else:

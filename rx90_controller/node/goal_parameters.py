@@ -28,6 +28,8 @@ _OPTIONS = {
     "allow_nonzero_velocity_at_trajectory_end": "whether the last point may have a velocity; then the arm brakes",
     "allow_trajectory_replacement": "whether points may be left out that are not later than the start, which leads on "
     "from where the path is then",
+    "velocities_from_positions": "whether velocities between the first and the last point are computed from the "
+    "positions; for points whose velocities do not belong to these",
 }
 """What else is accepted, as `GoalOptions` says it."""
 

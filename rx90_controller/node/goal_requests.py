@@ -14,12 +14,7 @@ from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.runner import Event, GoalRunner
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
-from rx90_controller.trajectory.planning import Plan
-
-_FEW, _SHORT = 20, 20.0  # points, s
-# Later by so much a long goal begins whose start is "now": s, for each point, and for each second of it, in which a
-# thousand set-points may have to be checked.
-_LEAD, _LEAD_EACH, _LEAD_SECOND = 5e-3, 1e-4, 5e-4
+from rx90_controller.trajectory.planning import Entrance, Plan
 
 
 class Sender(Protocol):
@@ -84,14 +79,14 @@ class GoalRequests:
         """Return whether a goal is active, or waits for the first states."""
         return self._runner.active is not None or self._waiting is not None
 
-    def drop(self, reason: str, *, halt: bool = False) -> None:
-        """End the goal, if there is one, with ABORTED, INVALID_GOAL and a reason; with `halt` stop on its path."""
+    def drop(self, reason: str, *, halt: bool = False, wanted: bool = False) -> None:
+        """End the goal, if there is one, with -1 and a reason: `halt` on its path; `wanted`, so nothing went wrong."""
         now = self._cs7b.position_tick
         if self._waiting is not None:
             waiting, self._waiting = self._waiting, None
-            self._tell(Outcome(Phase.ABORTED, ResultCode.INVALID_GOAL, reason, now), waiting.sender)
+            self._tell(Outcome(Phase.ABORTED, ResultCode.INVALID_GOAL, reason, now), waiting.sender, wanted=wanted)
         sender = self._runner.active
-        self._deliver(self._runner.drop(reason, now))
+        self._deliver(self._runner.drop(reason, now), wanted=wanted)
         if halt and sender is not None:
             self._cs7b.trajectory.halt(now)
 
@@ -122,18 +117,18 @@ class GoalRequests:
 
     def wait(self, sender: Sender, goal: Goal, trajectory: Any) -> None:
         """Take a goal as soon as there are states."""
-        self.drop("pre-empted by a new goal")
+        self.drop("pre-empted by a new goal", wanted=True)
         self._waiting = _Waiting(sender, goal, trajectory)
         self._requests.note("a goal waits for the simulation's first tick")
 
-    def plan(self, goal: Goal) -> Plan | None:
-        """Return what a goal is to be joined to beside the ticks; None for a short one, which is taken at once."""
-        count, duration = len(goal.points.times), float(goal.points.times[-1])
-        if count <= _FEW and duration <= _SHORT:
-            return None
-        seconds = _LEAD + _LEAD_EACH * count + _LEAD_SECOND * duration
-        lead = round(seconds / self._cs7b.rates.position_period)
-        return self._runner.plan(self._cs7b.position_tick, lead)
+    def plan(self, entrance: Entrance, attempt: int) -> Plan:
+        """Return what a trajectory is to be joined to beside the ticks; each attempt, from 0 on, has more time."""
+        lead = entrance.lead(self._cs7b.rates.position_period) * 4**attempt
+        return Plan(self._cs7b.trajectory, entrance, self._cs7b.position_tick, lead)
+
+    def fits(self, plan: Plan) -> bool:
+        """Return whether a plan can be adopted, or tells why not, in this tick."""
+        return plan.fits(self._cs7b.position_tick)
 
     def take(self, sender: Sender, goal: Goal, trajectory: Any, inactive: str, plan: Plan | None = None) -> None:
         """Follow a goal in place of the one before, or abort it and let that one go on.
@@ -152,7 +147,7 @@ class GoalRequests:
             self._requests.rejected += 1
             self._tell(Outcome(Phase.ABORTED, error.code, str(error), now), sender)
             return
-        self._deliver(ended)
+        self._deliver(ended, wanted=True)
         self._requests.announce("goal", trajectory, goal.points, schedule, goal.start)
 
     def scale(self, factor: float) -> None:
@@ -182,11 +177,11 @@ class GoalRequests:
         elif self._runner.active is sender:
             self._deliver(self._runner.cancel(now))
 
-    def _deliver(self, event: Event | None) -> None:
+    def _deliver(self, event: Event | None, *, wanted: bool = False) -> None:
         if event is not None:
-            self._tell(event.outcome, cast(Sender, event.key))
+            self._tell(event.outcome, cast(Sender, event.key), wanted=wanted)
 
-    def _tell(self, outcome: Outcome, sender: Sender) -> None:
+    def _tell(self, outcome: Outcome, sender: Sender, *, wanted: bool = False) -> None:
         self._requests.post(partial(sender.ended, outcome))
         text = one_line(f"goal {outcome.phase.value}: {outcome.text}")
-        self._requests.note(text, wrong=outcome.phase is Phase.ABORTED)
+        self._requests.note(text, wrong=outcome.phase is Phase.ABORTED and not wanted)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.goals.goal import GoalOptions
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.trajectory import Schedule, TrajectoryPoints
 from rx90_controller.trajectory.message import check_horizon, check_joint_names, points_from_message, start_tick
+from rx90_controller.trajectory.planning import Entrance, Plan
 
 
 class Log(Protocol):
@@ -30,10 +31,25 @@ class Log(Protocol):
         """Print what went wrong."""
 
 
+class TrajectoryRequest(NamedTuple):
+    """A trajectory of the topic, checked by itself.
+
+    Attributes:
+        trajectory: as it came.
+        start: its start in position ticks; None for now.
+        entrance: how it comes into the generator; None for a stop.
+    """
+
+    trajectory: Any
+    start: int | None
+    entrance: Entrance | None
+
+
 class Requests:
     """Hands trajectories to the set-point generator, and notes what is to be said of them until `report` says it.
 
-    To print may take longer than a tick: the thread that ticks only notes. All but `report` is called between ticks.
+    To print may take longer than a tick: the thread that ticks only notes. All but `report` and `checked` is called
+    between ticks.
 
     Args:
         cs7b: whose generator gets them.
@@ -48,7 +64,7 @@ class Requests:
     def __init__(self, cs7b: CS7B, log: Log, horizon: float) -> None:
         self._cs7b, self._log, self._horizon = cs7b, log, horizon
         self.options = GoalOptions()
-        self._waiting: Any = None
+        self._waiting: TrajectoryRequest | None = None
         self.rejected = 0
         self._reports: deque[Callable[[], None]] = deque()
 
@@ -79,10 +95,10 @@ class Requests:
         if self._cs7b.trajectory.moving(now):
             self.note(f"trajectory dropped at {now * self._cs7b.rates.position_period:.3f} s: {why}")
 
-    def wait(self, trajectory: Any) -> None:
+    def wait(self, request: TrajectoryRequest) -> None:
         """Keep a trajectory for the first states."""
         instead = ", in place of the one that waited" if self._waiting is not None else ""
-        self._waiting = trajectory
+        self._waiting = request
         self.note(f"a trajectory waits for the simulation's first tick{instead}")
 
     def begin(self, inactive: str) -> None:
@@ -91,18 +107,44 @@ class Requests:
         if waiting is not None:
             self.take(waiting, inactive)
 
-    def take(self, trajectory: Any, inactive: str) -> bool:
-        """Follow a trajectory_msgs/JointTrajectory, or stop for one without points; return False if it is refused.
+    def checked(self, trajectory: Any) -> TrajectoryRequest:
+        """Return a trajectory_msgs/JointTrajectory, checked by itself; not between ticks, as that may take long.
 
-        `inactive` is why none can be followed, empty if one can.
+        Raises:
+            TrajectoryError: naming joint, index of the point and reason.
+        """
+        cs7b, options = self._cs7b, self.options
+        start = start_tick(trajectory, cs7b.rates.position_hz)
+        if not trajectory.points:
+            if trajectory.joint_names:
+                check_joint_names(cs7b.joint_names, trajectory)
+            return TrajectoryRequest(trajectory, start, None)
+        points = points_from_message(
+            cs7b.joint_names,
+            trajectory,
+            partial=options.allow_partial_joints_goal,
+            moving_end=options.allow_nonzero_velocity_at_trajectory_end,
+            smooth=options.velocities_from_positions,
+        ).prepared()
+        anywhere = options.allow_trajectory_replacement
+        return TrajectoryRequest(trajectory, start, Entrance(points, start, anywhere=anywhere, first_point=True))
+
+    def take(self, request: TrajectoryRequest, inactive: str, plan: Plan | None = None) -> bool:
+        """Follow a trajectory, or stop for one without points; return False if it is refused.
+
+        Args:
+            request: the trajectory, checked.
+            inactive: why none can be followed, empty if one can.
+            plan: to which it was joined, if that takes long.
         """
         try:
             if inactive:
                 raise TrajectoryError(inactive)
-            if trajectory.points:
-                self._follow(trajectory)
+            self._check_start(request.start)
+            if request.entrance is not None:
+                self._follow(request, request.entrance, plan)
             else:
-                self._stop(trajectory)
+                self._stop(request)
         except TrajectoryError as error:
             self.refused("trajectory", error)
             return False
@@ -120,46 +162,31 @@ class Requests:
         rates = self._cs7b.rates
         begin = schedule.begin * rates.position_period
         text = f"{what} accepted: {len(points.times)} points, {points.times[-1]:.3f} s from {begin:.3f} s"
+        if points.smooth:
+            text += "; velocities from its positions"
         if schedule.miss > 0.0:
             text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
         self._publish(trajectory, schedule.begin if start is None else start)
         self.note(text)
 
-    def _follow(self, trajectory: Any) -> None:
-        cs7b, options = self._cs7b, self.options
-        points = points_from_message(
-            cs7b.joint_names,
-            trajectory,
-            partial=options.allow_partial_joints_goal,
-            moving_end=options.allow_nonzero_velocity_at_trajectory_end,
-        )
-        start = self._start(trajectory)
-        if options.allow_trajectory_replacement:
-            schedule = cs7b.trajectory.join(points, cs7b.position_tick, start, anywhere=True)
-        else:
-            schedule = cs7b.trajectory.accept(points, cs7b.position_tick, start)
-        self.announce("trajectory", trajectory, points, schedule, start)
+    def _follow(self, request: TrajectoryRequest, entrance: Entrance, plan: Plan | None) -> None:
+        now = self._cs7b.position_tick
+        schedule = plan.adopt(now) if plan is not None else None
+        if schedule is None:
+            schedule = entrance.enter(self._cs7b.trajectory, now)
+        self.announce("trajectory", request.trajectory, entrance.points, schedule, request.start)
 
-    def _stop(self, trajectory: Any) -> None:
+    def _stop(self, request: TrajectoryRequest) -> None:
         cs7b = self._cs7b
-        if trajectory.joint_names:
-            check_joint_names(cs7b.joint_names, trajectory)
-        schedule = cs7b.trajectory.stop(cs7b.position_tick, self._start(trajectory))
+        schedule = cs7b.trajectory.stop(cs7b.position_tick, request.start)
         begin, end = (tick * cs7b.rates.position_period for tick in (schedule.begin, schedule.end))
-        self._publish(trajectory, schedule.begin)
+        self._publish(request.trajectory, schedule.begin)
         self.note(f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s")
 
     def _publish(self, trajectory: Any, start: int) -> None:
         rates = self._cs7b.rates
         self._reports.append(partial(self._log.accepted, trajectory, start * rates.period_ns * rates.ratio))
 
-    def _start(self, trajectory: Any) -> int | None:
-        """Return the start tick of a message, None for now.
-
-        Raises:
-            TrajectoryError: if it is further ahead than the horizon.
-        """
+    def _check_start(self, start: int | None) -> None:
         rates = self._cs7b.rates
-        start = start_tick(trajectory, rates.position_hz)
         check_horizon(start, self._cs7b.position_tick, self._horizon, rates.position_period)
-        return start

@@ -13,6 +13,7 @@ from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.node.goal_requests import GoalRequests
 from rx90_controller.node.law_changes import LawChanges
+from rx90_controller.node.offering import offer
 from rx90_controller.node.requests import Log, Requests
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
@@ -174,12 +175,7 @@ class ServoLoop:
 
         One without points stops the arm.
         """
-        with self._lock:
-            if not self.running:
-                self._requests.wait(trajectory)
-            elif not self._requests.take(trajectory, self.inactive):
-                return
-            self._goals.drop("replaced by a trajectory on the topic")
+        offer(self, self._requests, trajectory)
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

@@ -15,8 +15,9 @@ from rx90_controller.trajectory.motions import Motions
 from rx90_controller.trajectory.path_time import PathTime
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop
-from rx90_controller.trajectory.spline import Bounds, interpolate
+from rx90_controller.trajectory.spline import Bounds, smooth
 
+_ANEW = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _PATIENCE = 3  # a stop along the path may take so many times as long as one joint by joint
 
 
@@ -45,7 +46,7 @@ class TrajectoryGenerator(Motions):
     def warm_up(self) -> None:
         """Compile, or load, the kernels that a running arm may need."""
         rest = np.zeros((2, 6))
-        spline = interpolate(np.array([0.0, 1.0]), rest, rest, None)
+        spline = smooth(np.array([0.0, 1.0]), rest, rest)
         Bounds.of(spline.coefficients, np.ones(1))
         law = PathTime(spline, self.limits.acceleration, self.period, tick=0, time=0.0, rate=1.0, wanted=0.0)
         law.settles(1)
@@ -164,7 +165,12 @@ class TrajectoryGenerator(Motions):
             )
             spline = merged(spline, others, ~points.named)
         limits.check_start(held, spline.sample(np.zeros(1))[0], self.period, points.first)
-        check_spline(spline, self.period, points, limits, allowed)
+        try:
+            check_spline(spline, self.period, points, limits, allowed)
+        except TrajectoryError as error:
+            if points.velocity is None or points.smooth or np.count_nonzero(points.times) < 2:
+                raise
+            raise TrajectoryError(f"{error}{_ANEW}") from None
         return self._run(base, Path.of(spline, last), begin, self.factor if rests else rate)
 
     def _run(self, base: FollowedPath, path: Path, begin: int, rate: float | None) -> Schedule:

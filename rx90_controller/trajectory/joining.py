@@ -11,7 +11,7 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop, straight
-from rx90_controller.trajectory.spline import Spline, interpolate
+from rx90_controller.trajectory.spline import Spline, interpolate, smooth
 
 
 def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
@@ -31,6 +31,8 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         check_near(points, held, limits)
     if velocity is None:
         return straight(times, position, held[1], limits, first=points.first - later)
+    if points.smooth:
+        return smooth(times, position, velocity)
     if points.way is None or not later:
         return interpolate(times, position, velocity, acceleration)
     head = interpolate(times[:2], position[:2], velocity[:2], None if acceleration is None else acceleration[:2])

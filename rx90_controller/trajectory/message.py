@@ -34,11 +34,11 @@ def check_trajectory_bytes(raw: bytes) -> None:
 
 
 def points_from_message(
-    robot_joints: Sequence[str], message: Any, *, partial: bool = False, moving_end: bool = False
+    robot_joints: Sequence[str], message: Any, *, partial: bool = False, moving_end: bool = False, smooth: bool = False
 ) -> TrajectoryPoints:
     """Return the points of a JointTrajectory in the robot's joint order.
 
-    `partial` and `moving_end` are those of `TrajectoryPoints.create`.
+    `partial` and `moving_end` are those of `TrajectoryPoints.create`; with `smooth` they are `smoothed`.
 
     Raises:
         TrajectoryError: naming joint, index of the point and reason.
@@ -46,7 +46,7 @@ def points_from_message(
     for i, point in enumerate(message.points):
         if len(point.effort) > 0:
             raise TrajectoryError(f"point {i}: carries effort; accepted: positions, velocities, accelerations")
-    return TrajectoryPoints.create(
+    points = TrajectoryPoints.create(
         robot_joints,
         list(message.joint_names),
         [_seconds(point.time_from_start) for point in message.points],
@@ -56,6 +56,7 @@ def points_from_message(
         partial=partial,
         moving_end=moving_end,
     )
+    return points.smoothed() if smooth else points
 
 
 def check_joint_names(robot_joints: Sequence[str], message: Any, *, partial: bool = False) -> None:

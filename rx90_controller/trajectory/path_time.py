@@ -15,6 +15,7 @@ from rx90_controller.trajectory.spline import Spline, sample_spline
 
 _BLOCK = 64  # ticks that are computed at once, at least
 _HALVINGS = 20
+_SLACK = 1e-3  # of the limit, as accelerations between two set-points of a path have it
 
 
 class PathTime:
@@ -102,7 +103,7 @@ def _advance(
         for _ in range(_HALVINGS):
             at[0] = time + 0.5 * period * (rate + tried)
             sample_spline(knots, coefficients, final, at, there)
-            if _follows(here[0, 1], rate, there[0, 1], tried, limit * period):
+            if _follows(here[0], rate, there[0], tried, limit, period):
                 kept = tried
                 if tried == bound:
                     break
@@ -129,9 +130,14 @@ def _bound(here: Array, rate: float, wanted: float, limit: Array, period: float)
 
 
 @inlined
-def _follows(before: Array, rate: float, after: Array, then: float, step: Array) -> bool:
-    """Return whether the velocities of all joints, q' r, change by no more than a step."""
-    follows = True
+def _follows(before: Array, rate: float, after: Array, then: float, limit: Array, period: float) -> bool:
+    """Return whether velocities q' r change by no more than the limits, and the tick ends within the accelerations.
+
+    Without the second one the path's own acceleration could grow within the tick to what the change leaves no room for.
+    """
+    follows, change = True, (then - rate) / period
     for j in range(6):
-        follows = follows and abs(after[j] * then - before[j] * rate) <= step[j]
+        step = after[1, j] * then - before[1, j] * rate
+        end = after[2, j] * then * then + after[1, j] * change
+        follows = follows and abs(step) <= limit[j] * period and abs(end) <= limit[j] * (1.0 + _SLACK)
     return follows

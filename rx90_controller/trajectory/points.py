@@ -37,6 +37,7 @@ class TrajectoryPoints:
         named: which joints the points are of, shape (6,); the values of the others are 0 and mean nothing.
         first: number of the first point in the trajectory that was sent.
         way: between the points, if `prepared` has computed it.
+        smooth: whether only the velocities at both ends count, see `smoothed`.
     """
 
     times: Array
@@ -46,6 +47,7 @@ class TrajectoryPoints:
     named: Mask = field(default_factory=lambda: np.ones(6, dtype=np.bool_))
     first: int = 0
     way: Way | None = None
+    smooth: bool = False
 
     @classmethod
     def create(
@@ -104,12 +106,25 @@ class TrajectoryPoints:
 
     def prepared(self) -> TrajectoryPoints:
         """Return them with the way between them computed, so that to take them needs less time."""
-        if self.velocity is None or len(self.times) < 2:
+        if self.velocity is None or len(self.times) < 2 or self.smooth:
             return self
         # What overflows is beyond the limits, and refused by them.
         with np.errstate(over="ignore", invalid="ignore"):
             coefficients = interpolate(self.times, self.position, self.velocity, self.acceleration).coefficients
         return replace(self, way=Way(coefficients, Bounds.of(coefficients, np.diff(self.times))))
+
+    def smoothed(self) -> TrajectoryPoints:
+        """Return them for the smooth spline through their positions, with their velocities at both ends.
+
+        Points without velocities stay as they are: what they ask for is straight lines.
+        """
+        if self.velocity is None:
+            return self
+        velocity = np.zeros_like(self.velocity)
+        # A first point that is later than the start is passed like any other.
+        ends = [0, -1] if self.times[0] == 0.0 else [-1]
+        velocity[ends] = self.velocity[ends]
+        return replace(self, velocity=velocity, acceleration=None, way=None, smooth=True)
 
     def after(self, time: float) -> TrajectoryPoints:
         """Return the points later than a time, s, with times from there on."""

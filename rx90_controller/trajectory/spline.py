@@ -110,6 +110,38 @@ def resting(position: Array) -> Spline:
     return Spline(np.zeros(1), np.zeros((0, 6, 6)), position)
 
 
+def smooth(times: Array, position: Array, velocity: Array) -> Spline:
+    """Return the cubic spline through the points whose acceleration is continuous from its begin to its end.
+
+    Args:
+        times: s, shape (n,), increasing, n >= 2.
+        position: rad, shape (n, 6).
+        velocity: rad/s, shape (n, 6); only the first and the last row count.
+    """
+    slopes = velocity.copy()
+    _slopes(times, position, slopes)
+    return interpolate(times, position, slopes, None)
+
+
+@kernel
+def _slopes(times: Array, position: Array, slopes: Array) -> None:
+    """Fill the slopes of the C2 cubic between the first and the last row, shape (n, 6) (de Boor 2001, chapter IV)."""
+    # h1 s0 + 2 (h0 + h1) s1 + h0 s2 = 3 (h1 d0 + h0 d1), h: spans, d: differences of the positions by the spans.
+    last = times.size - 1
+    factor = np.zeros(times.size)
+    for i in range(1, last):
+        before, after = times[i] - times[i - 1], times[i + 1] - times[i]
+        pivot = 2.0 * (before + after) - after * factor[i - 1]
+        factor[i] = before / pivot
+        for j in range(6):
+            left = (position[i, j] - position[i - 1, j]) / before
+            right = (position[i + 1, j] - position[i, j]) / after
+            slopes[i, j] = (3.0 * (after * left + before * right) - after * slopes[i - 1, j]) / pivot
+    for i in range(last - 1, 0, -1):
+        for j in range(6):
+            slopes[i, j] -= factor[i] * slopes[i + 1, j]
+
+
 def interpolate(times: Array, position: Array, velocity: Array, acceleration: Array | None) -> Spline:
     """Return the spline through the points: cubic with velocities, quintic with velocities and accelerations.
 

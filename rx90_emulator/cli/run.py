@@ -150,6 +150,13 @@ def _trajectory_run(
                 file=sys.stderr,
             )
         run: Callable[[], RunResult] = partial(replay, setup, recorded, **how)
+        if recorded.given:
+            names = ", ".join(recorded.given)
+            print(
+                f"rx90_run: warning: {names} had other values in that run from its beginning; here the controller file "
+                "and the options of this command hold",
+                file=sys.stderr,
+            )
     else:
         points = load_trajectory(options.trajectory, setup.robot.joint_names)
         start = points.position[0] if start is None else start

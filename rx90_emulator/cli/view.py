@@ -1,4 +1,4 @@
-"""Look at an arm in the browser: that of running nodes, its laser spot, its friction; or bags, played again."""
+"""Look at an arm in the browser: move that of running nodes, its laser spot and its friction; or play bags."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
     page.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-    add_robot_arguments(parser, "urdf", "tool", "drives", "controller", "task")
+    add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
     view_bags.add_arguments(parser)
 
 

@@ -45,18 +45,23 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.view.live.live_view import LiveView
     from rx90_emulator.view.live.source import LiveSource
     from rx90_emulator.view.page import Page
+    from rx90_emulator.view.panel.operator import NodeNames
+    from rx90_emulator.view.panel.panel import DoPanel
 
     files = RobotFiles.of_options(options)
     robot = load_robot(files.urdf, files.tool)
     line = None if files.task is None else load_task(files.task)
     tour = _tour(options, files) if options.demo else None
     page = Page("rx90_view", options.host, options.port)
+    panel: DoPanel | None = None
     try:
         if tour is not None:
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
             view = LiveView(page, LiveSource(client, robot, options.node), robot, line)
+            nodes = NodeNames.beside(options.node, options.ros_args)
+            panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
             page.announce(browser=not options.no_browser)
             if tour is not None:
                 tour.follow(page, view)
@@ -64,6 +69,8 @@ def main(options: argparse.Namespace) -> None:
     except KeyboardInterrupt:
         return
     finally:
+        if panel is not None:
+            panel.close()
         page.close()
         if tour is not None:
             tour.end()

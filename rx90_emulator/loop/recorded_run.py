@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.changes import read_changes
+from rx90_common.bags.changes import read_changes, read_values
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.trajectories import read_trajectories
@@ -15,6 +16,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, TrajectoryError, check_type
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
+from rx90_controller.goals.goal import GoalOptions
+from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory.message import points_from_message
 from rx90_emulator.loop.closed_loop import simulate_commands
 from rx90_emulator.loop.result import MotionCommand, RunResult
@@ -22,6 +25,8 @@ from rx90_emulator.loop.setup import Setup
 
 OF_LAW = ("servo.", "feed_forward.", "supervision.")
 """How the names of parameters begin that are constants of the law: the sections of the controller file."""
+_ATTRIBUTES = {"coulomb_torque": "coulomb", "viscous_friction": "viscous"}
+"""Keys of the controller file whose attributes have other names."""
 _AT_REST = 0.01  # rad/s
 _LATEST = 100.0  # s of simulated time before the bag begins; the loop runs through it
 
@@ -35,12 +40,15 @@ class RecordedRun:
         initial_position: where the arm rested, rad, shape (6,).
         duration: simulated time at the end of the bag, s.
         changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
+        given: names of those that had other values than the setup's from the beginning, as the bag tells them, and of
+            what else was accepted of trajectories, which `replay` does not know.
     """
 
     commands: tuple[MotionCommand, ...]
     initial_position: Array
     duration: float
     changed: tuple[str, ...] = ()
+    given: tuple[str, ...] = ()
 
 
 def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = None) -> RecordedRun:
@@ -80,7 +88,9 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         commands.append(MotionCommand(start, points))
     step = setup.rates.position_period
     changed = {change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)}
-    return RecordedRun(tuple(commands), initial_position, last / NANOSECONDS + step, tuple(sorted(changed)))
+    given = [name for name, value in read_values(bag).items() if _is_other(name, value, setup.controller)]
+    duration = last / NANOSECONDS + step
+    return RecordedRun(tuple(commands), initial_position, duration, tuple(sorted(changed)), tuple(sorted(given)))
 
 
 def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bool = False) -> RunResult:
@@ -95,6 +105,15 @@ def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bo
     return simulate_commands(
         setup, run.commands, run.initial_position, run.duration, substeps=substeps, record_fast=record_fast
     )
+
+
+def _is_other(name: str, value: Any, law: CS7BParameters) -> bool:
+    """Return whether a parameter of the controller node had another value than the setup's law, or than its default."""
+    if not name.startswith(OF_LAW):
+        return value is True and name in {field.name for field in fields(GoalOptions)}
+    key = name.partition(".")[2]
+    holder = law.feed_forward if name.startswith("feed_forward.") and hasattr(law.feed_forward, key) else law
+    return not np.array_equal(np.asarray(value), getattr(holder, _ATTRIBUTES.get(key, key)))
 
 
 def _position_at_rest(bag: Path | str, position: Array | None, velocity: Array | None, row: int, setup: Setup) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from joint_moves import HOME, LIMITS, PERIOD
 from numpy.typing import NDArray
+from servo_rig import Rig
 
 from rx90_common.base.rates import Rates
 from rx90_controller.law.cs7b import CS7B
@@ -90,3 +91,10 @@ def servo(shipped: Setup) -> Callable[..., Servo]:
 def generator() -> TrajectoryGenerator:
     """Return a generator that holds HOME."""
     return TrajectoryGenerator(LIMITS, PERIOD, HOME)
+
+
+@pytest.fixture
+def rig(shipped: Setup) -> Rig:
+    """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
+    controller = dataclasses.replace(shipped.controller, following_error=np.full(6, 0.3))
+    return Rig(dataclasses.replace(shipped, controller=controller))

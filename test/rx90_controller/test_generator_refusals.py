@@ -65,12 +65,16 @@ def test_an_overshoot_between_points_is_refused(generator: TrajectoryGenerator) 
     assert said.startswith("point 2: joint_5 gets a set-point position 2.0")
 
 
+ANEW = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
+"""What helps where there are points between the ends, whose velocities could be others."""
+
+
 def test_a_motion_that_is_too_fast_is_refused(generator: TrajectoryGenerator) -> None:
     """A velocity beyond a joint's limit is refused by point, joint, value and time."""
     said = refused(generator, lambda: points([0.5, 0.9], [HOME, HOME + 1.0], [ZERO] * 2), 600, None)
     assert said.startswith("point 1: joint_1 gets a set-point velocity 3.0")
     assert "at 0.6" in said
-    assert said.endswith("accepted: [-3, 3]")
+    assert f"accepted: [-3, 3]{ANEW}" in said
 
 
 def test_a_jump_between_two_set_points_is_refused(generator: TrajectoryGenerator) -> None:
@@ -86,6 +90,7 @@ def test_an_acceleration_beyond_the_limit_is_refused(generator: TrajectoryGenera
     said = refused(generator, lambda: points([0.5, 0.6], [HOME, HOME + 0.15], [ZERO] * 2), 600, None)
     assert said == (
         "point 1: joint_1 gets a set-point acceleration 90 rad/s^2 on the way there, at 0.500 s; accepted: [-60, 60]"
+        f"{ANEW}"
     )
 
 

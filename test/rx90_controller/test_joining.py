@@ -265,7 +265,7 @@ def test_accelerations_count_between_set_points_too(generator: TrajectoryGenerat
         generator.accept(points([0.1002, 0.1005, 0.1008, 0.5], way, [ZERO] * 4), 1200, None)
     said = str(caught.value)
     assert said.startswith("point 1: joint_4 gets an acceleration of 6666.67 rad/s^2 on the way there, between two")
-    assert said.endswith("at 0.1002 s; accepted: [-40, 40]")
+    assert "at 0.1002 s; accepted: [-40, 40], or velocities_from_positions" in said
 
 
 def test_many_points_do_not_slow_a_tick_down() -> None:

@@ -16,6 +16,7 @@ from rx90_controller.goals.results import GoalError
 from rx90_controller.goals.runner import GoalRunner
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
+from rx90_controller.trajectory.planning import Plan
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
@@ -91,14 +92,14 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     tolerances = GoalTolerances.defaults(NAMES)
     now, handed_over, reasons, path = 1000, 0, [], []
     for key in range(GOALS):
-        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 3)))
+        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
         before = runner.active
         try:
             goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
             plan = None
             if generator.random() < 0.5:
-                plan = runner.plan(now, lead=30)
-                plan.join(goal.points, goal.start, anywhere=options.allow_trajectory_replacement)
+                plan = Plan(trajectory, goal.entrance(options), now, lead=30)
+                plan.join()
                 if generator.random() < 0.3:
                     trajectory.halt(now)
                 path.append(trajectory.setpoints(now, meanwhile := int(generator.integers(0, 40))))
@@ -135,3 +136,4 @@ def check(path: NDArray[np.float64]) -> None:
     assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * slack).all()
     moved = np.diff(position, axis=0) - 0.5 * PERIOD * (velocity[1:] + velocity[:-1])
     assert (np.abs(moved) <= 0.25 * LIMITS.acceleration * PERIOD**2 * slack).all()
+    assert (np.abs(np.diff(position, 2, axis=0)) <= LIMITS.acceleration * PERIOD**2 * slack).all()

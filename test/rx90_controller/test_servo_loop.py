@@ -2,106 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from servo_rig import Rig
 
-from rx90_common.exchange.motor_messages import MotorStates
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal
 from rx90_controller.goals.tolerances import GoalTolerances
-from rx90_controller.node.servo_loop import ServoLoop
 from rx90_controller.trajectory.message import points_from_message
-from rx90_emulator.loop.setup import Setup
-
-
-class Surroundings:
-    """What a servo loop has around it: a log, and topics that note what is published."""
-
-    ready = "ready"
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-        self.published: list[int] = []
-        self.taken: list[tuple[int, int]] = []
-        self.report: Callable[[], None] = lambda: None
-
-    def info(self, text: str) -> None:
-        """Note a line."""
-        self.lines.append(text)
-
-    def error(self, text: str) -> None:
-        """Note a line."""
-        self.lines.append(text)
-
-    def wait_for_subscribers(self) -> None:
-        """Note the wait."""
-        self.lines.append("subscribers")
-
-    def publish(self, stamp_ns: int) -> None:
-        """Note when."""
-        self.published.append(stamp_ns)
-
-    def accepted(self, trajectory: SimpleNamespace, start_ns: int) -> None:
-        """Note how many points, and when they start."""
-        self.taken.append((len(trajectory.points), start_ns))
-
-    def wake(self) -> None:
-        """Report at once."""
-        self.report()
-
-
-class Rig:
-    """A servo loop on motors that stand still, ticked by hand."""
-
-    def __init__(self, setup: Setup) -> None:
-        self.around = Surroundings()
-        self.cs7b = setup.cs7b()
-        self.names = setup.robot.joint_names
-        self.loop = ServoLoop(self.cs7b, self.around, horizon=60.0)
-        self.around.report = self.loop.report
-        self.period = setup.rates.period_ns
-        self.position = np.zeros(6)
-
-    def states(self, tick: int) -> MotorStates:
-        """Return the states of a tick."""
-        return MotorStates(tick * self.period, self.position, np.zeros(6))
-
-    def run(self, first: int, count: int) -> list[bool]:
-        """Run ticks; return for each whether there is torque."""
-        torques = []
-        for tick in range(first, first + count):
-            torques.append(self.loop.step(tick * self.period, self.states(tick)))
-            self.loop.after_command(tick * self.period)
-        return torques
-
-    def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
-        """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
-        empty: list[float] = []
-        point = SimpleNamespace(
-            positions=[target] * 6, velocities=[0.0] * 6, accelerations=empty, effort=empty,
-            time_from_start=SimpleNamespace(sec=seconds, nanosec=0),
-        )  # fmt: skip
-        return SimpleNamespace(header=header(stamp), joint_names=list(self.names), points=[point])
-
-    def empty(self, names: Sequence[str] = (), stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
-        """Return a message without points."""
-        return SimpleNamespace(header=header(stamp), joint_names=list(names), points=[])
-
-
-def header(stamp: tuple[int, int]) -> SimpleNamespace:
-    """Return the header of a message."""
-    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]))
-
-
-@pytest.fixture
-def rig(shipped: Setup) -> Rig:
-    """Return a servo loop that has seen nothing yet; its motors may stand still while the set-points move."""
-    controller = dataclasses.replace(shipped.controller, following_error=np.full(6, 0.3))
-    return Rig(dataclasses.replace(shipped, controller=controller))
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -303,18 +211,6 @@ def offer(rig: Rig, target: float) -> Sender:
     with rig.loop.between_ticks() as goals:
         goals.take(sender, Goal(points, GoalTolerances.defaults(rig.names), None), trajectory, rig.loop.inactive)
     return sender
-
-
-@pytest.mark.parametrize(
-    ("times", "beside"), [(range(1, 21), False), (range(0, 21), True), (range(21, 22), True), (range(20, 21), False)]
-)
-def test_goals_that_may_take_long_are_joined_beside_the_ticks(rig: Rig, times: Sequence[int], beside: bool) -> None:
-    """Those are goals of more than 20 points, or of more than 20 s, which have many set-points to check."""
-    trajectory = rig.trajectory(0.1)
-    trajectory.points = [rig.trajectory(0.1, seconds).points[0] for seconds in times]
-    goal = Goal(points_from_message(rig.names, trajectory), GoalTolerances.defaults(rig.names), None)
-    with rig.loop.between_ticks() as goals:
-        assert (goals.plan(goal) is not None) == beside
 
 
 def test_a_goal_ends_with_what_ends_its_motion(rig: Rig) -> None:

@@ -187,7 +187,9 @@ class Recorder:
         """Announce to the bag the topics found since the last call, in their order."""
         for stream in streams:
             if stream.index not in self._connections:
-                self._connections[stream.index] = writer.add_topic(stream.topic, stream.msgtype, [stream.qos])
+                self._connections[stream.index] = writer.add_topic(
+                    stream.topic, stream.msgtype, [stream.qos], stream.definition
+                )
 
     def _write(self, streams: Streams, writer: BagWriter, dated: Dated | None) -> None:
         if dated is None:

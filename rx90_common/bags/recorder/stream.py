@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -14,9 +13,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
 
 from rx90_common.bags.ordering import TimeSource
+from rx90_common.bags.recorder.definition import begins_with_header, definition, message_class
 from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
-from rx90_common.bags.topics import CLOCK, JOINT_STATE, tells_changes
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, TRANSFORMS, tells_changes
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -24,7 +24,6 @@ from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
-_HEADER = "std_msgs/msg/Header"
 _PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
 
 
@@ -93,6 +92,7 @@ class Stream:
         gathering: of all topics of the node.
 
     Attributes:
+        definition: the text of its type, if bags of this project do not know it; else empty.
         in_bulk: whether messages are taken many at a time.
         repeated: messages that were the one before them once more.
 
@@ -104,15 +104,17 @@ class Stream:
         self.topic = topic
         self.index = index
         self.msgtype = _one_type(topic, endpoints)
-        self.time_source = time_source(topic, self.msgtype)
-        message_class = _message_class(topic, self.msgtype)
+        kind = message_class(topic, self.msgtype)
+        self.time_source = time_source(topic, self.msgtype, kind)
+        known = typestore().fielddefs
+        self.definition = "" if self.msgtype in known else definition(kind, known)
         profiles = [endpoint.qos_profile for endpoint in endpoints]
         reliable = all(p.reliability != ReliabilityPolicy.BEST_EFFORT for p in profiles)
         transient_local = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
         self._latched = transient_local
         self.qos: Qos = offered_qos(reliable=reliable, transient_local=transient_local)
         self.subscription = node.create_subscription(
-            message_class,
+            kind,
             topic,
             _never_called,
             QoSProfile(
@@ -126,7 +128,7 @@ class Stream:
         gathering.include(self.subscription)
         bulk = bulk_taker(self.subscription, topic)
         self.in_bulk = bulk is not None
-        self._taker: Taker = bulk or SingleTaker(self.subscription, message_class)
+        self._taker: Taker = bulk or SingleTaker(self.subscription, kind)
         kinds = QoSSubscriptionEventType
         self._matched = self._event(kinds.RCL_SUBSCRIPTION_MATCHED)
         self._message_lost = self._event(kinds.RCL_SUBSCRIPTION_MESSAGE_LOST)
@@ -189,15 +191,13 @@ class Stream:
             return int(event.take_event().total_count)
 
 
-def time_source(topic: str, msgtype: str) -> TimeSource:
-    """Return where a topic's messages have their log time from."""
+def time_source(topic: str, msgtype: str, kind: Any) -> TimeSource:
+    """Return where a topic's messages, of a class, have their log time from."""
     if msgtype == JOINT_STATE:
         return TimeSource.CLOCK
-    if tells_changes(topic, msgtype):
+    if tells_changes(topic, msgtype) or begins_with_header(kind):
         return TimeSource.STAMP
-    _, fields = typestore().fielddefs.get(msgtype, ((), ()))
-    first = fields[0][1][1] if fields else None
-    return TimeSource.STAMP if first == _HEADER else TimeSource.NEWEST
+    return TimeSource.LIST if msgtype == TRANSFORMS else TimeSource.NEWEST
 
 
 def _one_type(topic: str, endpoints: Sequence[Any]) -> str:
@@ -205,14 +205,6 @@ def _one_type(topic: str, endpoints: Sequence[Any]) -> str:
     if len(types) > 1:
         raise BagError(f"{topic} is published with the types {', '.join(types)}; accepted: one type")
     return types[0]
-
-
-def _message_class(topic: str, msgtype: str) -> Any:
-    package, _, name = msgtype.split("/")
-    try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(f"{topic} has type {msgtype}, which is not installed ({error})") from error
 
 
 def _never_called(_: bytes) -> None:

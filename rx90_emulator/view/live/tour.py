@@ -11,14 +11,15 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
 from rx90_controller.law.parameters import load_controller
+from rx90_controller.lines.approach import Approach
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import load_task
-from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
+from rx90_controller.node.trajectory_client import Delivery, deliver
 from rx90_emulator.view.live.live_view import LiveView
 from rx90_emulator.view.page import Page
 
 _SET_POINT_PERIOD = 1e-3  # s
-_APPROACH = Approach(speed=0.25, acceleration=2.0)
+_APPROACH = Approach()
 _REST = 1.0  # s between two lines
 _TIMEOUT = 60.0  # s, for nodes that come up on a busy machine
 _LOOK = 0.2  # s

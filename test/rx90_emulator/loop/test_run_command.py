@@ -11,7 +11,9 @@ import pytest
 
 from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.reading import read_bag
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError
+from rx90_common.base.share import config_path
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.model.options import RobotOptions
@@ -122,8 +124,8 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
 ) -> None:
     """From a bag alone come trajectory, start and initial position; the new bag has the same bits.
 
-    Gains that were changed in that run are named, as here they are the file's. The robot is named again, and both this
-    command and the identification refuse the bag of another one.
+    Gains that were changed in that run, or given at its start, are named, as here they are the file's. The robot is
+    named again, and both this command and the identification refuse the bag of another one.
     """
     robot = ["--robot", "tx40"]
     file, first, second = tmp_path / "move.yaml", tmp_path / "fir\nst", tmp_path / "second"
@@ -140,9 +142,19 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert RecordedRobot.load(RobotOptions(robot="tx40")).layout(first, fast=True).topic == "motor_states"
     changes = [ParameterChange(node, f"{node}.kp", "[]", 0) for node in ("servo", "other")]
     monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_changes", lambda _: changes)
+    own = load_yaml(config_path("robots/tx40/controller.yaml")).content
+    told = {f"{of}.{key}": value for of in ("servo", "feed_forward", "supervision") for key, value in own[of].items()}
+    told |= {"servo.kv": [100.0] * 6, "feed_forward.coulomb": False, "constraints.goal_time": 3.0}
+    told |= {"allow_partial_joints_goal": True, "allow_trajectory_replacement": False}
+    told = {name: value for name, value in told.items() if not name.endswith((".provenance", ".source"))}
+    monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _: told)
     assert run("rx90_run", ["--from-bag", str(first), *robot, "--output", str(second)]) == 0
     out, err = capsys.readouterr()
     assert "rx90_run: warning: servo.kp changed in that run; here the controller file holds throughout" in err
+    assert (
+        "rx90_run: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
+        in err
+    )
     assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s" in out
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
     position = read_bag(first)["joint_states"].position

@@ -74,6 +74,11 @@ class Bench:
         self.client.spin_until(lambda: seconds(self.set_points[-1]) >= newest, f"the set-point of {newest} s", 10.0)
         return self.set_points
 
+    def set_points_from(self, begin: float, count: int) -> NDArray[np.float64]:
+        """Return the positions of the ticks after a time, rad, shape (count, 6)."""
+        commanded = {round((seconds(message) - begin) * 1e3): message.position for message in self.heard()}
+        return np.array([commanded[k] for k in range(1, count + 1)])
+
     def velocities(self) -> NDArray[np.float64]:
         """Return the velocities of the set-points, rad/s, shape (n, 6)."""
         return np.array([message.velocity for message in self.heard()])
@@ -149,11 +154,21 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
 def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
     """Return what is rejected: a goal, made at a simulated time, and what the log says."""
     from action_client import goal, move, point
-    from control_msgs.msg import JointTolerance
+    from control_msgs.msg import JointComponentTolerance, JointTolerance
 
     def efforts(_: float) -> Any:
         message = move(0.0)
         message.trajectory.points[0].effort = [1.0] * 6
+        return message
+
+    def several_dof(_: float) -> Any:
+        message = move(0.0)
+        message.multi_dof_trajectory.joint_names = ["base"]
+        return message
+
+    def accelerations_alone(_: float) -> Any:
+        message = move(0.0)
+        message.trajectory.points[0].velocities, message.trajectory.points[0].accelerations = [], [0.0] * 6
         return message
 
     end = point(1.0, [0.0] * 6)
@@ -169,6 +184,12 @@ def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
         "equal times": (lambda _: goal(end, end), "time_from_start 1 s after 1 s"),
         "wrong size": (lambda _: goal(point(1.0, [0.0] * 5)), "5 positions; accepted: 6"),
         "effort": (efforts, "carries effort"),
+        "accelerations alone": (accelerations_alone, "accelerations without velocities"),
+        "a joint of several degrees of freedom": (several_dof, "multi_dof_trajectory is given"),
+        "a tolerance of components": (
+            lambda _: move(0.0, component_path_tolerance=[JointComponentTolerance(joint_name="base")]),
+            "component_path_tolerance of 1 joints; accepted: none",
+        ),
         "a tolerance of nothing": (lambda _: move(0.0, path_tolerance=[JointTolerance(name="elbow")]), "'elbow'"),
     }
 
@@ -257,6 +278,25 @@ def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
         bench.client.enable(on)
     assert not bench.goals.send(move(0.0)).accepted  # not before the loops hold the arm again
     bench.time.run(STEP)
+    bench.home()
+
+
+def test_a_fault_of_the_supervision_ends_a_goal_and_refuses_the_next(bench: Bench, shipped: Setup) -> None:
+    """Beyond the following error: ABORTED, -1, with joint, value and limit; goals are rejected until `enable`."""
+    from action_client import move
+
+    bench.home()
+    usual = shipped.controller.following_error.tolist()
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=[1e-5] * 6) == [""]
+    ended = bench.follow(move(0.05, 0.4))
+    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+    reason = r"joint_\d: following error \S+ rad at \S+ s; accepted: up to 1e-05 rad; torque off, brakes closed, at .*"
+    assert re.fullmatch(reason, ended.result.error_string), ended.result.error_string
+    assert not bench.goals.send(move(0.0)).accepted
+    bench.cell.wait_for(r"goal rejected: joint_\d: following error .*; accepted: after a call of ~/enable with true")
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=usual) == [""]
+    bench.client.enable(True)
+    bench.time.run(0.1)
     bench.home()
 
 
@@ -356,6 +396,8 @@ def test_a_new_goal_of_anybody_pre_empts_the_one_before(bench: Bench, accelerati
     ended = bench.goals.wait(first)
     assert (ended.status, ended.result.error_code) == (ABORTED, -1)
     assert ended.result.error_string.startswith("pre-empted by a new goal, at ")
+    bench.said(f"goal aborted: {ended.result.error_string}")
+    assert not re.search(r"\[ERROR\].* pre-empted by a new goal", bench.cell.output)
     assert bench.time.until(second).status == SUCCEEDED
     assert (bench.fastest_change() <= acceleration).all()
     assert list(bench.heard()[-1].position) == pytest.approx([0.02] * 6, abs=1e-12)
@@ -379,6 +421,8 @@ def test_a_trajectory_on_the_topic_ends_a_goal(bench: Bench) -> None:
         ended = bench.goals.wait(result)
         assert (ended.status, ended.result.error_code) == (ABORTED, -1)
         assert ended.result.error_string.startswith("replaced by a trajectory on the topic, at ")
+        bench.said(f"goal aborted: {ended.result.error_string}")
+    assert not re.search(r"\[ERROR\].* replaced by a trajectory", bench.cell.output)
     bench.time.run(0.3)
     assert not bench.velocities()[-50:].any()
 
@@ -401,7 +445,8 @@ def test_cancelling_before_the_start_and_after_the_end(bench: Bench) -> None:
 def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.float64]) -> None:
     """At a factor f a goal takes 1/f of its time, changed on the way without a jump; at 0 it waits, and goes on.
 
-    A factor that is none is a line, one that is repeated is none. controller_state has the speed along the path.
+    A factor that is none is a line, the next ones are counted; one that is repeated is no line. controller_state has
+    the speed along the path.
     """
     from action_client import move
     from control_msgs.msg import JointTrajectoryControllerState, SpeedScalingFactor
@@ -425,7 +470,8 @@ def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.flo
         scale(0.5, "speed scaling 0.5")
         factor.publish(SpeedScalingFactor(factor=0.5))
         scale(1.5, "speed scaling 1.5; accepted: a number in [0, 1]; ignored")
-        scale(float("nan"), "speed scaling nan; accepted: a number in [0, 1]; ignored")
+        for wrong in (float("nan"), *[-0.5] * 20):
+            factor.publish(SpeedScalingFactor(factor=wrong))
         bench.time.run(0.2)
         assert states[-1].speed_scaling_factor == 0.5
         scale(0.0, "speed scaling 0")
@@ -436,6 +482,7 @@ def test_speed_scaling_along_the_path(bench: Bench, acceleration: NDArray[np.flo
         scale(1.0, "speed scaling 1")
         assert bench.time.until(result).status == SUCCEEDED
         assert bench.cell.output.count("speed scaling 0.5") == 1
+        assert bench.cell.output.count("accepted: a number in [0, 1]; ignored") == 1
     finally:
         factor.publish(SpeedScalingFactor(factor=1.0))
     # 0.1 s at full speed, some 0.2 s at half of it, 0.3 s at none: the path's 0.4 s take 0.8 s, but for the ramps.
@@ -530,8 +577,9 @@ def test_a_paused_simulation_keeps_a_goal_waiting_and_a_reset_aborts_it(bench: B
 
 
 def test_ten_thousand_points(bench: Bench) -> None:
-    """A goal of 10,000 points is followed through all of them."""
+    """A goal of 10,000 points is followed through all of them; so is a trajectory on the topic, in the same bits."""
     from action_client import goal, point
+    from trajectory_msgs.msg import JointTrajectory
 
     bench.home()
     begin, times = bench.now + STEP, np.arange(1, 10_001) * 1e-4
@@ -540,29 +588,14 @@ def test_ten_thousand_points(bench: Bench) -> None:
     speed[-1] = 0.0
     points = [point(t, [q] * 6, [v] * 6) for t, q, v in zip(times, shape, speed, strict=True)]
     assert bench.follow(goal(*points, start=begin)).status == SUCCEEDED
-    commanded = {round((seconds(m) - begin) * 1e3): m.position for m in bench.heard()}
-    passed = np.array([commanded[k] for k in range(1, 1001)])
+    passed = bench.set_points_from(begin, 1000)
     assert np.abs(passed - shape[9::10][:, None]).max() < 1e-9
 
-
-def test_random_goals_are_refused_with_a_reason_or_followed(bench: Bench, acceleration: NDArray[np.float64]) -> None:
-    """Goals at random, one into the other: each has a reason or a result, and no set-point jumps."""
-    from action_client import goal, point
-
     bench.home()
-    generator = np.random.default_rng(11)
-    ends = []
-    for _ in range(8):
-        count = generator.integers(1, 4)
-        times = np.cumsum(generator.uniform(0.1, 0.7, count))
-        points = [point(t, generator.uniform(-0.06, 0.06, 6), generator.uniform(-0.1, 0.1, 6)) for t in times]
-        points[-1].velocities = [0.0] * 6
-        handle = bench.goals.send(goal(*points))
-        ends.append(bench.goals.result_of(handle))
-        bench.time.run(STEP * generator.integers(0, 30))
-    bench.time.run(1.5)
-    for end in ends:
-        ended = bench.goals.wait(end)
-        assert ended.status in (SUCCEEDED, ABORTED)
-        assert ended.result.error_string
-    assert (bench.fastest_change() <= acceleration).all()
+    begin = bench.now + STEP
+    topic = bench.client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1)
+    bench.client.spin_until(lambda: topic.get_subscription_count() > 0, "the controller")
+    topic.publish(goal(*points, start=begin).trajectory)
+    bench.said("trajectory accepted: 10000 points")
+    bench.time.run(1.0 + 2 * STEP)
+    assert np.array_equal(bench.set_points_from(begin, 1000), passed)

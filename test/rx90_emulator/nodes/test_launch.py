@@ -32,7 +32,7 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     assert defaults["robot"] == DEFAULT_ROBOT
     assert defaults.keys() - MODEL_FILES == {
         *("robot", "namespace", "time_mode", "real_time_factor", "initial_position", "paused", "composed"),
-        "autostart",
+        *("autostart", "velocities_from_positions"),
         *("robot_state_publisher", "rviz"),
     }
     for node in made.values():
@@ -44,7 +44,7 @@ def test_arguments_are_parameters_of_the_nodes_that_read_them(monkeypatch: pytes
     text = Path(file.given[0]).read_text(encoding="utf-8")
     sections = yaml.safe_load(re.sub(r"\$\(var (\w+)\)", r"\1", text))
     own = ("time_mode", "real_time_factor", "initial_position", "paused", "robot", "urdf", "tool", "drives", "friction")
-    other = ("robot", "urdf", "drives", "controller")
+    other = ("robot", "urdf", "drives", "controller", "velocities_from_positions")
     assert sections == {
         "/**/rx90_sim": {"ros__parameters": {name: name for name in ("autostart", *own)}},
         "/**/rx90_controller": {"ros__parameters": {name: name for name in ("autostart", *other)}},
@@ -86,7 +86,11 @@ def test_moveit_gets_the_robot_its_limits_and_the_controller(monkeypatch: pytest
         assert node.named["namespace"] == Action("LaunchConfiguration", ("namespace",), {})
     assert Path(rviz.named["arguments"][1]).is_file()
     assert Path(arm.given[0].given[0]).name == FILE
-    assert dict(arm.named["launch_arguments"]) == {"robot_state_publisher": "true", "rviz": "false"}
+    assert dict(arm.named["launch_arguments"]) == {
+        "robot_state_publisher": "true",
+        "rviz": "false",
+        "velocities_from_positions": "true",
+    }
 
 
 def test_moveit_refuses_what_its_files_are_not_made_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

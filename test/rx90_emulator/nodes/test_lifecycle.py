@@ -20,6 +20,7 @@ from ros_client import Client, seconds
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from rx90_common.bags.changes import read_values
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_emulator.loop.setup import Setup
 
@@ -154,6 +155,10 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
         "robot": ("tx40", "robot is read when the node is configured; accepted: in state unconfigured"),
         "start_horizon": (1.0, "start_horizon is read when the node is configured"),
         "autostart": (False, "read-only"),
+        "servo_kp": (
+            1.0,
+            "^parameter servo_kp is unknown to rx90_controller; accepted: .*, servo.ki, servo.kp, [^\n]*$",
+        ),
         "servo.kp": ([1.0] * 5, r"parameter: servo.kp is .*; accepted: 6 numbers, each a number >= 0"),
         "servo.kv": ([1, 2, 3, 4, 5, -6], r"parameter: servo.kv\[5\] is -6.0; accepted: 6 numbers, each a number >= 0"),
         "supervision.over_speed": (0, r"supervision.over_speed is 0.0; accepted: a number > 0"),
@@ -188,6 +193,9 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     assert [list(m.effort) for m in commands] == commands_of_two_laws(shipped, before, after, effect)
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
+    recorded = read_values(tmp_path / "bag")
+    assert recorded["feed_forward.viscous_friction"] == viscous
+    assert recorded["servo.kp"] == shipped.controller.kp.tolist()
     done = processes.run("rx90_bag", "info", tmp_path / "bag").stdout
     assert f"/{CONTROLLER}: servo.kp changed to {kp}, from t = 0.011000 s on" in done
     assert f"/{SIMULATION}: step_ticks changed to {TICKS - CHANGED_AT}, from t = 0.010750 s on" in done

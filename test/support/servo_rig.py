@@ -1,0 +1,91 @@
+"""A servo loop without ROS, ticked by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+
+import numpy as np
+
+from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.node.servo_loop import ServoLoop
+from rx90_emulator.loop.setup import Setup
+
+
+class Surroundings:
+    """What a servo loop has around it: a log, and topics that note what is published."""
+
+    ready = "ready"
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.published: list[int] = []
+        self.taken: list[tuple[int, int]] = []
+        self.report: Callable[[], None] = lambda: None
+
+    def info(self, text: str) -> None:
+        """Note a line."""
+        self.lines.append(text)
+
+    def error(self, text: str) -> None:
+        """Note a line."""
+        self.lines.append(text)
+
+    def wait_for_subscribers(self) -> None:
+        """Note the wait."""
+        self.lines.append("subscribers")
+
+    def publish(self, stamp_ns: int) -> None:
+        """Note when."""
+        self.published.append(stamp_ns)
+
+    def accepted(self, trajectory: SimpleNamespace, start_ns: int) -> None:
+        """Note how many points, and when they start."""
+        self.taken.append((len(trajectory.points), start_ns))
+
+    def wake(self) -> None:
+        """Report at once."""
+        self.report()
+
+
+class Rig:
+    """A servo loop on motors that stand still, ticked by hand."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.around = Surroundings()
+        self.cs7b = setup.cs7b()
+        self.names = setup.robot.joint_names
+        self.loop = ServoLoop(self.cs7b, self.around, horizon=60.0)
+        self.around.report = self.loop.report
+        self.period = setup.rates.period_ns
+        self.position = np.zeros(6)
+
+    def states(self, tick: int) -> MotorStates:
+        """Return the states of a tick."""
+        return MotorStates(tick * self.period, self.position, np.zeros(6))
+
+    def run(self, first: int, count: int) -> list[bool]:
+        """Run ticks; return for each whether there is torque."""
+        torques = []
+        for tick in range(first, first + count):
+            torques.append(self.loop.step(tick * self.period, self.states(tick)))
+            self.loop.after_command(tick * self.period)
+        return torques
+
+    def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
+        """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""
+        empty: list[float] = []
+        point = SimpleNamespace(
+            positions=[target] * 6, velocities=[0.0] * 6, accelerations=empty, effort=empty,
+            time_from_start=SimpleNamespace(sec=seconds, nanosec=0),
+        )  # fmt: skip
+        return SimpleNamespace(header=header(stamp), joint_names=list(self.names), points=[point])
+
+    def empty(self, names: Sequence[str] = (), stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
+        """Return a message without points."""
+        return SimpleNamespace(header=header(stamp), joint_names=list(names), points=[])
+
+
+def header(stamp: tuple[int, int]) -> SimpleNamespace:
+    """Return the header of a message."""
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp[0], nanosec=stamp[1]))
