@@ -63,21 +63,26 @@ class BagPlots:
         joint.on_update(lambda _: page.later(lambda: self._choose(joint.value)))
         self._width.on_update(lambda _: page.later(self.forget))
         self._drawn: int | None = None
+        self._drawn_whole: int | None = None
 
     def forget(self) -> None:
-        """Draw at the next call, even if the time is the same."""
+        """Draw what was around the time at the next call, even if that is the same."""
         self._drawn = None
 
-    def draw(self, shown_ns: int) -> None:
-        """Draw for a time, if it is another one than before."""
-        if shown_ns == self._drawn:
-            return
-        self._drawn = shown_ns
-        for plot in self._whole:
-            plot.draw(*self._span, shown_ns)
-        half = round(float(self._width.value) * NANOSECONDS / 2)
-        for plot in self._around:
-            plot.draw(shown_ns - half, shown_ns + half, shown_ns)
+    def draw_whole(self, shown_ns: int) -> None:
+        """Show a time in the plots of the whole length, if it is another one than before."""
+        if shown_ns != self._drawn_whole:
+            self._drawn_whole = shown_ns
+            for plot in self._whole:
+                plot.draw(*self._span, shown_ns)
+
+    def draw_around(self, shown_ns: int) -> None:
+        """Draw what was around a time, if it is another one than before."""
+        if shown_ns != self._drawn:
+            self._drawn = shown_ns
+            half = round(float(self._width.value) * NANOSECONDS / 2)
+            for plot in self._around:
+                plot.draw(shown_ns - half, shown_ns + half, shown_ns)
 
     def _choose(self, joint: str) -> None:
         for plot in self._around:

@@ -23,7 +23,8 @@ from rx90_emulator.view.line import legend_html, line_colors
 from rx90_emulator.view.page import Page
 
 _POSE_PERIOD = 1.0 / 30.0  # s
-_PLOT_PERIOD = 0.15
+_AROUND_PERIOD = 0.15
+_WHOLE_PERIOD = 0.4
 _GHOST = (0, 114, 178)
 _PIECES = 3000  # of the tip's way
 
@@ -74,7 +75,8 @@ class BagPlayer:
         self._shown: float | None = None
         self._before: float | None = None
         page.every(_POSE_PERIOD, self._update)
-        page.every(_PLOT_PERIOD, lambda _: self._plots.draw(self.shown_ns))
+        page.every(_AROUND_PERIOD, lambda _: self._plots.draw_around(self.shown_ns))
+        page.every(_WHOLE_PERIOD, lambda _: self._plots.draw_whole(self.shown_ns))
 
     @property
     def shown_ns(self) -> int:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from rx90_common.bags.comparison import compare_bags
+from rx90_common.bags.changes import ParameterChange
+from rx90_common.bags.comparison import START, compare_bags, time_shift
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
@@ -16,6 +18,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured.options import MeasuredLayout
 from rx90_emulator.view.bags.difference import difference
+from rx90_emulator.view.bags.facts import difference_text, recording_text
 from rx90_emulator.view.bags.path import path_error_track, tip_path
 from rx90_emulator.view.bags.recording import Recording, open_recording
 from rx90_emulator.view.bags.track import Track
@@ -62,6 +65,31 @@ def test_worst_differences_are_those_of_the_comparison(tmp_path: Path, shipped: 
     np.testing.assert_allclose(found.tip.values["position"][:, 0], distances, rtol=0, atol=1e-12)
     assert found.worst_tip.time_ns == stamps[int(np.argmax(distances))]
     assert found.exact == 1.0
+
+
+def test_bags_of_other_times_are_aligned(tmp_path: Path, shipped: Setup) -> None:
+    """A run that was recorded later is the same once both begin together, and its changes come at their times."""
+    stamps = np.arange(50) * STEP
+    for name, later in (("a", 0), ("b", 7 * 10**9)):
+        series = [
+            JointSeries(topic, JOINTS, stamps + later, motion(stamps * 1e-9))
+            for topic in ("/joint_states", "/friction_states", "/rx90_controller/reference")
+        ]
+        write_joint_states(tmp_path / name, series)
+    first, second = (opened(tmp_path / name, shipped) for name in "ab")
+    second = replace(second, changes=(ParameterChange("/rx90_controller", "servo.kp", "[1, 2]", 7_020_000_000),))
+    shift = time_shift(START, (), lambda number: (first, second)[number].arm.begin_ns)
+    assert shift == -7 * 10**9
+    second = second.moved(shift)
+    assert second.friction is not None
+    assert second.reference is not None
+    assert {track.begin_ns for track in (second.arm, second.friction, second.reference)} == {0}
+    found = difference(first.arm, second.arm, shipped.robot.chain, (first.path, second.path))
+    assert (found.worst_tip.value, found.exact) == (0.0, 1.0)
+    said = recording_text(second, "arm", 0)
+    assert r"| 0.020 | /rx90\_controller servo.kp | \[1, 2\] |" in said
+    assert "/joint\\_states: 50, 1000 Hz" in said
+    assert "-7.000000000 s" in difference_text(found, ("a", "b"), 0, shift)
 
 
 def test_other_rates_and_gaps(shipped: Setup) -> None:
