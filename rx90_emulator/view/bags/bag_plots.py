@@ -17,6 +17,7 @@ _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
 _MM, _MRAD = 1e3, 1e3
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
+_OF_THE_TIP = "#111111"
 _SECOND = "dashed: the second bag"
 
 
@@ -116,8 +117,12 @@ def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[Curve]]]:
 def _curves(tracks: Sequence[Track], field: str, scale: float = 1.0) -> list[Curve]:
     """Return the columns of tracks; those of the second are dashed."""
     return [
-        Curve(name, track, field, column, scale, COLOURS[column % len(COLOURS)], dashed=number > 0)
+        Curve(name, track, field, column, scale, _color(track, column), dashed=number > 0)
         for number, track in enumerate(tracks)
         if field in track.values
         for column, name in enumerate(track.names)
     ]
+
+
+def _color(track: Track, column: int) -> str:
+    return COLOURS[column % len(COLOURS)] if len(track.names) > 1 else _OF_THE_TIP

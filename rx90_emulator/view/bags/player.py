@@ -73,6 +73,7 @@ class BagPlayer:
         known = [error for error in errors if error is not None]
         self._plots = BagPlots(page, recordings, difference, known, (begin, end))
         self._shown: float | None = None
+        self._hidden = False  # the ghost
         self._before: float | None = None
         page.every(_POSE_PERIOD, self._update)
         page.every(_AROUND_PERIOD, lambda _: self._plots.draw_around(self.shown_ns))
@@ -92,7 +93,12 @@ class BagPlayer:
             worst = self._difference.worst_tip.time_ns
             button = gui.add_button("Jump to the worst difference", icon=viser.Icon.TARGET_ARROW)
             button.on_click(lambda _: page.later(lambda: self._controls.go_to(relative(worst, self._origin))))
+            ghost = gui.add_checkbox("ghost", initial_value=True, hint="draw the second bag's arm")
+            ghost.on_update(lambda _: page.later(lambda: self._draw_ghost(ghost.value)))
         self._status = gui.add_markdown("")
+
+    def _draw_ghost(self, wanted: bool) -> None:
+        self._hidden, self._shown = not wanted, None
 
     def _draw_path(self, page: Page, robot: RobotModel, error: Track | None) -> None:
         """Draw where the first recording's tip has been."""
@@ -120,8 +126,9 @@ class BagPlayer:
         lines = [f"Stamp {seconds(self.shown_ns)} s"]
         for arm, recording in zip(self.arms, self._recordings, strict=True):
             position = recording.arm.at("position", stamp)[0]
-            arm.visible = bool(np.isfinite(position).all())
-            if arm.visible:
+            known = bool(np.isfinite(position).all())
+            arm.visible = known and not (self._hidden and arm is self.arms[-1])
+            if known:
                 arm.show(position)
             else:
                 lines.append(f"no states of {plain(recording.path.name)} at this time")
