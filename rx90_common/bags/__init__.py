@@ -4,6 +4,7 @@ __all__ = [
     "batch",
     "changes",
     "comparison",
+    "decoding",
     "joint_series",
     "ordering",
     "reading",

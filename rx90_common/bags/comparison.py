@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -180,7 +180,7 @@ def compare_bags(
     for topic in wanted:
         if topic not in both:
             raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
-    shift = _shift(bag_a, bag_b, scope.align)
+    shift = time_shift(scope.align, paths, lambda number: _first_stamp((bag_a, bag_b)[number]))
     series_a, series_b = bag_a.series, _moved(bag_b.series, shift)
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
@@ -198,14 +198,23 @@ def compare_bags(
     return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
 
 
-def _shift(bag_a: JointBag, bag_b: JointBag, align: int | str) -> int:
-    """Return what to add to the stamps of the second bag, ns."""
+def time_shift(align: int | str, paths: Sequence[Path], first_stamp: Callable[[int], int]) -> int:
+    """Return what to add to the stamps of the second of two bags, ns.
+
+    Args:
+        align: as in `Scope`.
+        paths: of both bags.
+        first_stamp: gives the time at which the bag of this number begins, ns; asked for START alone.
+
+    Raises:
+        BagError: if a bag has no trajectory, for TRAJECTORY.
+    """
     if isinstance(align, int):
         return align
     if align == TRAJECTORY:
-        starts = [read_trajectories(bag.path)[-1].start_ns for bag in (bag_a, bag_b)]
+        starts = [read_trajectories(path)[-1].start_ns for path in paths]
     else:
-        starts = [_first_stamp(bag) for bag in (bag_a, bag_b)]
+        starts = [first_stamp(number) for number in range(2)]
     return starts[0] - starts[1]
 
 

@@ -1,10 +1,10 @@
-"""Look at an arm in the browser, and move it: the arm of running nodes, its laser spot, its friction."""
+"""Look at an arm in the browser: move that of running nodes, its laser spot and its friction; or play bags."""
 
 from __future__ import annotations
 
 import argparse
 
-from rx90_emulator.cli import view_live
+from rx90_emulator.cli import view_bags, view_live
 from rx90_emulator.cli.options import add_robot_arguments
 
 _LAST_PORT = 65535
@@ -21,16 +21,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
     page.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
-    add_robot_arguments(parser, "urdf", "tool", "friction", "controller", "task")
+    add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
+    view_bags.add_arguments(parser)
 
 
 def main(options: argparse.Namespace) -> None:
     """Show the page until Ctrl-C.
 
     Raises:
-        Rx90Error: where the page cannot be served or the robot cannot be read.
+        Rx90Error: where the page cannot be served, or the robot or a bag cannot be read.
     """
-    view_live.main(options)
+    if view_bags.wanted(options):
+        view_bags.main(options)
+    else:
+        view_live.main(options)
 
 
 def _port(text: str) -> int:

@@ -30,6 +30,11 @@ def error_colors(error: Array) -> Array:
     return np.where(np.isnan(error)[:, None], _AWAY, colors).astype(np.uint8)
 
 
+def line_colors(error: Array) -> Array:
+    """Return what shows as the colours of path errors (n,), m, on the points of a line in the scene, (n, 3)."""
+    return np.asarray(_LINEAR[error_colors(error)])
+
+
 def legend_html() -> str:
     """Return the colours with their path errors, as HTML."""
     stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _STOPS)
@@ -126,7 +131,7 @@ class LineScene:
             return
         self._changed = False
         tips, error = np.array(self._tips), np.array(self._errors)
-        colors = _LINEAR[error_colors(error)]
+        colors = line_colors(error)
         drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips)).astype(np.float32)
         self._trace.points = np.stack([drawn[:-1], drawn[1:]], axis=1)
         self._trace.colors = np.stack([colors[:-1], colors[1:]], axis=1)
