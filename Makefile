@@ -6,10 +6,11 @@ BIN := .venv/bin
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_IMPLEMENTATION
 
-.PHONY: help demo action test test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy suitable
+.PHONY: help demo view action test test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy suitable
 
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
+	@echo "make view     the same arm on a page in the browser, moving along the reference line until Ctrl-C"
 	@echo "make action   build control_msgs and tf2_msgs into the environment, for the action FollowJointTrajectory and for /tf"
 	@echo "make test     run all tests"
 	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
@@ -22,6 +23,9 @@ help:
 
 demo: environment-run
 	@$(BIN)/rx90_demo $(ARGS)
+
+view: environment-run
+	@$(BIN)/rx90_view --demo $(ARGS)
 
 action: environment-run
 	@$(BIN)/python -m tools.interfaces

@@ -12,6 +12,7 @@ __all__ = [
     "robot_files",
     "rotations",
     "shapes",
+    "tip",
     "tool",
     "urdf",
     "wrist",

@@ -32,6 +32,7 @@ class Newest:
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
+        self._node = node
         self._kind, self._raw, self._depth = kind, raw, depth
         self._subscription = node.create_subscription(
             kind, topic, never_called, profile, raw=raw, callback_group=TakenByHand()
@@ -46,6 +47,10 @@ class Newest:
     def publishers(self) -> int:
         """Return how many publishers the topic has."""
         return int(self._subscription.get_publisher_count())
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._node.destroy_subscription(self._subscription)
 
     def take_all(self) -> list[Any]:
         """Return the messages that came since the last call, as far as they were kept, the newest last."""

@@ -18,6 +18,10 @@ DETAILS: Final = (REFERENCE_ACCELERATION, COMMANDED_CURRENT, MOTOR_CURRENT)
 """Private topics of the controller: what the paper's block diagram has and the other topics do not."""
 DETAIL_DECIMATION: Final = 10
 """Ticks of the position loop for each message of these."""
+SAMPLED: Final = "sampled"
+"""Namespace of the topics on which the simulation publishes its states for those who look on."""
+SAMPLED_RATE: Final = 100
+"""Of these, Hz of simulated time."""
 TIME_MODE: Final = "time_mode"
 """Latched by the simulation: how time is kept; the controller follows it."""
 LOCK_STEP: Final = "lock_step"

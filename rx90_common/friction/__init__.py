@@ -17,4 +17,5 @@ __all__ = [
     "load_friction",
     "lugre",
     "parameters",
+    "tracing",
 ]

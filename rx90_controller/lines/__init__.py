@@ -1,3 +1,3 @@
-"""Straight Cartesian lines of the tool: task, profile, path and plan."""
+"""Straight Cartesian lines of the tool: task, profile, path, plan and approach."""
 
-__all__ = ["plan", "task"]
+__all__ = ["approach", "plan", "task"]

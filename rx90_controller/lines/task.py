@@ -22,6 +22,11 @@ MARGIN_RANGE = (1e-3, 1.0)
 LONGEST_LINE = 10.0
 LONGEST_REST = LONGEST_MOTION = 3600.0
 DEFAULT_BRANCH = Branch()
+TOOL_DOWN = (0.0, math.radians(180.0), 0.0)
+"""Roll, pitch and yaw, rad, with which the beam points down."""
+USUAL_SPEED = 0.1
+USUAL_ACCELERATION = 1.0
+"""What a line has whose speed and acceleration nobody names, m/s and m/s²."""
 
 
 _angles = partial(Numbers, count=3, low=-360.0, high=360.0)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Duration
 from rclpy.duration import Duration as RclpyDuration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rx90_common.base.arrays import Array
@@ -23,7 +24,9 @@ from rx90_common.exchange import node_tools
 from rx90_common.exchange.client_node import POLL, ClientNode
 from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.ros_start import reason
-from rx90_controller.lines.plan import LinePlan, approach_time, check_plan
+from rx90_common.exchange.service_calls import ServiceRequest, spoken
+from rx90_controller.lines.approach import Approach, ApproachedLine, approached
+from rx90_controller.lines.plan import LinePlan
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.message import stamped_points
 
@@ -181,6 +184,23 @@ class TrajectoryClient:
                     f"the controller on {self.topic} did not confirm the trajectory in {self._client.timeout:g} s"
                 )
 
+    def offer(self, names: Sequence[str], points: TrajectoryPoints | None) -> None:
+        """Publish a trajectory that starts now, or None to stop the arm, and do not wait; the controller's log answers.
+
+        Raises:
+            ExchangeError: if no controller listens.
+        """
+        if not self._publisher.get_subscription_count():
+            raise ExchangeError(f"there is no controller on {self.topic}; accepted: while one runs")
+        stop = JointTrajectory(joint_names=list(names))
+        self._publisher.publish(stop if points is None else trajectory_message(names, points))
+
+
+def enable_request(node: str, on: bool) -> ServiceRequest:
+    """Return the request to a controller to give the motors torque, or to take it and close the brakes."""
+    service = f"{node}/enable"
+    return ServiceRequest(SetBool, service, SetBool.Request(data=on), spoken(service))
+
 
 def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_time: float = 0.0) -> JointTrajectory:
     """Return the points as a message that starts at `start_time`, s; 0 means when it arrives."""
@@ -196,19 +216,6 @@ def trajectory_message(names: Sequence[str], points: TrajectoryPoints, start_tim
         for point in stamped_points(points)
     ]
     return message
-
-
-@dataclass(frozen=True)
-class Approach:
-    """A joint-space move to the start of the line.
-
-    Attributes:
-        speed: share of the joints' speed limits, in (0, 1].
-        acceleration: of each joint, rad/s².
-    """
-
-    speed: float
-    acceleration: float
 
 
 @dataclass(frozen=True)
@@ -244,34 +251,22 @@ def deliver(client: ClientNode, plan: LinePlan, delivery: Delivery) -> None:
     """
     trajectory = TrajectoryClient(client, delivery.controller)
     trajectory.wait_for_controller()
-    delay = _delay(client, trajectory, plan, delivery)
-    points = replace(plan.points, times=plan.times + delay)
-    trajectory.send(plan.joint_names, points, delivery.start_time)
+    line = _line(client, trajectory, plan, delivery)
+    trajectory.send(plan.joint_names, line.points, delivery.start_time)
     start = f"at {delivery.start_time:g} s" if delivery.start_time else "now"
-    client.say(f"sent {len(points.times)} points to {trajectory.topic}: start {start}, {plan.duration + delay:.3f} s")
+    client.say(f"sent {len(line.points.times)} points to {trajectory.topic}: start {start}, {line.duration:.3f} s")
     standing = trajectory.standing_time()
     if standing is not None:
         client.say(f"the simulation's time stands still at {standing:.6g} s: the arm moves when it runs on")
 
 
-def _delay(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, delivery: Delivery) -> float:
-    """Return how much later than planned the line begins: the time of the approach, s."""
-    approach = delivery.approach
-    if approach is None and delivery.start_time > 0.0:
-        return 0.0  # where the arm will be by then is not known here; the controller checks it
-    here = trajectory.joint_positions(plan.joint_names)
-    gap = np.abs(here - plan.start_pose)
-    joint = int(np.argmax(gap))
-    if gap[joint] <= delivery.limits.start_tolerance:
-        return 0.0
-    if approach is None:
-        raise LineError(
-            f"{plan.joint_names[joint]} is at {here[joint]:.4f} rad, the line starts at "
-            f"{plan.start_pose[joint]:.4f} rad; accepted: within {delivery.limits.start_tolerance:g} rad, or --approach"
-        )
-    robot = plan.path.robot
-    duration = approach_time(robot, here, plan.start_pose, approach.speed, approach.acceleration)
-    duration = math.ceil(duration * 1e3) / 1e3
-    client.say(f"approach: {np.degrees(gap[joint]):.1f} deg in {plan.joint_names[joint]}, {duration:.3f} s")
-    check_plan(plan, delivery.limits, delivery.set_point_period, here, duration)
-    return duration
+def _line(client: ClientNode, trajectory: TrajectoryClient, plan: LinePlan, delivery: Delivery) -> ApproachedLine:
+    """Return the line with the approach from where the arm stands."""
+    here = plan.start_pose
+    if delivery.approach is not None or delivery.start_time <= 0.0:
+        here = trajectory.joint_positions(plan.joint_names)
+    # else: where the arm will be by then is not known here; the controller checks it
+    line = approached(plan, here, delivery.limits, delivery.set_point_period, delivery.approach)
+    if line.approach > 0.0:
+        client.say(f"approach: {np.degrees(line.way):.1f} deg in {line.farthest}, {line.approach:.3f} s")
+    return line

@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--short", action="store_true", help="as fast as the machine allows instead of paced at real time"
     )
     parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
+    parser.add_argument("--view", action="store_true", help="with a page in the browser that shows the arm (rx90_view)")
     add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
@@ -39,9 +40,8 @@ def main(options: argparse.Namespace) -> int:
     from rx90_emulator.demo.demonstration import Demonstration
 
     robot = DEFAULT_ROBOT if options.robot is None else options.robot
-    demonstration = Demonstration(
-        robot, RobotFiles.of_options(options), 0.0 if options.short else 1.0, options.composed
-    )
+    files, pace = RobotFiles.of_options(options), 0.0 if options.short else 1.0
+    demonstration = Demonstration(robot, files, pace, options.composed, options.view)
     return 0 if demonstration.run(_folder(options.output)) else 1
 
 

@@ -22,7 +22,6 @@ _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
-_TOOL_DOWN = (0.0, 180.0, 0.0)
 # Options that go into the task as they are.
 _PLAIN_OPTIONS = (
     "start",
@@ -105,7 +104,14 @@ def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
 
 def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
     """Return the task of the file with the options laid over it, or of the options alone."""
-    from rx90_controller.lines.task import DEFAULT_BRANCH, LineTask, load_task
+    from rx90_controller.lines.task import (
+        DEFAULT_BRANCH,
+        TOOL_DOWN,
+        USUAL_ACCELERATION,
+        USUAL_SPEED,
+        LineTask,
+        load_task,
+    )
 
     file = files.required("task") if options.reference else options.from_file
     base = None if file is None else load_task(file)
@@ -124,8 +130,12 @@ def _task(options: argparse.Namespace, files: RobotFiles) -> LineTask:
     )
     if base is not None:
         return replace(base, **given)
-    down = _radians(_TOOL_DOWN)
-    usual: dict[str, Any] = {"speed": 0.1, "acceleration": 1.0, "start_rpy": down, "end_rpy": down}
+    usual: dict[str, Any] = {
+        "speed": USUAL_SPEED,
+        "acceleration": USUAL_ACCELERATION,
+        "start_rpy": TOOL_DOWN,
+        "end_rpy": TOOL_DOWN,
+    }
     return LineTask(**(usual | given))
 
 
@@ -135,7 +145,8 @@ def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> N
     prepare()
     # Here, because planning alone needs no ROS.
     from rx90_common.exchange.client_node import client_node
-    from rx90_controller.node.trajectory_client import Approach, Delivery, deliver
+    from rx90_controller.lines.approach import Approach
+    from rx90_controller.node.trajectory_client import Delivery, deliver
 
     approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
     delivery = Delivery(options.node, options.start_time, limits, 1.0 / options.set_point_rate, approach)

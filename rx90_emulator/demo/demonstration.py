@@ -9,6 +9,7 @@ from pathlib import Path
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.tables import comparison_text
+from rx90_common.base.errors import ProcessError
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan, plan_line
@@ -17,16 +18,22 @@ from rx90_emulator.demo.analysis import analyse
 from rx90_emulator.demo.progress import follow_clock
 from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.announcement import OPENED
 
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
 stands still until every process is there."""
 
 
+_PATIENCE = 20.0  # s
+
+
 class Demonstration:
     """One run of the reference task in a folder of its own."""
 
-    def __init__(self, robot: str, files: RobotFiles, real_time_factor: float, composed: bool = False) -> None:
+    def __init__(
+        self, robot: str, files: RobotFiles, real_time_factor: float, composed: bool = False, view: bool = False
+    ) -> None:
         """Read and plan the task.
 
         Args:
@@ -34,12 +41,13 @@ class Demonstration:
             files: its files, and the task.
             real_time_factor: pace; 0 is as fast as it goes.
             composed: simulation and controller share a process.
+            view: with a page in the browser beside it.
 
         Raises:
             Rx90Error: if the task cannot be read or travelled.
         """
         self._robot, self._task_file = robot, files.required("task")
-        self._factor, self._composed = real_time_factor, composed
+        self._factor, self._composed, self._view = real_time_factor, composed, view
         self._setup = Setup.load(files)
         self._task = load_task(self._task_file)
         self._plan = plan_line(self._setup.robot, self._task, self._setup.rates.position_period)
@@ -91,6 +99,8 @@ class Demonstration:
                 group.start("controller", executable("rx90_controller", "--ros-args", "-p", f"robot:={self._robot}"))
             task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
             line = group.start("trajectory", executable("rx90_line", *task))
+            if self._view:
+                self._show_page(group)
             recorder.wait_for("ready: all")
             line.expect_success()
             factor = follow_clock(simulation, duration)
@@ -98,6 +108,20 @@ class Demonstration:
             recorder.signal(signal.SIGINT)
             recorder.expect_success()
         return factor
+
+    def _show_page(self, group: ProcessGroup) -> None:
+        """Start the page, and give a person a moment to open it before time runs."""
+        page = group.start(
+            "view", executable("rx90_view", "--robot", self._robot, "--task", self._task_file, "--port", 0)
+        )
+        print(
+            f"page: {page.wait_for(r'page: (.*) [(]')[1]}; time runs once it is open, at the latest in {_PATIENCE:g} s"
+        )
+        try:
+            page.wait_for(OPENED, _PATIENCE)
+        except ProcessError:
+            if page.returncode is not None:
+                raise
 
     def _report(self, recorded: Path, baseline: Path, comparison: BagComparison, factor: float) -> bool:
         page = self._folder / "report.html"

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.chain import RigidChain
 from rx90_common.description.kinematics import path_error
+from rx90_common.description.tip import tip_position
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import SETTLING
 from rx90_emulator.loop.result import RunResult
@@ -83,19 +83,3 @@ def _window(task: LineTask, times: Array) -> slice:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def tip_position(chain: RigidChain, q: Array) -> Array:
-    """Return the tool centre points (n, 3) in m at `q` (n, 6) rad.
-
-    `rx90_common.description.kinematics.forward` without the rotations: the point is carried from the tip to the
-    base, which costs a sweep an eighth of the time.
-    """
-    sine, cosine = np.sin(q), 1.0 - np.cos(q)
-    point = np.broadcast_to(chain.tcp_position, (len(q), 3))
-    for i in range(5, -1, -1):
-        x, y, z = chain.axis[i]
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turned = point + sine[:, i, None] * (point @ cross.T) + cosine[:, i, None] * (point @ (cross @ cross).T)
-        point = turned + chain.origin[i]
-    return np.asarray(point)

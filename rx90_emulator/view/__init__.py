@@ -18,4 +18,4 @@ Subfolders are such parts: `live/` reads running nodes. A part that needs nodes 
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
 
-__all__ = ["arm", "line", "page", "plots", "state"]
+__all__ = ["announcement", "arm", "line", "page", "plots", "state"]

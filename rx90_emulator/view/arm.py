@@ -9,7 +9,7 @@ from viser import transforms
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.shapes import Shape, visual_shapes
+from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_emulator.view.page import Page
 
 _GHOST_OPACITY = 0.3
@@ -24,9 +24,6 @@ class ArmScene:
         robot: the arm with its tool.
         ghost: transparent, for a second arm beside or in the first.
         tint: colour of a ghost, red, green and blue, 0 to 255; None: its own colours.
-
-    Raises:
-        ConfigError: where the robot's shapes cannot be drawn.
     """
 
     def __init__(
@@ -39,7 +36,7 @@ class ArmScene:
         tint: tuple[int, int, int] | None = None,
     ) -> None:
         self._model, self._data = robot.model, robot.model.createData()
-        shapes = visual_shapes(robot)
+        shapes = drawn_shapes(robot)
         opacity = _GHOST_OPACITY if ghost else None
         self._root = page.scene.add_frame(name, show_axes=False)
         self._joints: list[viser.FrameHandle] = []
@@ -77,7 +74,7 @@ class ArmScene:
     def _draw(
         scene: viser.SceneApi,
         path: str,
-        shapes: list[Shape],
+        shapes: list[VisualShape],
         opacity: float | None,
         tint: tuple[int, int, int] | None,
     ) -> None:

@@ -14,7 +14,7 @@ _STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), 
 _AWAY = np.array([150.0, 150.0, 150.0])
 _NEAR = 2e-3  # m; what is farther from the line is on its way to it
 _STANDS = 1e-4  # m from one look to the next; what moves less stands
-_ALONG = 0.9  # least share of a step that leads along the line
+_ALONG = 0.9  # least share of a step that leads along the line, towards its end
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
 _SPOT = (255, 40, 40)
@@ -28,6 +28,11 @@ def error_colors(error: Array) -> Array:
     places = np.arange(len(_STOPS))
     colors = np.stack([np.interp(share, places, channel) for channel in _STOPS.T], axis=-1)
     return np.where(np.isnan(error)[:, None], _AWAY, colors).astype(np.uint8)
+
+
+def line_colors(error: Array) -> Array:
+    """Return what shows as the colours of path errors (n,), m, on the points of a line in the scene, (n, 3)."""
+    return np.asarray(_LINEAR[error_colors(error)])
 
 
 def legend_html() -> str:
@@ -103,11 +108,11 @@ class LineScene:
     def _measure(self, tip: Array, step: Array) -> None:
         """Bring the path error up to date, after a step (3,) m: a spot that comes from elsewhere is not on the line."""
         error = path_error(tip[None], self._start, self._end)
-        distance = float(np.hypot(error.perpendicular[0], error.beyond[0]))
+        distance, beyond = float(error.perpendicular[0]), float(error.beyond[0])
         along, _ = decompose(step[None], self._end - self._start)
         way = float(np.linalg.norm(step))
         moves = way > _STANDS
-        if distance >= _NEAR or (moves and abs(float(along[0])) < _ALONG * way):
+        if max(distance, beyond) >= _NEAR or (moves and float(along[0]) < _ALONG * way):
             self._error, self._worst = None, 0.0
             return
         self._error = distance
@@ -126,7 +131,7 @@ class LineScene:
             return
         self._changed = False
         tips, error = np.array(self._tips), np.array(self._errors)
-        colors = _LINEAR[error_colors(error)]
+        colors = line_colors(error)
         drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips)).astype(np.float32)
         self._trace.points = np.stack([drawn[:-1], drawn[1:]], axis=1)
         self._trace.colors = np.stack([colors[:-1], colors[1:]], axis=1)

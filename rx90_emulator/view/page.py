@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import os
 import queue
 import socket
 import time
+import webbrowser
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 
 import numpy as np
 import rich
@@ -18,8 +20,10 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
+from rx90_emulator.view.announcement import OPENED
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
 _FIELD = 0.75  # rad, upright
 _PLOT_WIDTH = 370  # pixels
@@ -63,6 +67,7 @@ class Page:
         self._handed_over: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._timed: list[tuple[float, int, float, Callable[[float], None]]] = []
         self._numbers = itertools.count()
+        self._opened = False
         _furnish(self.scene)
 
     def tab(self, label: str) -> AbstractContextManager[object]:
@@ -89,15 +94,31 @@ class Page:
         """Call `function()` once on the page's thread; from any thread."""
         self._handed_over.put(function)
 
-    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+    def announce(self, *, browser: bool) -> None:
+        """Print the address, and open it in a browser if there is a screen; say when it is open."""
+        self.server.on_client_connect(lambda _: self.later(self._say_opened))
+        print(f"page: {self.address} (Ctrl-C ends it)", flush=True)
+        if browser and any(os.environ.get(name) for name in _SCREENS):
+            webbrowser.open(self.address)
+
+    def _say_opened(self) -> None:
+        if not self._opened:
+            self._opened = True
+            print(OPENED, flush=True)
+
+    def run(self, until: Callable[[], bool] = lambda: False, check_interrupt: Callable[[], None] | None = None) -> None:
         """Run the parts until `until()` holds.
+
+        Args:
+            until: asked between two calls.
+            check_interrupt: likewise, of who holds interrupts back already; None: they are held back here.
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, between two calls.
         """
-        with interrupts_later() as check_interrupt:
+        with nullcontext(check_interrupt) if check_interrupt else interrupts_later() as check:
             while not until():
-                check_interrupt()
+                check()
                 self._step()
 
     def close(self) -> None:

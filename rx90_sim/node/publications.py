@@ -12,6 +12,7 @@ from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
 from rx90_sim.node.parameters import SimulationParameters
+from rx90_sim.node.sampled_states import SampledStates
 from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
@@ -37,13 +38,14 @@ class Publications:
         self._joints = publish(node, JointState, "joint_states", STATE_QOS.profile)
         self._friction = publish(node, JointState, "friction_states", STATE_QOS.profile)
         self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
+        self._sampled = SampledStates(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:
         """Return the publishers."""
-        own = (self._joints, self._friction, self._clock)
+        own = (self._joints, self._friction, self._clock, *self._sampled.publishers)
         return own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
@@ -60,6 +62,7 @@ class Publications:
                 self._plant.friction_states()
                 self._friction_sample = self._encode_friction(stamp)
                 self._friction.publish(self._friction_sample)
+        self._sampled.publish_due(tick)
         if self._transforms is not None:
             self._transforms.publish_due(tick, stamp)
         if tick % self._clock_ticks == 0:
@@ -76,6 +79,7 @@ class Publications:
         # Who came when nobody listened gets no friction states: those of an earlier tick cannot be made up for.
         if self._friction_sample and self._friction.get_subscription_count():
             self._friction.publish(self._friction_sample)
+        self._sampled.repeat()
         if self._transforms is not None:
             self._transforms.repeat()
         self._clock.publish(self._time)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from rx90_common.base.errors import ExchangeError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
 from rx90_common.exchange.client_node import ClientNode
+from rx90_common.exchange.service_calls import ServiceRequest, spoken
+
+_NAME = "rx90_sim"
 
 
 class SimulationClient:
@@ -30,17 +30,33 @@ class SimulationClient:
 
     def pause(self, paused: bool) -> None:
         """Let time stand still, or run."""
-        self._ask(SetBool, "rx90_sim/pause", SetBool.Request(data=paused))
+        self._ask(pause_request(_NAME, paused))
 
     def step(self) -> None:
         """Pause, and run as many ticks as the simulation's parameter `step_ticks` says."""
-        self._ask(Trigger, "rx90_sim/step", Trigger.Request())
+        self._ask(step_request(_NAME))
 
     def reset(self) -> None:
         """Begin again at tick 0."""
-        self._ask(Trigger, "rx90_sim/reset", Trigger.Request())
+        self._ask(reset_request(_NAME))
 
-    def _ask(self, kind: Any, service: str, request: Any) -> None:
-        answer = self._client.call(kind, service, request)
-        if not answer.success:
-            raise ExchangeError(f"{service}: {answer.message}")
+    def _ask(self, asked: ServiceRequest) -> None:
+        asked.read(self._client.call(asked.kind, asked.service, asked.request))
+
+
+def pause_request(node: str, paused: bool) -> ServiceRequest:
+    """Return the request to let the time of a simulation stand still, or run."""
+    service = f"{node}/pause"
+    return ServiceRequest(SetBool, service, SetBool.Request(data=paused), spoken(service))
+
+
+def step_request(node: str) -> ServiceRequest:
+    """Return the request to a simulation to pause, and to run as many ticks as its parameter `step_ticks` says."""
+    service = f"{node}/step"
+    return ServiceRequest(Trigger, service, Trigger.Request(), spoken(service))
+
+
+def reset_request(node: str) -> ServiceRequest:
+    """Return the request to a simulation to begin again at tick 0."""
+    service = f"{node}/reset"
+    return ServiceRequest(Trigger, service, Trigger.Request(), spoken(service))

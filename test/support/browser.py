@@ -32,7 +32,7 @@ _FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
-_DESKTOP = (1280, 800)
+_DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel
 # What the page's software says of itself; nothing is wrong.
 _USUAL = ("THREE.Clock: This module has been deprecated", "GPU stall due to ReadPixels")
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"

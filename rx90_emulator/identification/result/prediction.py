@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 
@@ -15,9 +14,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet, LuGreElement
-from rx90_common.friction.bristle import bristle_step, one_element
-from rx90_common.friction.lugre import element_arrays
-from rx90_common.kernels.compiled import kernel
+from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.identification.sliding.fit import SlidingFit
@@ -48,15 +45,6 @@ class TorquePrediction(NamedTuple):
     compared: Array
 
 
-@kernel
-def _bristles(arrays: NDArray[np.void], velocity: Array, steps: Array, torque: Array) -> None:
-    """Write the friction torque of each element over each step of prescribed velocities, shape (m, e)."""
-    for e in range(torque.shape[1]):
-        element, z = one_element(arrays[0], e), 0.0
-        for k in range(steps.size):
-            z, torque[k, e] = bristle_step(element, z, velocity[k, e], steps[k])
-
-
 def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
     """Return the friction torque at the joints along a motion, Nm, shape (m, n).
 
@@ -69,9 +57,7 @@ def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time:
     inputs = position @ element_matrix.T
     steps = np.diff(time, prepend=time[0])
     mean = np.diff(inputs, axis=0, prepend=inputs[:1]) / np.where(steps > 0.0, steps, 1.0)[:, None]
-    torque = np.zeros_like(inputs)
-    _bristles(element_arrays(lugre), np.ascontiguousarray(mean), steps, torque)
-    return np.asarray(torque @ element_matrix)
+    return np.asarray(prescribed_torque(lugre, mean, steps) @ element_matrix)
 
 
 def predict_torque(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import viser
 
@@ -36,7 +38,7 @@ class LiveView:
     """
 
     def __init__(self, page: Page, source: LiveSource, robot: RobotModel, line: LineTask | None) -> None:
-        self._source, self._robot = source, robot
+        self._page, self._source, self._robot = page, source, robot
         self.state: ArmState | None = None
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
@@ -61,6 +63,22 @@ class LiveView:
         clear = page.gui.add_button("Clear the trace")
         magnified.on_click(lambda event: page.later(lambda: line.magnify(float(event.target.value))))
         clear.on_click(lambda _: page.later(line.clear))
+
+    def lay_line(self, task: LineTask) -> None:
+        """Show a line that was sent; from now on the spot's path error is its distance from this one."""
+        start, end = np.array(task.start), np.array(task.end)
+        if self._line is None:
+            self._line = LineScene(self._page, "/reference", start, end)
+        self._line.place(start, end)
+
+    def newest(self) -> ArmState | None:
+        """Return the newest state; None where there is none, or its simulation has gone."""
+        return None if self._source.problem(time.monotonic()) else self.state
+
+    def rests(self, seconds: float) -> bool:
+        """Tell whether the last trajectory has been over for so long, in simulated time; from any thread."""
+        state, span = self.state, self._source.watch.trajectory
+        return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
 
     def _update(self, now: float) -> None:
         state = self._source.take(now)

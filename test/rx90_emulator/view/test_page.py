@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -36,18 +37,19 @@ def tip(setup: Setup, position: np.ndarray) -> np.ndarray:
     return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
 
 
-@pytest.mark.parametrize("robot", ["shipped", "tx40"])
-def test_the_arm_is_drawn_where_pinocchio_says(
-    robot: str, page: Page, open_page: Open, request: pytest.FixtureRequest
-) -> None:
-    """The tip's pose in the browser's own scene is that of the forward kinematics, and follows it."""
-    setup = request.getfixturevalue(robot)
-    arm = ArmScene(page, "/arm", setup.robot)
+def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: Page, open_page: Open) -> None:
+    """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
+    arms = [(setup, ArmScene(page, f"/{setup.robot.model.name}", setup.robot)) for setup in (shipped, tx40)]
     shown = open_page(page.address)
-    np.testing.assert_allclose(shown.pose(arm.tip), tip(setup, np.zeros(6)), atol=PIXEL)
-    page.later(lambda: arm.show(POSE))
-    expected = tip(setup, POSE)
-    shown.wait_until(lambda: bool(np.allclose(shown.pose(arm.tip), expected, atol=PIXEL)), "the new pose")
+    for setup, arm in arms:
+        np.testing.assert_allclose(shown.pose(arm.tip), tip(setup, np.zeros(6)), atol=PIXEL)
+        page.later(lambda arm=arm: arm.show(POSE))  # type: ignore[misc]
+    for setup, arm in arms:
+        expected = tip(setup, POSE)
+        there = partial(
+            lambda arm, expected: bool(np.allclose(shown.pose(arm.tip), expected, atol=PIXEL)), arm, expected
+        )
+        shown.wait_until(there, "the new pose")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 

@@ -1,0 +1,24 @@
+"""The tool centre point of many poses at once, for evaluations: fast, and not the same bits on every machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.description.chain import RigidChain
+
+
+def tip_position(chain: RigidChain, q: Array) -> Array:
+    """Return the tool centre points (n, 3) in m at `q` (n, 6) rad.
+
+    `kinematics.forward` without the rotations: the point is carried from the tip to the base, which costs an eighth of
+    the time.
+    """
+    sine, cosine = np.sin(q), 1.0 - np.cos(q)
+    point = np.broadcast_to(chain.tcp_position, (len(q), 3))
+    for i in range(5, -1, -1):
+        x, y, z = chain.axis[i]
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turned = point + sine[:, i, None] * (point @ cross.T) + cosine[:, i, None] * (point @ (cross @ cross).T)
+        point = turned + chain.origin[i]
+    return np.asarray(point)

@@ -1,0 +1,82 @@
+"""What `rx90_view` shows of running nodes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from typing import TYPE_CHECKING
+
+from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
+from rx90_common.process.scheduling import be_nice
+
+if TYPE_CHECKING:
+    from rx90_emulator.view.live.tour import Tour
+
+_NICENESS = 10
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the live view."""
+    live = parser.add_argument_group("running nodes")
+    live.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
+    live.add_argument("--nice", type=int, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})")
+    live.add_argument(
+        "--demo", action="store_true",
+        help="start simulation and controller, too, and move along the reference line until Ctrl-C",
+    )  # fmt: skip
+
+
+def main(options: argparse.Namespace) -> None:
+    """Show running nodes until Ctrl-C.
+
+    Raises:
+        Rx90Error: where the page cannot be served, the robot cannot be read, or the demonstration's nodes end.
+    """
+    from rx90_common.exchange.environment import prepare
+
+    if options.demo:  # before rclpy is imported: a motion that nobody else asked for stays among its own nodes
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+    prepare()
+    # Here, because --help must not wait for them.
+    from rx90_common.description.robot import load_robot
+    from rx90_common.exchange.client_node import client_node
+    from rx90_controller.lines.task import load_task
+    from rx90_emulator.view.live.live_view import LiveView
+    from rx90_emulator.view.live.source import LiveSource
+    from rx90_emulator.view.page import Page
+    from rx90_emulator.view.panel.operator import NodeNames
+    from rx90_emulator.view.panel.panel import DoPanel
+
+    files = RobotFiles.of_options(options)
+    robot = load_robot(files.urdf, files.tool)
+    line = None if files.task is None else load_task(files.task)
+    tour = _tour(options, files) if options.demo else None
+    page = Page("rx90_view", options.host, options.port)
+    panel: DoPanel | None = None
+    try:
+        if tour is not None:
+            tour.start()
+        be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
+        with client_node("rx90_view", 1.0, print, options.ros_args) as client:
+            view = LiveView(page, LiveSource(client, robot, options.node), robot, line)
+            nodes = NodeNames.beside(options.node, options.ros_args)
+            panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
+            page.announce(browser=not options.no_browser)
+            if tour is not None:
+                tour.follow(page, view)
+            page.run(check_interrupt=client.check_interrupt)
+    except KeyboardInterrupt:
+        return
+    finally:
+        if panel is not None:
+            panel.close()
+        page.close()
+        if tour is not None:
+            tour.end()
+
+
+def _tour(options: argparse.Namespace, files: RobotFiles) -> Tour:
+    from rx90_emulator.view.live.tour import Tour
+
+    return Tour(DEFAULT_ROBOT if options.robot is None else options.robot, files, options.node)

@@ -1,0 +1,135 @@
+"""Curves of tracks against time, of any length: least and largest values for each part of the width."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from viser import uplot
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.rates import NANOSECONDS
+from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.page import Page
+
+_BUCKETS = 300  # about one for each pixel of a plot
+_CURSOR = "#888888"
+_MOST_PARTS = 8  # of a curve with gaps
+
+
+class Curve(NamedTuple):
+    """One column of a field of a track.
+
+    Attributes:
+        label: in the plot's legend and for `choose`.
+        track: with the values.
+        field: of the track.
+        column: of the field.
+        scale: what values are multiplied by, to the unit of the plot.
+        color: as #rrggbb.
+        dashed: for the second recording.
+    """
+
+    label: str
+    track: Track
+    field: str
+    column: int
+    scale: float
+    color: str
+    dashed: bool = False
+
+
+class CurvesPlot:
+    """Curves over a span of time, with a vertical line at the time that is shown.
+
+    Args:
+        page: to draw in, within a `plot_tab`.
+        title: with the unit.
+        curves: at least one.
+        origin_ns: where the abscissa is 0.
+        height: pixels.
+    """
+
+    def __init__(self, page: Page, title: str, curves: Sequence[Curve], origin_ns: int, height: int = 170) -> None:
+        self._curves, self._origin = tuple(curves), origin_ns
+        self._chosen = [True] * len(self._curves)
+        self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
+        self._span = (0, 0)
+        self._points: tuple[Array, list[Array]] = (np.zeros(0), [])
+        self._plot = page.gui.add_uplot(
+            tuple(np.zeros(2) for _ in range(3 + self._parts * len(self._curves))),
+            self._series(),
+            title=title,
+            scales={"x": uplot.Scale(time=False)},
+            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            legend=uplot.Legend(show=False),
+            padding=(0, 12, 0, 0),
+            height=height,
+        )
+
+    def choose(self, wanted: Callable[[str], bool]) -> None:
+        """Show those curves alone whose label `wanted` holds for; all, where it holds for none."""
+        chosen = [wanted(curve.label) for curve in self._curves]
+        self._chosen = chosen if any(chosen) else [True] * len(chosen)
+        self._plot.series = self._series()
+
+    def draw(self, begin_ns: int, end_ns: int, shown_ns: int) -> None:
+        """Draw the span from `begin_ns` to `end_ns`, with the line at `shown_ns`."""
+        if (begin_ns, end_ns) != self._span:
+            self._span = (begin_ns, end_ns)
+            self._points = self._envelopes(begin_ns, end_ns)
+        time, values = self._points
+        seen = [part[np.isfinite(part)] for part, chosen in zip(values, self._chosen, strict=True) if chosen]
+        finite = np.concatenate(seen)
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        if low == high:  # uPlot would show 0 to 100
+            low, high = low - (abs(low) or 1.0), high + (abs(high) or 1.0)
+        shown = (shown_ns - self._origin) / NANOSECONDS
+        place = int(np.searchsorted(time, shown))
+        line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)
+        line[place : place + 2] = extent[:2] = low, high
+        columns = []
+        for curve in values:
+            for part in _parts_of(curve, self._parts):
+                columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
+        self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
+
+    def _envelopes(self, begin_ns: int, end_ns: int) -> tuple[Array, list[Array]]:
+        found = {}
+        for curve in self._curves:
+            key = (id(curve.track), curve.field)
+            if key not in found:
+                found[key] = curve.track.envelope(curve.field, begin_ns, end_ns, _BUCKETS)
+        time_ns = found[id(self._curves[0].track), self._curves[0].field][0]
+        columns = [curve.scale * found[id(curve.track), curve.field][1][:, curve.column] for curve in self._curves]
+        return (time_ns - self._origin) / NANOSECONDS, columns
+
+    def _series(self) -> tuple[uplot.Series, ...]:
+        """Return how the columns are drawn: time, what the ordinate must show, the parts of each curve, and the line.
+
+        uPlot draws a line across NaN, hence the parts; and it finds no range for a column that begins with NaN, hence
+        one that is not drawn and has all it needs to know.
+        """
+        lines = []
+        for curve, chosen in zip(self._curves, self._chosen, strict=True):
+            series = uplot.Series(
+                label=curve.label, stroke=curve.color, width=1.5, show=chosen, auto=False, points={"show": False}
+            )
+            if curve.dashed:
+                series["dash"] = (6, 4)
+            lines += [series] * self._parts
+        extent = uplot.Series(label="extent", stroke="rgba(0,0,0,0)", points={"show": False})
+        shown = uplot.Series(label="shown", stroke=_CURSOR, width=1.0, auto=False, points={"show": False})
+        return (uplot.Series(label="time [s]"), extent, *lines, shown)
+
+
+def _parts_of(curve: Array, most: int) -> list[Array]:
+    """Return a curve as `most` columns, each without a gap inside; of too many gaps the shortest are drawn across."""
+    known = np.flatnonzero(np.isfinite(curve))
+    jumps = np.flatnonzero(np.diff(known) > 1)
+    jumps = np.sort(jumps[np.argsort(np.diff(known)[jumps], kind="stable")[::-1][: most - 1]])
+    columns = [np.full(len(curve), np.nan) for _ in range(most)]
+    for column, rows in zip(columns, np.split(known, jumps + 1), strict=False):
+        column[rows] = curve[rows]
+    return columns

@@ -1,0 +1,209 @@
+"""A bag as the viewer shows it: the arm's states, friction, set-points, changes of parameters, and what is lacking."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from rx90_common.bags.changes import ParameterChange, changes_of
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import BagReader, BagTopic
+from rx90_common.bags.robot_name import check_robot
+from rx90_common.bags.topics import FIELDS, tells_changes
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import plain
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.records.layout import BagLayout
+from rx90_emulator.measured.options import MeasuredLayout
+from rx90_emulator.view.bags.collecting import SeriesCollector
+from rx90_emulator.view.bags.layout import arm_layout
+from rx90_emulator.view.bags.track import Track
+
+_FRICTION, _REFERENCE = "friction_states", "reference"
+_SHOWN = {_FRICTION: ("effort",), _REFERENCE: ("position",)}
+"""What is read beside the arm's own states: friction torque, and set-points."""
+_SLACK = 0.05  # rad beyond a joint's range: end stops give way
+_STEP = 8192  # messages between two looks at the progress bar
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What is shown of a bag.
+
+    Attributes:
+        path: of the bag.
+        kind: mcap, db3 or bag, with what is compressed in it.
+        topics: all that it holds.
+        arm: position of the joints, and velocity and effort (drive torque at the joint) where the bag has them.
+        friction: effort, the friction torque of each element; None if the bag does not have it.
+        reference: position, the set-points of the joints; None if the bag does not have them.
+        changes: of parameters while the nodes ran.
+        notes: lines for the user about what was read otherwise than the bag says.
+    """
+
+    path: Path
+    kind: str
+    topics: tuple[BagTopic, ...]
+    arm: Track
+    friction: Track | None
+    reference: Track | None
+    changes: tuple[ParameterChange, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Return in words what a whole bag of the suite has and this one has not."""
+        fields = {"velocity": "velocity", "effort": "drive torque"}
+        absent = [text for field, text in fields.items() if field not in self.arm.values]
+        absent += ["friction"] * (self.friction is None) + ["set-points"] * (self.reference is None)
+        return tuple(absent)
+
+    def moved(self, by_ns: int) -> Recording:
+        """Return the same recording, later by `by_ns`."""
+        if not by_ns:
+            return self
+        tracks = [track and track.moved(by_ns) for track in (self.friction, self.reference)]
+        changes = tuple(replace(change, stamp_ns=change.stamp_ns + by_ns) for change in self.changes)
+        return replace(
+            self, arm=self.arm.moved(by_ns), friction=tracks[0], reference=tracks[1], changes=changes
+        )  # fmt: skip
+
+
+def open_recording(path: Path, robot: RobotModel, files: RobotFiles, options: MeasuredLayout) -> Recording:
+    """Read a bag of a robot, with a progress bar if it takes a while.
+
+    Args:
+        path: a rosbag2 folder, an .mcap or .db3 file, or a ROS 1 .bag file.
+        robot: whose joints are looked for.
+        files: the robot's, of which the drives are read if the bag holds motors' states alone.
+        options: what the messages hold where it is not as here.
+
+    Raises:
+        BagError: if the bag cannot be read, is of another robot, or tells no joint angles or no times.
+        ConfigError: if the drives file is not acceptable.
+        IdentificationError: if gears and coupling do not fit together.
+    """
+    check_robot(path, robot.model.name)
+    with BagReader(path) as bag:
+        layout = arm_layout(bag, robot, files, options)
+        topics = bag.topics
+        arm = next(topic for topic in topics if topic.name == layout.topic and topic.is_joint_state)
+        collectors = {arm: SeriesCollector(bag, arm, FIELDS, layout.messages, layout.record_time)}
+        for name, fields in _SHOWN.items():
+            shown = _beside(arm, topics, name)
+            if shown is not None:
+                wanted = robot.joint_names if name == _REFERENCE else None
+                collectors[shown] = SeriesCollector(bag, shown, fields, wanted, layout.record_time)
+        changes = _read(bag, collectors)
+        notes = [*bag.notes]
+        series = {topic: _series(path, collector) for topic, collector in collectors.items()}
+        kind = " of ".join(part for part in (bag.storage, bag.compression) if part)
+    states = series.pop(arm)
+    if states is None or states.position is None:
+        raise BagError(f"{plain(path)}: {layout.topic} carries no positions; accepted: a bag with joint angles")
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(states.position).all(axis=1))
+    if not finite.all():
+        notes.append(f"{len(finite) - finite.sum():,} messages of {layout.topic} without finite positions are left out")
+        states = states.take(finite)
+    track = _track(path, _on_joint_side(states, layout), notes)
+    notes += _beyond_range(track, robot)
+    others = {topic.name.rpartition("/")[2]: _track(path, one, notes) for topic, one in series.items() if one}
+    return Recording(
+        path, kind, tuple(topics), track, others.get(_FRICTION), others.get(_REFERENCE), tuple(changes), tuple(notes)
+    )
+
+
+def _beside(arm: BagTopic, topics: Sequence[BagTopic], name: str) -> BagTopic | None:
+    """Return the JointState topic of a name in the namespace of the arm's, or below it."""
+    namespace = arm.name.rpartition("/")[0] + "/"
+    found = [
+        topic
+        for topic in topics
+        if topic.is_joint_state and topic.count and topic.name.rpartition("/")[2] == name
+        if topic.name.startswith(namespace) and topic != arm
+    ]
+    return min(found, key=lambda topic: topic.name.count("/")) if found else None
+
+
+def _read(bag: BagReader, collectors: dict[BagTopic, SeriesCollector]) -> list[ParameterChange]:
+    """Hand each message to its collector; return the changes of parameters."""
+    telling = [topic for topic in bag.topics if tells_changes(topic.name, topic.msgtype)]
+    changes: list[ParameterChange] = []
+    total = sum(topic.count for topic in (*collectors, *telling))
+    try:
+        with tqdm(total=total, unit=" messages", unit_scale=True, delay=0.5, file=sys.stderr, leave=False,
+                  desc=f"reading {plain(bag.path.name, 40)}") as bar:  # fmt: skip
+            for number, (topic, log_ns, data) in enumerate(bag.messages([*collectors, *telling]), 1):
+                collector = collectors.get(topic)
+                if collector is None:
+                    changes += changes_of(bag.deserialize(topic, data))
+                else:
+                    collector.add(log_ns, data)
+                if number % _STEP == 0:
+                    bar.update(_STEP)
+    except BagError as error:
+        raise _of_bag(bag.path, error) from error
+    return changes
+
+
+def _series(path: Path, collector: SeriesCollector) -> JointSeries | None:
+    try:
+        return collector.series()
+    except BagError as error:
+        raise _of_bag(path, error) from error
+
+
+def _of_bag(path: Path, error: BagError) -> BagError:
+    text, name = str(error), plain(path)
+    return error if text.startswith(name) else BagError(f"{name}: {text}")
+
+
+def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:
+    """Return the joints' states, in the order of the robot's joints."""
+    fields = dict(series.fields)
+    if layout.torque_constant is not None and "effort" in fields:
+        fields["effort"] = fields["effort"] * layout.torque_constant
+    if layout.turns is not None:
+        inverse = np.linalg.inv(layout.turns).T
+        for field, values in fields.items():
+            fields[field] = values @ (layout.turns if field == "effort" else inverse)
+    if layout.zero is not None:
+        fields["position"] = fields["position"] - layout.zero
+    return JointSeries(series.topic, layout.names, series.stamp_ns, **fields)
+
+
+def _beyond_range(track: Track, robot: RobotModel) -> list[str]:
+    """Return a line for joints that go where this robot cannot: many bags do not say whose they are."""
+    values = track.values["position"]
+    low, high = values.min(axis=0), values.max(axis=0)
+    beyond = np.maximum(robot.lower - low, high - robot.upper)
+    joint = int(np.argmax(beyond))
+    if beyond[joint] <= _SLACK:
+        return []
+    span = f"from {low[joint]:.4g} to {high[joint]:.4g} rad"
+    accepted = f"[{robot.lower[joint]:.4g}, {robot.upper[joint]:.4g}]"
+    return [
+        f"{robot.joint_names[joint]} goes {span}, which {robot.model.name} cannot: {accepted} rad; another robot's bag "
+        "(--robot), or other zeros (--zero)?"
+    ]
+
+
+def _track(path: Path, series: JointSeries, notes: list[str]) -> Track:
+    track, resets = Track.of(series)
+    if resets:
+        notes.append(f"the time of {series.topic} goes back {resets} times; shown is what comes after the last one")
+    if len(track.time_ns) < 2:
+        last = f", all at {track.begin_ns / NANOSECONDS:.9f} s" if len(track.time_ns) else ""
+        raise BagError(
+            f"{plain(path)}: {series.topic}: {len(series.stamp_ns)} messages that can be shown{last}; accepted: "
+            "increasing stamps, or --record-time"
+        )
+    return track

@@ -1,0 +1,167 @@
+"""A friction element to play with: its parameters as fields, its curves, and the friction file that comes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from viser import GuiUplotHandle, uplot
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, Rx90Error, write_text
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
+from rx90_emulator.view.page import Page
+from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
+from rx90_emulator.view.panel.element_values import read_values, typed_values
+from rx90_emulator.view.panel.newest import NewestOnly
+from rx90_emulator.view.panel.widgets import from_user, put, sentence
+from rx90_emulator.view.plots import COLOURS
+
+_INTERVAL = 0.05
+_TOP = 20.0  # Stribeck velocities, the reach of the curve
+_FACTORS = (0.2, 5.0, 0.01)  # least, largest, step of the slider
+_FILE = "friction_changed.yaml"
+_MICRO = 1e6
+_GREY = "#999999"
+
+
+class ElementForm:
+    """Fields, a slider, two plots and the file of one element at a time.
+
+    Args:
+        page: to build in, within a tab.
+        file: the robot's friction file.
+        start_with: has the simulation started again with a friction file; takes its path.
+    """
+
+    def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
+        self._page, self._file, self._start_with = page, file, start_with
+        self._result, self._missing = file, ""
+        names = list(file.elements)
+        self._element = page.gui.add_dropdown("element", names)
+        self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
+        self._factor = page.gui.add_slider("times the file's", *_FACTORS, 1.0)
+        self._curve = _plot(page, "steady torque, Nm, against velocity, rad/s", ("file", "changed"))
+        labels = ("file, to", "file, fro", "changed, to", "changed, fro")
+        self._loop = _plot(page, "presliding torque, Nm, against way, µrad", labels)
+        self._way = page.gui.add_slider("way / break-away", 0.1, 5.0, 0.1, 1.0)
+        self._verdict = page.gui.add_html("")
+        self._fields = [page.gui.add_text(_label(p), "", hint=_hint(p)) for p in FRICTION_PARAMETERS]
+        self._yaml = page.gui.add_markdown("")
+        self._path = page.gui.add_text("friction file", _FILE)
+        self._write = page.gui.add_button("Write the file")
+        self._start = page.gui.add_button("Start the simulation again with it")
+        self._done = page.gui.add_html(
+            sentence("A simulation reads its friction when it is configured: time begins again at 0.")
+        )
+        self._drawing: NewestOnly[tuple[str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
+        self._element.on_update(from_user(self._chosen, page))
+        self._slid_one.on_update(from_user(lambda: put(self._factor, 1.0), page))
+        self._factor.on_update(from_user(self._slid, page))
+        for field in (*self._fields, self._way):
+            field.on_update(from_user(self._give, page))  # type: ignore[attr-defined]
+        self._write.on_click(from_user(lambda: self._save(start=False), page))
+        self._start.on_click(from_user(lambda: self._save(start=True), page))
+        self._chosen()
+
+    def close(self) -> None:
+        """End the thread that computes."""
+        self._drawing.close()
+
+    def follow(self, missing: str) -> None:
+        """Take what the simulation cannot be started again without, if anything."""
+        self._missing = missing
+        disabled = bool(missing) or self._write.disabled
+        if self._start.disabled != disabled:
+            self._start.disabled = disabled
+
+    def _chosen(self) -> None:
+        for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
+            put(field, text)
+        put(self._factor, 1.0)
+        self._give()
+
+    def _slid(self) -> None:
+        index = [p.name for p in FRICTION_PARAMETERS].index(self._slid_one.value)
+        texts = typed_values(self._file.elements[self._element.value], self._factor.value)
+        put(self._fields[index], texts[index])
+        self._give()
+
+    def _give(self) -> None:
+        self._drawing.give((self._element.value, tuple(field.value for field in self._fields), self._way.value))
+
+    def _compute(self, item: tuple[str, tuple[str, ...], float]) -> None:
+        """Compute on a thread of its own: the first time, kernels are compiled."""
+        name, texts, way = item
+        try:
+            file = changed(self._file, name, read_values(texts))
+        except ConfigError as error:
+            text = str(error)
+            self._page.later(lambda: self._refused(text))
+            return
+        before, after = self._file.elements[name], file.elements[name]
+        top, amplitude = _TOP * before.omega_s, way * break_away(before)
+        curves = [stribeck_curve(element, top) for element in (before, after)]
+        loops = [presliding_loop(element, amplitude) for element in (before, after)]
+        plots = (curves[0].velocity, *(curve.torque for curve in curves)), _together(loops)
+        self._page.later(lambda: self._show(name, file, *plots))
+
+    def _refused(self, text: str) -> None:
+        self._verdict.content = sentence(text, wrong=True)
+        self._write.disabled = self._start.disabled = True
+
+    def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
+        self._result = file
+        self._write.disabled = False
+        self.follow(self._missing)
+        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}")
+        self._curve.data, self._loop.data = curve, loop
+        one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
+        self._yaml.content = f"```yaml\n{_without_comments(one)}```"
+
+    def _save(self, *, start: bool) -> None:
+        path = Path(self._path.value).expanduser().absolute()
+        try:
+            write_text(path, self._result.text())
+        except Rx90Error as error:
+            self._done.content = sentence(str(error), wrong=True)
+            return
+        self._done.content = sentence(f"written. For the next start: -p friction:={path}")
+        if start:
+            self._start_with(str(path))
+
+
+def _hint(parameter: FrictionParameter) -> str:
+    pair = "; one value, or two: positive and negative" if parameter.signed else ""
+    return f"{parameter.meaning}; {parameter.accepted}{pair}"
+
+
+def _label(parameter: FrictionParameter) -> str:
+    return parameter.name if parameter.unit == "1" else f"{parameter.name}, {parameter.unit}"
+
+
+def _plot(page: Page, title: str, labels: Sequence[str]) -> GuiUplotHandle:
+    series = [
+        uplot.Series(label=label, stroke=_GREY if label.startswith("file") else COLOURS[0], width=1.5)
+        for label in labels
+    ]
+    return page.gui.add_uplot(
+        tuple(np.array([-1.0, 1.0]) for _ in range(1 + len(labels))),
+        (uplot.Series(), *series),
+        title=title,
+        scales={"x": uplot.Scale(time=False)},
+        axes=(uplot.Axis(size=30), uplot.Axis(size=50)),
+        legend=uplot.Legend(show=False),
+        padding=(8, 12, 0, 0),
+        height=150,
+    )
+
+
+def _together(loops: Sequence[PreslidingLoop]) -> tuple[Array, ...]:
+    return (loops[0].displacement * _MICRO, *(leg for loop in loops for leg in (loop.forth, loop.back)))
+
+
+def _without_comments(text: str) -> str:
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith("#"))

@@ -1,0 +1,97 @@
+"""Jogged joints: moves within the limits, sliders that show the right thing, no flood."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from rx90_controller.lines.approach import Approach
+from rx90_controller.trajectory import TrajectoryGenerator
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.panel.jogging import JogTarget, jog, slider_range
+from rx90_emulator.view.panel.newest import NewestOnly
+
+ZERO = np.zeros(6)
+
+
+def test_a_jog_is_as_short_as_speed_and_acceleration_allow(shipped: Setup) -> None:
+    """From rest it lasts what a quintic needs, 15/8 d/v or sqrt(10/sqrt(3) d/a), and at most 16 % more."""
+    limits, gentle = shipped.controller.limits(shipped.robot), Approach()
+    for joint, way in ((0, 0.01), (1, -1.0), (5, 4.0)):
+        target = ZERO.copy()
+        target[joint] = way
+        points = jog(ZERO, ZERO, target, limits, gentle)
+        needed = max(15 / 8 * abs(way) / (0.25 * limits.velocity[joint]), np.sqrt(10 / np.sqrt(3) * abs(way) / 2.0))
+        assert needed * 0.99 <= points.times[0] <= needed * 1.16
+        np.testing.assert_array_equal(points.position, [target])
+
+
+def test_a_jog_in_mid_motion_is_as_gentle(shipped: Setup) -> None:
+    """Targets that are dragged to and fro, every 0.2 s, are taken, and accelerate the set-points like one move."""
+    limits, gentle = shipped.controller.limits(shipped.robot), Approach()
+    generator = TrajectoryGenerator(limits, 1e-3, ZERO)
+    rng = np.random.default_rng(7)
+    last, peak = 0, 0.0
+    for tick in range(0, 6000, 200):
+        # What the page knows is some time old.
+        position, velocity, _ = generator.setpoints(max(tick - 1, 0), 1)[0]
+        target = position + rng.choice([-1.0, 1.0], 6) * rng.uniform(0.02, 0.3, 6)
+        last = generator.accept(jog(position, velocity, target, limits, gentle), tick, None).end
+        peak = max(peak, float(np.abs(generator.setpoints(tick, 200)[:, 2]).max()))
+    # A move begins with the acceleration that the last one has there, which the page does not know.
+    assert 0.9 * gentle.acceleration < peak < 1.3 * gentle.acceleration
+    np.testing.assert_allclose(generator.setpoints(last, 1)[0, 0], target, atol=1e-12)
+
+
+def test_the_sliders_show_where_the_arm_goes_and_then_where_it_is() -> None:
+    """A second joint that is dragged leaves the first one's target; arrived, stuck or told so, the arm is shown."""
+    target, arm = JogTarget(), np.arange(6) * 0.1
+    np.testing.assert_array_equal(target.shown(arm, 0.0), arm)
+    first = target.drag(1, 0.7, arm, 0.0)
+    both = target.drag(4, -0.5, arm + 0.01, 0.1)
+    assert (first[1], both[1], both[4], both[0]) == (0.7, 0.7, -0.5, 0.0)
+    np.testing.assert_array_equal(target.shown(arm + 0.02, 0.2), both)
+    np.testing.assert_array_equal(target.shown(both + 1e-4, 0.3), both + 1e-4)  # arrived
+    np.testing.assert_array_equal(target.shown(arm, 0.4), arm)
+    both = target.drag(0, 1.0, arm, 1.0)
+    np.testing.assert_array_equal(target.shown(arm, 2.5), both)
+    np.testing.assert_array_equal(target.shown(arm, 4.0), arm)  # it does not move
+    target.drag(0, 1.0, arm, 5.0)
+    target.forget()
+    np.testing.assert_array_equal(target.shown(arm, 5.1), arm)
+
+
+def test_sliders_end_within_the_limits(shipped: Setup) -> None:
+    """Both ends are within the joint's limits, less than a step away from them."""
+    limits = shipped.controller.limits(shipped.robot)
+    for joint in range(6):
+        low, high = np.radians(slider_range(limits, joint, 0.1))
+        step = np.radians(0.1)
+        assert limits.lower[joint] - 1e-9 <= low < limits.lower[joint] + step
+        assert limits.upper[joint] - step < high <= limits.upper[joint] + 1e-9
+
+
+@pytest.mark.parametrize("burst", [[2, 3, 4], [2]])
+def test_the_newest_overtakes_what_waits(burst: list[int]) -> None:
+    """While one item is worked on, of those that come only the last is worked on next."""
+    begun, go_on, done = threading.Event(), threading.Event(), threading.Event()
+    worked: list[int] = []
+
+    def work(item: int) -> None:
+        worked.append(item)
+        begun.set()
+        assert go_on.wait(10.0)
+        if item == burst[-1]:
+            done.set()
+
+    newest: NewestOnly[int] = NewestOnly(work, 0.0)
+    newest.give(1)
+    assert begun.wait(10.0)
+    for item in burst:
+        newest.give(item)
+    go_on.set()
+    assert done.wait(10.0)
+    newest.close()
+    assert worked == [1, burst[-1]]

@@ -1,0 +1,129 @@
+"""What the page asks of running nodes, over DDS: nothing waits, every answer and every silence is told."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from processes import Processes, running_processes, wait_until
+from rcl_interfaces.srv import GetParameters
+from ros_client import JOINTS, Client, own_node
+from std_srvs.srv import SetBool
+
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_controller.node.trajectory_client import enable_request
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.panel.element_model import changed
+from rx90_emulator.view.panel.operator import Heard, NodeNames, Operator
+from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
+
+REST = np.zeros((1, 6))
+
+
+class Listener:
+    """Keeps what an operator hears."""
+
+    def __init__(self, names: NodeNames, timeout: float = 30.0) -> None:
+        self.said: list[tuple[str, str, bool]] = []
+        self.states = ("", "")
+        self.operator = Operator(names, Heard(lambda *line: self.said.append(line), self._take), timeout)
+
+    def _take(self, *states: str) -> None:
+        self.states = states[0], states[1]
+
+    def wait_for(self, node: str, text: str, *, wrong: bool = False) -> str:
+        """Wait for a line that has a text in it; return it."""
+
+        def found() -> list[str]:
+            return [line for who, line, bad in self.said if (who, bad) == (node, wrong) and text in line]
+
+        wait_until(lambda: bool(found()), f"{text!r} of {node}; said: {self.said}")
+        return found()[0]
+
+
+@pytest.fixture
+def listener(ros_domain: int, warm: None) -> Iterator[Listener]:  # noqa: ARG001 - what they do is done
+    """Give an operator of a cell that runs, in a namespace."""
+    with running_processes() as processes:
+        start(processes)
+        listening = Listener(NodeNames(ros_args=("--ros-args", "-r", "__ns:=/cell")))
+        wait_until(lambda: listening.states == ("active", "active"), "both nodes")
+        yield listening
+        listening.operator.close()
+
+
+def start(processes: Processes) -> None:
+    """Start both nodes, with time standing still."""
+    processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell", "-p", "rx90_sim:paused:=true").wait_for("paused")
+
+
+def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, tmp_path: Path) -> None:
+    """Services and trajectories are answered with the nodes' own words; another friction file is loaded."""
+    operator = listener.operator
+    simulation, controller = operator.names.simulation, operator.names.controller
+    operator.ask(step_request(simulation))
+    assert listener.wait_for(simulation, "done, at") == "1 ticks done, at 0.00025 s"
+    operator.ask(pause_request(simulation, paused=False))
+    listener.wait_for(simulation, "time runs")
+    operator.ask(enable_request(controller, on=False))
+    listener.wait_for(controller, "torque off, brakes closed")
+    operator.send(tuple(JOINTS), TrajectoryPoints(np.array([1.0]), REST, REST, None))
+    assert "the controller is disabled" in listener.wait_for(controller, "trajectory rejected", wrong=True)
+    operator.ask(enable_request(controller, on=True))
+    listener.wait_for(controller, "torque on")
+    operator.send(tuple(JOINTS), TrajectoryPoints(np.array([1.0]), REST + 0.1, REST, None))
+    listener.wait_for(controller, "trajectory accepted: 1 points, 1.000 s")
+    operator.send(tuple(JOINTS), None)
+    listener.wait_for(controller, "empty trajectory: stopping")
+    operator.ask(reset_request(simulation))
+    listener.wait_for(simulation, "reset done, at 0 s")
+    assert shipped.friction.file is not None
+    file = changed(FrictionFile.read(shipped.friction.file), "joint_1", {"tau_c_positive": 20.0})
+    path = tmp_path / "friction.yaml"
+    path.write_text(file.text(), encoding="utf-8")
+    operator.configure_again("friction", str(path))
+    listener.wait_for(simulation, "activate: done")
+    client = Client("/cell")
+    asked = GetParameters.Request(names=["friction"])
+    assert client.asking.call(GetParameters, "rx90_sim/get_parameters", asked).values[0].string_value == str(path)
+    client.close()
+    wait_until(lambda: listener.states == ("active", "active"), "the simulation again")
+    operator.configure_again("friction", str(tmp_path / "none.yaml"))
+    listener.wait_for(simulation, "none.yaml", wrong=True)
+
+
+def test_silence_is_told(ros_domain: int) -> None:
+    """A service that does not answer is told after the time-out, one that is not there at once, and others go on."""
+    with own_node("silent", ros_domain) as node:
+        node.create_service(SetBool, "rx90_sim/pause", lambda _request, response: response)  # nobody spins it
+        listening = Listener(NodeNames(), timeout=1.0)
+        operator = listening.operator
+        said = listening.said
+        before = time.monotonic()
+        operator.send(tuple(JOINTS), None)
+        operator.configure_again("friction", "x.yaml")
+        operator.ask(reset_request("rx90_sim"))
+        assert time.monotonic() - before < 0.5
+        wait_until(lambda: len(said) == 3, "three refusals")
+
+        def unanswered() -> bool:
+            time.sleep(0.1)
+            operator.ask(pause_request("rx90_sim", paused=True))
+            return any("no answer of rx90_sim/pause within 1 s" in line for _, line, _ in said)
+
+        wait_until(unanswered, "a complaint")
+        operator.close()
+    assert said[:3] == [
+        (
+            "rx90_controller",
+            "there is no controller on /rx90_controller/joint_trajectory; accepted: while one runs",
+            True,
+        ),
+        ("rx90_sim", "its state is unknown; accepted: a simulation that runs", True),
+        ("rx90_sim", "there is no service rx90_sim/reset; accepted: while its node runs", True),
+    ]
+    assert listening.states == ("", "")

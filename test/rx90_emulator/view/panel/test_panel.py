@@ -1,0 +1,163 @@
+"""The panel in a real browser, with real nodes over DDS: what is typed, dragged and pressed there happens."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import BrowserPage, served
+from processes import Processes, wait_until
+from ros_client import JOINTS, Client, seconds
+
+from rx90_common.exchange.client_node import client_node
+from rx90_controller.lines.plan import plan_line
+from rx90_controller.lines.task import TOOL_DOWN, LineTask
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.live.source import LiveSource
+from rx90_emulator.view.page import Page
+from rx90_emulator.view.panel.operator import NodeNames
+from rx90_emulator.view.panel.panel import DoPanel
+from rx90_emulator.view.state import ArmState
+
+Open = Callable[..., BrowserPage]
+START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
+SIZE = (420, 900)  # a small scene, because it is drawn in software
+
+
+@pytest.fixture
+def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+    """Serve a page with the panel alone, beside a cell that stands near the start of the line; give page and cell."""
+    monkeypatch.chdir(tmp_path)  # where friction files are written
+    line = LineTask(tuple(START), tuple(END), SPEED, 2.0, TOOL_DOWN, TOOL_DOWN)
+    pose = (plan_line(shipped.robot, line).start_pose + 0.03).round(4).tolist()
+    cell = processes.start("rx90_cell", "--ros-args", "-p", f"rx90_sim:initial_position:={pose}")
+    assert shipped.files is not None
+    sent: list[LineTask] = []
+    with client_node("test_view", 1.0, print) as client:
+        page = Page("test", port=0)
+        source = LiveSource(client, shipped.robot, "rx90_controller")
+        states: list[ArmState] = []
+        page.every(0.05, lambda now: states.extend(filter(None, [source.take(now)])))
+        names = NodeNames.beside("/rx90_controller", ())
+        parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
+        with served(page):
+            yield page, cell, sent
+        parts.close()
+
+
+class Tips:
+    """Where Pinocchio has the tool centre point, from the URDF's text."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._model = pin.buildModelFromXML(setup.robot.urdf)
+        self._data, self._frame = self._model.createData(), self._model.getFrameId(setup.robot.tcp_frame)
+
+    def at(self, position: Any) -> np.ndarray:
+        """Return it for joint positions, rad; m, shape (3,)."""
+        pin.framesForwardKinematics(self._model, self._data, np.array(position))
+        return np.array(self._data.oMf[self._frame].translation)
+
+
+def test_what_is_done_on_the_page_happens(panel: Any, open_page: Open, shipped: Setup) -> None:
+    """A line is refused or followed, a joint jogged, time stopped, an element changed; the nodes' end is told."""
+    page, cell, sent = panel
+    shown = open_page(page.address, SIZE)
+    _the_line_is_followed(shown, shipped, sent)
+    _a_slider_moves_its_joint(shown)
+    press(shown, "Pause")
+    shown.wait_until(lambda: "time stands still" in shown.text(), "the simulation's answer")
+    _an_element_is_changed(shown)
+    cell.signal(signal.SIGINT)
+    press(shown, "Move")
+    shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
+    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Pause").is_enabled(), "no pause")
+    assert (shown.complaints, shown.foreign_requests) == ([], [])
+
+
+def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]) -> None:
+    press(shown, "Move")
+    send = shown.page.get_by_role("button", name="Send the line")
+    fill(shown, "start, m", "{} {} {}".format(*START))
+    fill(shown, "end, m", "{} {} {}".format(*END))
+    fill(shown, "acceleration", "2")
+    fill(shown, "speed", "0.25 fast")
+    shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
+    assert not send.is_enabled()
+    fill(shown, "speed", f"{SPEED}")
+    length = float(np.linalg.norm(END - START))
+    said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
+    shown.wait_until(lambda: said in shown.text() and send.is_enabled(), "the line with its approach")
+    client = Client()
+    heard = client.listen("joint_states", depth=20_000)  # nobody spins while the page is used
+    client.spin_until(lambda: bool(heard), "the arm")
+    press(shown, "Send the line")
+    wait_until(lambda: bool(sent), "the line on its way")
+    kinematics = Tips(setup)
+
+    def arrived() -> bool:
+        return bool(np.linalg.norm(kinematics.at(heard[-1].position) - END) < 1e-4)
+
+    client.spin_until(arrived, "the end of the line")
+    client.close()
+    assert {tuple(m.name) for m in heard} == {tuple(JOINTS)}
+    times = np.array([seconds(m) for m in heard])
+    path = np.array([kinematics.at(m.position) for m in heard])
+    along = (path - START) @ (END - START) / length
+    beside = np.linalg.norm(path - START - along[:, None] * (END - START) / length, axis=1)
+    begun = int(np.flatnonzero(along < 1e-4)[-1])
+    assert np.abs(along[begun]) < 2e-4
+    assert beside[begun:].max() < 3e-4
+    speed = np.diff(along[begun:]) / np.diff(times[begun:])
+    assert np.median(speed[speed > 0.1]) == pytest.approx(SPEED, rel=0.02)
+
+
+def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
+    client = Client()
+    heard = client.listen("joint_states", depth=1)
+    client.spin_until(lambda: bool(heard), "the arm")
+    before = np.degrees(heard[-1].position)
+    asked = round(float(before[0]) + 5.0, 1)
+    fill(shown, "joint", f"{asked}")
+    shown.page.keyboard.press("Enter")
+    client.spin_until(lambda: abs(np.degrees(heard[-1].position[0]) - asked) < 0.01, "joint 1 where its slider is")
+    # A joint that was not touched goes to where its slider stood, a tenth of a degree at most from it.
+    np.testing.assert_allclose(np.degrees(heard[-1].position)[1:], before[1:], atol=0.02)
+    client.close()
+
+
+def _an_element_is_changed(shown: BrowserPage) -> None:
+    press(shown, "Element")
+    title = "steady torque, Nm, against velocity, rad/s"
+    shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
+    fill(shown, "tau", "40")
+    text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
+    shown.wait_until(lambda: text in shown.text(), "the element's refusal")
+    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
+    fill(shown, "tau", "20 28")
+    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
+    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 28.0}" in shown.text(), "the YAML")
+    shown.wait_until(lambda: not np.equal(*shown.plots()[title]["data"][1:]).all(), "the other curve")
+    velocity, before, after = map(np.array, shown.plots()[title]["data"])
+    # Half a radian per second is ten Stribeck velocities: what is left is Coulomb and viscous friction.
+    for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
+        assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
+        assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
+    press(shown, "Write the file")
+    shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
+
+
+def fill(shown: BrowserPage, label: str, text: str) -> None:
+    """Type into the field whose label begins so; the page breaks labels at _ and /."""
+    field = f"//*[starts-with(normalize-space(text()), '{label}')]/following::input[not(@type='hidden')][1]"
+    shown.page.locator(field).first.fill(text)
+
+
+def press(shown: BrowserPage, name: str) -> None:
+    """Press a button or a tab, wherever it is on the page."""
+    wanted = shown.page.get_by_role("button", name=name).or_(shown.page.get_by_role("tab", name=name))
+    wanted.first.click()

@@ -1,0 +1,90 @@
+"""rx90_view on running nodes, as a browser shows it: they come, move, go, come again, and are of another robot."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import BrowserPage
+from processes import Processes
+from short_task import SHORT_TASK
+
+from rx90_common.process.children import ChildProcess
+from rx90_emulator.loop.setup import Setup
+
+Open = Callable[..., BrowserPage]
+ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
+POSE = [0.4, -0.7, 1.9, 0.8, -0.9, 2.5]
+SETTLED = 1e-3  # m; the arm gives a little under its weight
+
+
+def tip(setup: Setup, position: list[float]) -> np.ndarray:
+    """Return where the tool centre point is, m, by Pinocchio from the URDF's text."""
+    model = pin.buildModelFromXML(setup.robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array(position))
+    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].translation)
+
+
+def address(view: ChildProcess) -> str:
+    """Wait for the page."""
+    return view.wait_for(r"page: (\S+)")[1]
+
+
+def stopped(view: ChildProcess) -> int:
+    """Press Ctrl-C; return the exit code."""
+    view.signal(signal.SIGINT)
+    return view.wait()
+
+
+def near(shown: BrowserPage, where: np.ndarray) -> Callable[[], bool]:
+    """Return whether the tip is drawn there."""
+    return lambda: float(np.linalg.norm(shown.pose(ARM)[:3, 3] - where)) < SETTLED
+
+
+@pytest.mark.ros
+def test_nodes_come_go_and_come_again(shipped: Setup, processes: Processes, open_page: Open) -> None:
+    """The page waits for nodes, shows their arm, says that they have gone, and that others are of another robot."""
+    view = processes.start("rx90_view", "--port", 0, "--ros-args", "-r", "__ns:=/cell_1")
+    shown = open_page(address(view))
+    shown.wait_until(lambda: "Waiting for a simulation: nothing on /cell_1/joint_states" in shown.text(), "the wait")
+    pose = f"rx90_sim:initial_position:={POSE}"
+    cell = processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-p", pose)
+    shown.wait_until(near(shown, tip(shipped, POSE)), "the arm in its pose")
+    for words in ("running", "holding", "open"):
+        shown.wait_until(lambda words=words: words in shown.text(), words)  # type: ignore[misc]
+    cell.signal(signal.SIGINT)
+    cell.wait()
+    shown.wait_until(lambda: "The simulation has gone" in shown.text(), "the end of the nodes")
+    processes.start("rx90_cell", "--ros-args", "-r", "__ns:=/cell_1", "-p", "robot:=tx40")
+    shown.wait_until(lambda: "robot is tx40, this page shows rx90b" in shown.text(), "the other robot")
+    assert (stopped(view), shown.foreign_requests) == (0, [])
+
+
+@pytest.mark.ros
+def test_the_arm_of_make_view_moves_and_all_ends_with_it(
+    shipped: Setup, processes: Processes, open_page: Open, tmp_path: Path
+) -> None:
+    """With --demo the tip goes to the line's end and again to its start, plots follow, and Ctrl-C ends it."""
+    task = tmp_path / "task.yaml"
+    task.write_text(SHORT_TASK, encoding="utf-8")
+    view = processes.start("rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser")
+    shown = open_page(address(view))
+    for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2), (0.6034, -0.2808, 0.1955)):
+        shown.wait_until(near(shown, np.array(end)), f"the tip at {end}")
+    shown.wait_until(lambda: len(shown.plots()["friction torque [Nm]"]["data"][0]) > 10, "samples of friction")
+    friction, deflection = (
+        shown.plots()[title]["data"] for title in ("friction torque [Nm]", "bristle deflection [µrad]")
+    )
+    assert len(friction) == 1 + len(shipped.friction.names)
+    assert all(a < b for a, b in zip(friction[0], friction[0][1:], strict=False))
+    assert max(map(abs, friction[1])) > 10.0  # joint 1, whose tau_c is 25 Nm, has moved
+    assert max(map(abs, deflection[1])) > 100.0  # 25 Nm / 1e5 Nm/rad: 250 microrad
+    newest = friction[0][-1]
+    shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
+    shown.wait_until(lambda: "mm, on the way" in shown.text(), "the path error")
+    assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
