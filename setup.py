@@ -21,6 +21,7 @@ EXECUTABLES = (
     "rx90_sweep",
     "rx90_experiment",
     "rx90_identify",
+    "rx90_view",
 )
 
 
@@ -39,6 +40,7 @@ def data_files() -> list[tuple[str, list[str]]]:
     return entries
 
 
+VIEW = ["viser>=1.1,<1.2"]
 DOCS = [
     "sphinx>=8.1,<9.1",
     "myst-parser>=4,<6",
@@ -68,6 +70,7 @@ setup(
         "PyYAML>=6.0.1,<7",
         "matplotlib>=3.6,<3.12",
         "Jinja2>=3.1.2,<4",
+        "bokeh>=3.9,<3.10",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
         "shtab>=1.7,<2",
@@ -79,9 +82,12 @@ setup(
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
         "docs": DOCS,
+        "view": VIEW,
         "test": TEST,
         "dev": [
             *TEST,
+            *VIEW,
+            "playwright>=1.50,<2",
             "pyarrow>=18,<27",
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",

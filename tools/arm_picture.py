@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import ConfigError, Rx90Error
+from rx90_common.base.errors import Rx90Error
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
+from rx90_common.description.shapes import visual_shapes
 
 PICTURE = Path(__file__).resolve().parent.parent / "docs" / "images" / "arm.png"
 _POSES = (
@@ -47,24 +48,13 @@ class Solid(NamedTuple):
 def solids(robot: RobotModel, position: tuple[float, ...]) -> list[Solid]:
     """Return the visual geometry of an arm in a pose, rad."""
     model = robot.model
-    shapes = pin.buildGeomFromUrdfString(model, robot.urdf, pin.VISUAL)
-    data, placed = model.createData(), shapes.createData()
-    pin.updateGeometryPlacements(model, data, shapes, placed, np.array(position))
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.array(position))
     found = []
-    for shape, place in zip(shapes.geometryObjects, placed.oMg, strict=True):
-        kind, half = _extent(shape.geometry)
-        found.append(Solid(kind, half, place.rotation, place.translation, np.array(shape.meshColor[:3])))
+    for shape in visual_shapes(robot):
+        place = data.oMi[shape.joint + 1] * pin.SE3(shape.rotation, shape.position)
+        found.append(Solid(shape.kind, shape.half, place.rotation, place.translation, shape.color))
     return found
-
-
-def _extent(geometry: Any) -> tuple[str, _Vectors]:
-    kind = type(geometry).__name__
-    if kind not in {"Box", "Cylinder", "Sphere"}:
-        raise ConfigError(f"a visual shape is a {kind}; accepted: boxes, cylinders and spheres")
-    if kind == "Box":
-        return kind, np.array(geometry.halfSide)
-    radius = geometry.radius
-    return kind, np.array([radius, radius, geometry.halfLength if kind == "Cylinder" else radius])
 
 
 def cast(solid: Solid, origins: _Vectors, direction: _Vectors) -> tuple[_Vectors, _Vectors]:

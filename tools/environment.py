@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 # What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, to build the site of the
 # documentation, or to test them with the versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
-EXTRAS = {"run": ("ros",), "dev": ("ros", "dev"), "docs": ("ros", "docs"), "jazzy": ("ros", "test")}
+EXTRAS = {"run": ("ros", "view"), "dev": ("ros", "dev"), "docs": ("ros", "docs"), "jazzy": ("ros", "test")}
 FOLDERS = {"run": ".venv", "dev": ".venv", "docs": ".venv", "jazzy": ".venv-jazzy"}
 CONSTRAINTS = {"jazzy": "tools/constraints-jazzy.txt"}
 _NEWEST_FOR = {"jazzy": (3, 12)}

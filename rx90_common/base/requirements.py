@@ -19,20 +19,24 @@ class Source(NamedTuple):
 
 SOURCES = {
     "backports": Source("rosbags"),  # backports.zstd
+    "bokeh": Source("bokeh"),
     "distributed": Source("distributed"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
     "lz4": Source("rosbags"),
+    "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),
     "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
     "pyarrow": Source("pyarrow"),
     "rosbags": Source("rosbags"),
+    "rich": Source("viser"),
     "scipy": Source("scipy", "python3-scipy"),
     "serial": Source("pyserial", "python3-serial"),
     "shtab": Source("shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
+    "viser": Source("viser"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }
 """Of each module outside the standard library and ROS that the project imports."""

@@ -11,6 +11,7 @@ __all__ = [
     "robot",
     "robot_files",
     "rotations",
+    "shapes",
     "tool",
     "urdf",
     "wrist",

@@ -1,6 +1,7 @@
 """How nodes exchange ticks over DDS: raw CDR, the lock-step, pacing, and what entry points share."""
 
 __all__ = [
+    "arm_watch",
     "arrivals",
     "cdr_body",
     "cdr_reader",

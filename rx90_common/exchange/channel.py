@@ -11,7 +11,6 @@ import os
 import time
 from typing import Any, NamedTuple
 
-from rclpy.callback_groups import CallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -21,6 +20,7 @@ from sensor_msgs.msg import JointState
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.arrivals import count_arrivals
 from rx90_common.exchange.publisher_lock import lock_publisher
+from rx90_common.exchange.subscribing import TakenByHand, never_called
 
 _clock = time.perf_counter_ns
 _BUSY_WAIT_NS = 200_000
@@ -32,19 +32,6 @@ class Matches(NamedTuple):
 
     subscriptions: int
     publishers: int
-
-
-class _NeverExecuted(CallbackGroup):
-    """Keeps the node's executor away from a subscription whose messages the channel takes itself."""
-
-    def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
-        return False
-
-    def beginning_execution(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
-        return False
-
-    def ending_execution(self, entity: object) -> None:
-        pass
 
 
 class Channel:
@@ -69,7 +56,7 @@ class Channel:
         self._lock = lock_publisher(node.context.get_domain_id(), node.resolve_topic_name(publish_topic))
         self._publisher = node.create_publisher(JointState, publish_topic, qos)
         self._subscription = node.create_subscription(
-            JointState, subscribe_topic, _ignore, qos, raw=True, callback_group=_NeverExecuted()
+            JointState, subscribe_topic, never_called, qos, raw=True, callback_group=TakenByHand()
         )
         self.answering = 1
         self._blocking_waits = 0
@@ -158,7 +145,3 @@ class Channel:
     def matches(self) -> Matches:
         """Count what the middleware has connected now."""
         return Matches(self._publisher.get_subscription_count(), self._subscription.get_publisher_count())
-
-
-def _ignore(_message: object) -> None:
-    """Stand for a callback that is never called."""

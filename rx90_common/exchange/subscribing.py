@@ -1,10 +1,11 @@
-"""Subscriptions of nodes: a message whose bytes cannot be read is one line that names the topic."""
+"""Subscriptions of nodes: by callback, where a message that cannot be read is one line, or taken by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -52,3 +53,22 @@ def subscribe(
     log = ThrottledLog(lambda text: node.get_logger().error(text))
     overrides = overridable(node, topic, "subscription")
     subscription = node.create_subscription(kind, topic, take, qos, raw=True, qos_overriding_options=overrides)
+
+
+class TakenByHand(CallbackGroup):
+    """Keeps the node's executor away from a subscription whose messages somebody takes from it."""
+
+    def can_execute(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
+        """Say no to each message."""
+        return False
+
+    def beginning_execution(self, entity: object) -> bool:  # noqa: ARG002 - the interface of CallbackGroup
+        """Say no again, if it were asked."""
+        return False
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing: none begins."""
+
+
+def never_called(_message: object) -> None:
+    """Stand for the callback of such a subscription."""

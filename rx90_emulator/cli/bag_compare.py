@@ -67,14 +67,19 @@ def main(args: argparse.Namespace) -> int:
         start_ns=_nanoseconds("--from", args.start),
         end_ns=_nanoseconds("--to", args.end),
         common_range=args.common_range,
-        align=_alignment(args.align),
+        align=alignment(args.align),
     )
     comparison = compare_bags(args.bag_a, args.bag_b, Tolerances(rules), scope)
     print(comparison_json(comparison) if args.json else comparison_text(comparison))
     return int(comparison.verdict)
 
 
-def _alignment(text: str) -> int | str:
+def alignment(text: str) -> int | str:
+    """Return what --align says: START, TRAJECTORY, or a time in ns.
+
+    Raises:
+        BagError: for anything else.
+    """
     from rx90_common.bags.comparison import START, TRAJECTORY
 
     if text in (START, TRAJECTORY):

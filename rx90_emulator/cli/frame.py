@@ -38,6 +38,7 @@ EXECUTABLES = {
     "rx90_line": "rx90_emulator.cli.line",
     "rx90_run": "rx90_emulator.cli.run",
     "rx90_sweep": "rx90_emulator.cli.sweep",
+    "rx90_view": "rx90_emulator.cli.view",
 }
 """The module of each executable. It has a docstring, which `--help` shows, and two functions:
 

@@ -1,0 +1,137 @@
+"""A straight line in the scene, the laser spot, and its trace coloured by the path error."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.description.kinematics import decompose, path_error
+from rx90_emulator.view.page import Page
+
+FULL_SCALE = 1e-4
+"""Path error of the last colour, m: what laser welding asks for."""
+_STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
+_AWAY = np.array([150.0, 150.0, 150.0])
+_NEAR = 2e-3  # m; what is farther from the line is on its way to it
+_STANDS = 1e-4  # m from one look to the next; what moves less stands
+_ALONG = 0.9  # least share of a step that leads along the line
+_LENGTH = 600  # samples in the trace
+_STEP = 5e-4  # m between two of them
+_SPOT = (255, 40, 40)
+# The page takes the colours of a line's points as brightness of light, and the screen's are not in proportion to it.
+_LINEAR = np.round(255.0 * (np.arange(256) / 255.0) ** 2.2).astype(np.uint8)
+
+
+def error_colors(error: Array) -> Array:
+    """Return colours (n, 3), 0 to 255, of path errors (n,) in m; grey for nan, off the line."""
+    share = np.clip(np.nan_to_num(error) / FULL_SCALE, 0.0, 1.0) * (len(_STOPS) - 1)
+    places = np.arange(len(_STOPS))
+    colors = np.stack([np.interp(share, places, channel) for channel in _STOPS.T], axis=-1)
+    return np.where(np.isnan(error)[:, None], _AWAY, colors).astype(np.uint8)
+
+
+def legend_html() -> str:
+    """Return the colours with their path errors, as HTML."""
+    stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _STOPS)
+    grey = ",".join(f"{part:.0f}" for part in _AWAY)
+    limit = FULL_SCALE * 1e3
+    return (
+        '<div style="padding:0 0.6em;font-size:0.8em"><div>path error of the laser spot, mm</div>'
+        f'<div style="height:0.7em;border-radius:2px;background:linear-gradient(to right, {stops})"></div>'
+        '<div style="display:flex;justify-content:space-between">'
+        f"<span>0</span><span>{limit / 2:g}</span><span>&ge; {limit:g}</span></div>"
+        f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line</div></div>'
+    )
+
+
+class LineScene:
+    """A line from start to end, m, the spot on or near it, and where the spot has been.
+
+    Args:
+        page: to draw in.
+        name: of its nodes in the scene.
+        start: (3,) m.
+        end: (3,) m.
+    """
+
+    def __init__(self, page: Page, name: str, start: Array, end: Array) -> None:
+        scene = page.scene
+        ends = np.stack([start, end])[None]
+        self._line = scene.add_line_segments(
+            f"{name}/line", ends, (30, 30, 30), thickness=2.0, thickness_units="screen"
+        )
+        self._spot = scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
+        self._trace = scene.add_line_segments(
+            f"{name}/trace", ends, (150, 150, 150), thickness=5.0, thickness_units="screen", visible=False
+        )
+        self._factor = 1.0
+        self.place(start, end)
+
+    def place(self, start: Array, end: Array) -> None:
+        """Compare with the line from start to end, (3,) m, from now on, with an empty trace."""
+        self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        self._line.points = np.stack([self._start, self._end])[None].astype(np.float32)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the trace."""
+        self._tips: list[Array] = []
+        self._errors: list[float] = []  # of the trace, nan off the line
+        self._tip: Array | None = None
+        self._error: float | None = None
+        self._worst = 0.0
+        self._changed = False
+        self._trace.visible = False
+
+    def magnify(self, factor: float) -> None:
+        """Draw the trace, but not the spot, this many times as far from the line as it is."""
+        self._factor, self._changed = factor, True
+
+    def add(self, tip: Array) -> float | None:
+        """Move the spot to `tip`, (3,) m, and lengthen the trace; return its path error, m, None off the line."""
+        tip = np.array(tip, dtype=np.float64)
+        self._spot.position = tip
+        step = np.zeros(3) if self._tip is None else tip - self._tip
+        self._tip = tip
+        self._measure(tip, step)
+        if not self._tips or float(np.linalg.norm(tip - self._tips[-1])) >= _STEP:
+            self._tips = [*self._tips[-_LENGTH + 1 :], tip]
+            self._errors = [*self._errors[-_LENGTH + 1 :], np.nan if self._error is None else self._error]
+            self._changed = True
+        return self._error
+
+    def _measure(self, tip: Array, step: Array) -> None:
+        """Bring the path error up to date, after a step (3,) m: a spot that comes from elsewhere is not on the line."""
+        error = path_error(tip[None], self._start, self._end)
+        distance = float(np.hypot(error.perpendicular[0], error.beyond[0]))
+        along, _ = decompose(step[None], self._end - self._start)
+        way = float(np.linalg.norm(step))
+        moves = way > _STANDS
+        if distance >= _NEAR or (moves and abs(float(along[0])) < _ALONG * way):
+            self._error, self._worst = None, 0.0
+            return
+        self._error = distance
+        if moves:
+            self._worst = max(self._worst, distance)
+
+    def words(self) -> str:
+        """Return the path error in words: now, and the largest that was seen on the way along the line."""
+        if self._error is None:
+            return "not on the line"
+        return f"{self._error * 1e3:.3f} mm, on the way {self._worst * 1e3:.3f} mm"
+
+    def draw(self) -> None:
+        """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""
+        if not self._changed or len(self._tips) < 2:
+            return
+        self._changed = False
+        tips, error = np.array(self._tips), np.array(self._errors)
+        colors = _LINEAR[error_colors(error)]
+        drawn = np.where(np.isnan(error)[:, None], tips, self._magnified(tips)).astype(np.float32)
+        self._trace.points = np.stack([drawn[:-1], drawn[1:]], axis=1)
+        self._trace.colors = np.stack([colors[:-1], colors[1:]], axis=1)
+        self._trace.visible = True
+
+    def _magnified(self, tips: Array) -> Array:
+        _, across = decompose(tips - self._start, self._end - self._start)
+        return np.asarray(tips + (self._factor - 1.0) * across)

@@ -1,0 +1,150 @@
+"""The page: a server on this machine, tabs for parts, and the one thread on which they all work."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import queue
+import socket
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+
+import numpy as np
+import rich
+import viser
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
+from rx90_common.description.robot import RobotModel
+from rx90_common.process.interrupts import interrupts_later
+
+_LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
+_FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
+_FIELD = 0.75  # rad, upright
+_PLOT_WIDTH = 370  # pixels
+_PANEL_WIDTH = 310
+
+
+class Page:
+    """A page in the browser, served until `close`.
+
+    Args:
+        title: above the control panel.
+        host: address to bind to; 127.0.0.1 is reached from this machine alone.
+        port: to bind to; 0 takes a free one.
+
+    Attributes:
+        server, gui, scene: viser's own.
+        address: what to open in a browser.
+
+    Raises:
+        ConfigError: if host and port cannot be bound to.
+    """
+
+    def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080) -> None:
+        _check_free(host, port)
+        rich.get_console().quiet = True  # viser draws a box with addresses, and tells of each connection
+        self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        if port not in {0, self.server.get_port()}:  # somebody was faster, and viser has gone on to the next one
+            self.server.stop()
+            raise _taken(host, port, "taken a moment ago")
+        self.gui, self.scene = self.server.gui, self.server.scene
+        shown = f"[{host}]" if ":" in host else host
+        self.address = f"http://{shown}:{self.server.get_port()}"
+        # The button would ask another machine for a tunnel.
+        self.gui.configure_theme(show_logo=False, show_share_button=False)
+        self.gui.main_panel.dock_right()
+        self.gui.main_panel.set_width(_PANEL_WIDTH)
+        self._tabs = self.gui.add_tab_group()
+        self._plots = self.gui.add_panel()
+        self._plots.dock_left()
+        self._plots.set_width(_PLOT_WIDTH)
+        self._handed_over: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._timed: list[tuple[float, int, float, Callable[[float], None]]] = []
+        self._numbers = itertools.count()
+        _furnish(self.scene)
+
+    def tab(self, label: str) -> AbstractContextManager[object]:
+        """Add a tab to the control panel, to be filled in a `with` block."""
+        return self._tabs.add_tab(label)
+
+    def plot_tab(self, label: str) -> AbstractContextManager[object]:
+        """Add a tab to the panel of plots, to be filled in a `with` block."""
+        return self._plots.add_tab(label)
+
+    def look_at_arm(self, robot: RobotModel) -> None:
+        """Place the camera of pages that are opened from now on, so that the whole arm is seen."""
+        reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
+        camera = self.server.initial_camera
+        center = np.array([0.25, 0.0, 0.4]) * reach
+        camera.position, camera.look_at = center + _FROM * reach, center
+        camera.fov = _FIELD
+
+    def every(self, period: float, function: Callable[[float], None]) -> None:
+        """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out."""
+        heapq.heappush(self._timed, (time.monotonic(), next(self._numbers), period, function))
+
+    def later(self, function: Callable[[], None]) -> None:
+        """Call `function()` once on the page's thread; from any thread."""
+        self._handed_over.put(function)
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Run the parts until `until()` holds.
+
+        Raises:
+            KeyboardInterrupt: on Ctrl-C, between two calls.
+        """
+        with interrupts_later() as check_interrupt:
+            while not until():
+                check_interrupt()
+                self._step()
+
+    def close(self) -> None:
+        """Stop the server."""
+        self.server.stop()
+
+    def _step(self) -> None:
+        """Do what is due, or wait a moment for what is handed over."""
+        now = time.monotonic()
+        wait = _LONGEST_WAIT
+        if self._timed:
+            due, _, period, function = self._timed[0]
+            if due <= now:
+                heapq.heapreplace(self._timed, (max(due + period, now), next(self._numbers), period, function))
+                with self.server.atomic():
+                    function(now)
+                wait = 0.0
+            else:
+                wait = min(wait, due - now)
+        with suppress(queue.Empty):
+            self._handed_over.get(timeout=wait)()
+
+
+def _furnish(scene: viser.SceneApi) -> None:
+    """Lay the floor, and light the scene."""
+    scene.set_up_direction("+z")
+    scene.world_axes.visible = False
+    scene.add_grid("/floor", 2.4, 2.4, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, -0.001))
+    # The usual environment takes the colours away.
+    scene.configure_environment_map("studio", environment_intensity=0.35)
+
+
+def _check_free(host: str, port: int) -> None:
+    """Refuse what cannot be bound to; viser would take the next port that it can, and not say so."""
+    try:
+        kind, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"--host {quoted(host)}: {reason}; accepted: an address of this machine") from error
+    with socket.socket(kind, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(place)
+            probe.listen(1)
+        except OSError as error:
+            raise _taken(host, port, error.strerror or str(error)) from error
+
+
+def _taken(host: str, port: int, reason: str) -> ConfigError:
+    return ConfigError(f"{host} port {port}: {reason}; accepted: --port with a free one, or 0 for any")

@@ -1,0 +1,143 @@
+"""Plots that follow the newest values: against time, and one quantity against another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from viser import uplot
+
+from rx90_common.base.arrays import Array
+from rx90_emulator.view.page import Page
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
+"""Of the joints, and of the coupled wrist's element; those of the reports."""
+_LEAST = 2  # samples that make a plot
+
+
+class RollingPlot:
+    """Quantities of several joints against time, over the last `window` s.
+
+    Samples are kept in memory of a fixed size; `draw` sends those of the chosen joints.
+
+    Args:
+        page: to draw in, within a `plot_tab` or another container.
+        title: with the unit, such as "friction torque [Nm]".
+        names: of the joints, in the order of the values.
+        window: s.
+        capacity: samples in the window.
+        height: pixels.
+        legend: name the curves; a click on a name hides its curve.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        title: str,
+        names: Sequence[str],
+        *,
+        window: float = 10.0,
+        capacity: int = 400,
+        height: int = 150,
+        legend: bool = True,
+    ) -> None:
+        self._names, self._window = tuple(names), window
+        self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
+        self._count = 0
+        self._shown = frozenset(range(len(self._names)))
+        self._plot = page.gui.add_uplot(
+            tuple(np.array([0.0, 0.0]) for _ in range(1 + len(self._names))),
+            self._series(),
+            title=title,
+            scales={"x": uplot.Scale(time=False)},
+            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            legend=uplot.Legend(show=legend, live=False),
+            padding=(0, 12, 0, 0),
+            height=height,
+        )
+
+    def choose(self, shown: Sequence[int]) -> None:
+        """Show only these joints, by their indices."""
+        self._shown = frozenset(shown)
+        self._plot.series = self._series()
+
+    def add(self, time: float, values: ArrayLike) -> None:
+        """Add the values (n,) at a time, s; a time before the last one begins anew."""
+        if self._count and time < self._samples[self._count - 1, 0]:
+            self._count = 0
+        if self._count == len(self._samples):
+            self._samples[:-1] = self._samples[1:]
+            self._count -= 1
+        self._samples[self._count, 0], self._samples[self._count, 1:] = time, values
+        self._count += 1
+
+    def draw(self) -> None:
+        """Send what is to be seen."""
+        if self._count < _LEAST:
+            return
+        kept = self._samples[: self._count]
+        kept = kept[kept[:, 0] >= kept[-1, 0] - self._window]
+        self._plot.data = tuple(column.copy() for column in kept.T)
+
+    def _series(self) -> tuple[uplot.Series, ...]:
+        curves = (
+            uplot.Series(label=name, stroke=COLOURS[index % len(COLOURS)], width=1.5, show=index in self._shown)
+            for index, name in enumerate(self._names)
+        )
+        return (uplot.Series(label="time [s]"), *curves)
+
+
+class LoopPlot:
+    """One quantity against another, the newest `capacity` samples, as a loop.
+
+    Args:
+        page: to draw in.
+        title: such as "friction against velocity".
+        x: label of the abscissa, with the unit.
+        y: label of the ordinate, with the unit.
+        capacity: samples that are kept.
+        height: pixels.
+    """
+
+    def __init__(self, page: Page, title: str, x: str, y: str, *, capacity: int = 400, height: int = 240) -> None:
+        self._samples = np.zeros((0, 2))
+        self._capacity = capacity
+        self._plot = page.gui.add_uplot(
+            (np.array([0.0, 1.0]), np.array([0.0, 0.0])),
+            (uplot.Series(label=x), uplot.Series(label=y, stroke=COLOURS[0], width=1.5)),
+            title=title,
+            scales={"x": uplot.Scale(time=False)},
+            axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(label=y, size=40, labelSize=18)),
+            legend=uplot.Legend(show=False),
+            cursor=uplot.Cursor(drag=uplot.Cursor_Drag(x=False, y=False)),
+            padding=(0, 12, 0, 0),
+            height=height,
+        )
+
+    def add(self, x: float, y: float) -> None:
+        """Add a sample."""
+        self._samples = np.concatenate([self._samples[-self._capacity + 1 :], [[x, y]]])
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._samples = self._samples[:0]
+
+    def draw(self) -> None:
+        """Send what is to be seen."""
+        if len(self._samples) < _LEAST:
+            return
+        x, y = self._samples.T
+        self._plot.data = _as_if_sorted(x, y)
+
+
+def _as_if_sorted(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return the curve, so that it begins at its least x and ends at its largest.
+
+    uPlot looks for the samples within the axis by halving, as if x were sorted, and finds these two. From one end of
+    the curve to its least x, and from the other end to its largest, the way leads along the curve itself.
+    """
+    first, last = int(np.argmin(x)), int(np.argmax(x))
+    way = np.concatenate([np.arange(first, 0, -1), np.arange(len(x)), np.arange(len(x) - 2, last - 1, -1)])
+    longer = np.append(x[way], x[last] + 1e-9 * (1.0 + float(np.ptp(x))))  # larger than any before it
+    return longer, np.append(y[way], y[last])

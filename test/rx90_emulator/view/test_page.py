@@ -1,0 +1,91 @@
+"""The page in a real browser: the arm where Pinocchio says, plots that move, nothing from another machine."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import BrowserPage, served
+
+from rx90_common.base.errors import ConfigError
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.arm import ArmScene
+from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import LoopPlot, RollingPlot
+
+Open = Callable[..., BrowserPage]
+POSE = np.array([0.4, -0.7, 1.9, 0.8, -0.9, 2.5])
+PIXEL = 1e-6  # m; positions go to the page as single precision
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    """Serve a page on any free port."""
+    with served(Page("test", port=0)) as page:
+        yield page
+
+
+def tip(setup: Setup, position: np.ndarray) -> np.ndarray:
+    """Return the pose (4, 4) of the tool centre point by Pinocchio, from the URDF's text."""
+    model = pin.buildModelFromXML(setup.robot.urdf)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, position)
+    return np.asarray(data.oMf[model.getFrameId(setup.robot.tcp_frame)].homogeneous)
+
+
+@pytest.mark.parametrize("robot", ["shipped", "tx40"])
+def test_the_arm_is_drawn_where_pinocchio_says(
+    robot: str, page: Page, open_page: Open, request: pytest.FixtureRequest
+) -> None:
+    """The tip's pose in the browser's own scene is that of the forward kinematics, and follows it."""
+    setup = request.getfixturevalue(robot)
+    arm = ArmScene(page, "/arm", setup.robot)
+    shown = open_page(page.address)
+    np.testing.assert_allclose(shown.pose(arm.tip), tip(setup, np.zeros(6)), atol=PIXEL)
+    page.later(lambda: arm.show(POSE))
+    expected = tip(setup, POSE)
+    shown.wait_until(lambda: bool(np.allclose(shown.pose(arm.tip), expected, atol=PIXEL)), "the new pose")
+    assert (shown.complaints, shown.foreign_requests) == ([], [])
+
+
+def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
+    """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
+    with page.plot_tab("Plots"):
+        rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), window=2.0)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]")
+    angle = np.linspace(0.0, 4.0 * np.pi, 100)
+
+    def feed() -> None:
+        for time in np.arange(0.0, 5.0, 0.1):
+            rolling.add(time, np.array([time, -time]))
+        for a in angle:
+            loop.add(float(np.cos(a)), float(np.sin(a)))
+        rolling.draw()
+        loop.draw()
+
+    shown = open_page(page.address)
+    page.later(feed)
+    shown.wait_until(lambda: len(shown.plots()["speed [rad/s]"]["data"][0]) > 2, "samples")
+    times, first, second = shown.plots()["speed [rad/s]"]["data"]
+    np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
+    np.testing.assert_allclose([first, second], [times, np.negative(times)])
+    x, y = np.array(shown.plots()["loop"]["data"])
+    assert x[0] == x.min()
+    assert x[-1] == x.max()
+    assert (x[:-1] < x[-1]).all()  # so that halving finds the two ends
+    # Every sample is in it, and it never leaves the curve: steps are those of the circle.
+    assert {(round(a, 9), round(b, 9)) for a, b in zip(np.cos(angle), np.sin(angle), strict=True)} <= {
+        (round(a, 9), round(b, 9)) for a, b in zip(x, y, strict=True)
+    }
+    assert np.hypot(np.diff(x), np.diff(y)).max() < 1.01 * 2.0 * np.sin(2.0 * np.pi / 99)
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    """A port on which somebody listens is refused by its number, and no other one is taken instead."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(ConfigError, match=rf"127\.0\.0\.1 port {port}: .*; accepted: --port with a free one"):
+            Page("test", port=port)

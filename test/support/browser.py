@@ -1,0 +1,150 @@
+"""A page in a real Chromium without a window: what it draws, asks for and complains of.
+
+One browser serves all tests of a session; each test has pages of its own. VIEW_REQUIRED=1 makes its absence a failure.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+"""Debian's, or another one on the path."""
+TIMEOUT = 60_000  # ms; Chromium draws in software, on a machine with other things to do
+# Nothing of its own goes to other machines, and WebGL works without a graphics card.
+_FLAGS = (
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--ignore-gpu-blocklist",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
+_DESKTOP = (1280, 800)
+# What the page's software says of itself; nothing is wrong.
+_USUAL = ("THREE.Clock: This module has been deprecated", "GPU stall due to ReadPixels")
+_MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
+_SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerText.includes('Connecting')"
+_PLOTS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => ({
+    title: chart.root.querySelector('.u-title')?.textContent ?? '',
+    labels: chart.series.map(series => series.label), data: chart.data.map(column => Array.from(column)),
+    shown: chart.series.map(series => series.show)}))"""
+
+
+class BrowserPage:
+    """A page, and what happened on it.
+
+    Attributes:
+        page: playwright's.
+        requests: addresses of all that it asked for, web sockets included.
+        complaints: warnings and errors of the console, and exceptions.
+    """
+
+    def __init__(self, page: Any, address: str) -> None:
+        self.page, self._address = page, address
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        page.set_default_timeout(TIMEOUT)
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("websocket", lambda socket: self.requests.append(socket.url))
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("console", self._note)
+        page.goto(address)
+        page.wait_for_function(_SHOWN)
+
+    def _note(self, message: Any) -> None:
+        usual = any(text in message.text for text in _USUAL)
+        if message.type in {"warning", "error"} and not usual:
+            self.complaints.append(message.text)
+
+    @property
+    def foreign_requests(self) -> list[str]:
+        """Return what the page asked for of any other place than the one that it came from."""
+        own = urlsplit(self._address).netloc
+        inside = ("data:", "blob:")
+        return [url for url in self.requests if not url.startswith(inside) and urlsplit(url).netloc != own]
+
+    def pose(self, node: str) -> np.ndarray:
+        """Return the pose (4, 4) of a node of the scene, as it is drawn, in the frame of the scene's origin."""
+        root, own = (self._matrix(name) for name in ("", node))
+        return np.linalg.solve(root, own)
+
+    def _matrix(self, node: str) -> np.ndarray:
+        elements = self.page.wait_for_function(_MATRIX, arg=node).json_value()
+        columns = elements.values() if isinstance(elements, dict) else elements
+        return np.array(list(columns), dtype=np.float64).reshape(4, 4).T
+
+    def plots(self) -> dict[str, dict[str, Any]]:
+        """Return the plots by their titles: labels, data, and which curves are shown."""
+        return {plot["title"]: plot for plot in self.page.evaluate(_PLOTS)}
+
+    def wait_until(self, ready: Callable[[], bool], what: str) -> None:
+        """Wait for something that can be seen on the page; fail the test if it does not come."""
+        for _ in range(TIMEOUT // 50):
+            if ready():
+                return
+            self.page.wait_for_timeout(50)
+        pytest.fail(f"waited {TIMEOUT / 1000:g} s in vain for {what}")
+
+    def text(self) -> str:
+        """Return all text on the page."""
+        return str(self.page.inner_text("body"))
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """Start Chromium once; skip where it or playwright is missing, fail where VIEW_REQUIRED is set."""
+    refuse = pytest.fail if os.environ.get("VIEW_REQUIRED") else pytest.skip
+    if CHROMIUM is None:
+        refuse("no Chromium on the path; accepted: apt-get install chromium")
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        refuse("playwright is not installed; accepted: pip install playwright")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=_FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@pytest.fixture
+def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
+    """Return a function that opens an address, with a width and height in pixels; its pages are closed afterwards."""
+    opened = []
+
+    def open_(address: str, size: tuple[int, int] = _DESKTOP) -> BrowserPage:
+        page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+        opened.append(page)
+        return BrowserPage(page, address)
+
+    yield open_
+    for page in opened:
+        page.close()
+
+
+@contextmanager
+def served(page: Any) -> Iterator[Any]:
+    """Run a `rx90_emulator.view.page.Page` on a thread of its own within the block, and close it afterwards."""
+    ended = threading.Event()
+    thread = threading.Thread(target=page.run, args=(ended.is_set,), daemon=True)
+    thread.start()
+    try:
+        yield page
+    finally:
+        ended.set()
+        thread.join(10.0)
+        page.close()
