@@ -6,7 +6,7 @@ BIN := .venv/bin
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_IMPLEMENTATION
 
-.PHONY: help demo view action test test-jazzy bench firmware lint clean environment-run environment-dev environment-jazzy suitable
+.PHONY: help demo view action test test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy suitable
 
 help:
 	@echo "make demo     run the emulated robot along the reference line and write the report"
@@ -15,6 +15,7 @@ help:
 	@echo "make test     run all tests"
 	@echo "make test-jazzy  run the tests of models, loop, bags and identification with the versions of Ubuntu 24.04"
 	@echo "make bench    measure speed and accuracy into out/bench.json"
+	@echo "make docs     build the site of the documentation into out/docs"
 	@echo "make firmware build the friction rig's firmware: 8051, ATmega328P, native"
 	@echo "make lint     ruff and mypy"
 	@echo "make clean    remove the environment and what was built; results in out/ stay"
@@ -42,6 +43,11 @@ test-jazzy: environment-jazzy
 	@.venv-jazzy/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not firmware" \
 	  $(or $(ARGS),$(JAZZY))
 
+# A warning is an error: a link that leads nowhere, a page that no other leads to, a notebook that does not run.
+docs: environment-docs
+	@OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx -W --keep-going -q -d build/doctrees -b html docs out/docs $(ARGS)
+	@echo out/docs/index.html
+
 firmware:
 	@$(MAKE) --no-print-directory -C firmware
 
@@ -57,7 +63,7 @@ clean:
 	@rm -rf .venv .venv-jazzy build install log *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-environment-run environment-dev environment-jazzy: environment-%: suitable
+environment-run environment-dev environment-docs environment-jazzy: environment-%: suitable
 	@"$(PYTHON)" tools/environment.py $*
 
 # Asked for here, because an older interpreter cannot even parse the set-up script.

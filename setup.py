@@ -16,6 +16,7 @@ EXECUTABLES = (
     "rx90_run",
     "rx90_bag",
     "rx90_compare_measured",
+    "rx90_config",
     "rx90_demo",
     "rx90_sweep",
     "rx90_experiment",
@@ -40,7 +41,15 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 VIEW = ["viser>=1.1,<1.2"]
-TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7"]
+DOCS = [
+    "sphinx>=8.1,<9.1",
+    "myst-parser>=4,<6",
+    "myst-nb>=1.4,<2",
+    "furo>=2025.12,<2026.12",
+    "sphinx-argparse>=0.5.2,<0.7",
+    "sphinx-copybutton>=0.5.2,<0.6",
+]
+TEST = ["pytest>=8.3,<10", "pytest-xdist>=3.6,<4", "hypothesis>=6.120,<7", "jsonschema>=4.20,<5"]
 
 setup(
     name=NAME,
@@ -63,6 +72,7 @@ setup(
         "Jinja2>=3.1.2,<4",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
+        "shtab>=1.7,<2",
     ],
     extras_require={
         "ros": [
@@ -71,6 +81,7 @@ setup(
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
         "view": VIEW,
+        "docs": DOCS,
         "test": TEST,
         "dev": [
             *TEST,
@@ -80,6 +91,10 @@ setup(
             "distributed>=2026.1,<2027",
             "pandas>=2.2,<4",
             "wheel>=0.42,<1",
+            "markdown-it-py>=3,<5",
+            "nbclient>=0.10,<0.12",
+            "nbformat>=5.10,<6",
+            "ipykernel>=6.29,<8",
             "mujoco>=3.17,<4.1",
             "colcon-common-extensions>=0.3.0,<0.4",
             "ruff>=0.17,<0.18",

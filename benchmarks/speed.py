@@ -2,7 +2,7 @@
 
 Simulation, controller, line and recorder run as in `make demo`. Each recorded run is compared with the closed loop
 without ROS: no message may be missing, no bit may differ. Processor time is what the system counts for each thread; it
-says less about what else the machine does than wall time does. docs/speed.md explains the table.
+says less about what else the machine does than wall time does. docs/explanation/speed.md explains the table.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def generate_launch_description() -> LaunchDescription:
     arm = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name("rx90.launch.py"))),
         # The other RViz stays closed; what is set here holds for what comes after it, too.
-        # Velocities of Pilz' lines do not belong to their positions (docs/moveit.md).
+        # Velocities of Pilz' lines do not belong to their positions (docs/howto/moveit.md).
         launch_arguments={
             "robot_state_publisher": "true",
             "rviz": "false",

@@ -28,7 +28,7 @@ Errors          Rx90Error, of which every refusal is one: a line with the offend
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
 copies. Files are named by a path, or by the name of a shipped file below config/. The names above are imported when
-they are first used; docs/python.md shows them at work. Everything else is internal and may change.
+they are first used; docs/tutorials/python.md shows them at work. Everything else is internal and may change.
 """
 
 from __future__ import annotations

@@ -418,8 +418,8 @@ def test_every_test_says_what_it_proves() -> None:
 
 
 def test_the_walks_name_files_and_functions_that_are_there() -> None:
-    """Each step of the walks in docs/architecture.md names a file of the repository and functions defined in it."""
-    rows = re.findall(r"^\| `([\w/.]+\.(?:py|yaml))` \| ([^|]*) \|", page("architecture.md"), re.MULTILINE)
+    """Each step of the walks in architecture.md names a file of the repository and functions defined in it."""
+    rows = re.findall(r"^\| `([\w/.]+\.(?:py|yaml))` \| ([^|]*) \|", page("explanation/architecture.md"), re.MULTILINE)
     assert len(rows) > 25
     for file, functions_named in rows:
         assert (ROOT / file).is_file(), file
@@ -444,8 +444,8 @@ def defined(tree: ast.Module) -> set[str]:
 
 
 def test_the_picture_and_the_table_show_every_folder() -> None:
-    """Each package and each folder directly below one stands in the picture and the table of docs/architecture.md."""
-    picture, text = page("images/house.svg"), page("architecture.md")
+    """Each package and each folder directly below one stands in the picture and the table of architecture.md."""
+    picture, text = page("images/house.svg"), page("explanation/architecture.md")
     for name in FOLDERS:
         parts = name.split(".")
         if len(parts) <= 2:

@@ -96,10 +96,11 @@ def test_package_xml_is_valid_for_ros_tools() -> None:
 
 
 def test_an_installed_jazzy_gets_every_package() -> None:
-    """Rosdep finds each key of package.xml in apt; what a run needs is among them, or in the README's line of pip."""
+    """Rosdep finds each key of package.xml in apt; what a run needs is among them, or in install.md's line of pip."""
     keys = {element.text for element in ElementTree.parse(ROOT / "package.xml").iter() if "depend" in element.tag}
     assert keys <= set(RESOLVED_ON_NOBLE.split())
-    (by_pip,) = re.findall(r"-m pip install -c \S+constraints-jazzy\.txt (.*)", (ROOT / "README.md").read_text("utf-8"))
+    page = (ROOT / "docs/start/install.md").read_text("utf-8")
+    (by_pip,) = re.findall(r"-m pip install -c \S+constraints-jazzy\.txt (.*)", page)
     from_apt = {source.pip for source in SOURCES.values() if source.apt.replace("ros-jazzy-", "") in keys}
     needed = {re.split("[<>=]", line)[0] for line in requires(PACKAGE) or [] if "extra ==" not in line}
     assert needed == from_apt | set(by_pip.split())

@@ -22,10 +22,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-# What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, or to test them with the
-# versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
-EXTRAS = {"run": ("ros", "view"), "dev": ("ros", "dev"), "jazzy": ("ros", "test")}
-FOLDERS = {"run": ".venv", "dev": ".venv", "jazzy": ".venv-jazzy"}
+# What `pip install -e .[...]` is asked for: to run the nodes, to test and measure them too, to build the site of the
+# documentation, or to test them with the versions of Ubuntu 24.04, which ROS 2 Jazzy runs on.
+EXTRAS = {"run": ("ros", "view"), "dev": ("ros", "dev"), "docs": ("ros", "docs"), "jazzy": ("ros", "test")}
+FOLDERS = {"run": ".venv", "dev": ".venv", "docs": ".venv", "jazzy": ".venv-jazzy"}
 CONSTRAINTS = {"jazzy": "tools/constraints-jazzy.txt"}
 _NEWEST_FOR = {"jazzy": (3, 12)}
 MINIMUM_GLIBC = (2, 28)

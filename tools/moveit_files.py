@@ -149,7 +149,7 @@ def limits_text(setup: Setup, said: str) -> str:
         f"# {_HEAD}",
         f"# Velocities: {VELOCITY_SHARE:g} of those in robot.urdf; what these are: there.",
         f"# Accelerations: {ACCELERATION_SHARE:g} of max_acceleration in controller.yaml, which is {said} there.",
-        "# The rest is for what the controller's splines add between MoveIt's points: docs/moveit.md.",
+        "# The rest is for what the controller's splines add between MoveIt's points: docs/howto/moveit.md.",
         "joint_limits:",
     ]
     robot, most = setup.robot, setup.controller.max_acceleration

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -70,17 +70,38 @@ class _Readings:
         self._commands.publish(command)
 
 
+class BenchParameters(NamedTuple):
+    """The rig, what leads to it, the rate of the line, and the seed of an emulated one."""
+
+    rig: Rig
+    port: str
+    baud: int
+    seed: int
+
+
+def declare_bench_parameters(node: Node) -> BenchParameters:
+    """Declare the node's parameters and read the rig's file.
+
+    Raises:
+        ConfigError: naming parameter or file, key, value and accepted range.
+    """
+    port = declare(node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
+    rig = load_rig(resolve_config(declare(node, "rig", SHIPPED_RIG, "rig file: own path or a shipped file's name")))
+    baud = declare(node, "baud", rig.baud, "line rate", low=1200, high=1_000_000)
+    seed = declare(node, "seed", 0, "seed of the emulated rig's noise", low=0, high=2**31 - 1)
+    about = "slope of run_ramp, Nm/s at the motor"
+    declare(node, "ramp_slope", rig.ramps.slopes[0], about, low=1e-4, high=1.0, read_only=False)
+    about = "torque at which run_ramp ends, Nm at the motor"
+    declare(node, "ramp_end_torque", rig.ramps.end_torque, about, low=0.0, high=rig.dac_full_scale, read_only=False)
+    return BenchParameters(rig, port, baud, seed)
+
+
 class BenchNode:
     """Publishes the rig's readings and passes requests on to it; the line has a thread of its own."""
 
     def __init__(self) -> None:
         self.node = Node("friction_bench")
-        port = declare(self.node, "port", EMULATED, "serial device, pyserial URL, or 'emulated'")
-        rig_file = declare(self.node, "rig", SHIPPED_RIG, "rig file: own path or a shipped file's name")
-        self.rig = load_rig(resolve_config(rig_file))
-        baud = declare(self.node, "baud", self.rig.baud, "line rate", low=1200, high=1_000_000)
-        seed = declare(self.node, "seed", 0, "seed of the emulated rig's noise", low=0, high=2**31 - 1)
-        self._declare_ramp()
+        self.rig, port, baud, seed = declare_bench_parameters(self.node)
         self._emulated: PtyRig | None = None
         if port == EMULATED:
             self._emulated = PtyRig(EmulatedRig(self.rig, seed))
@@ -110,27 +131,6 @@ class BenchNode:
             self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group)
             for name, (callback, group) in callbacks.items()
         ]
-
-    def _declare_ramp(self) -> None:
-        plan = self.rig.ramps
-        declare(
-            self.node,
-            "ramp_slope",
-            plan.slopes[0],
-            "slope of run_ramp, Nm/s at the motor",
-            low=1e-4,
-            high=1.0,
-            read_only=False,
-        )
-        declare(
-            self.node,
-            "ramp_end_torque",
-            plan.end_torque,
-            "torque at which run_ramp ends, Nm at the motor",
-            low=0.0,
-            high=self.rig.dac_full_scale,
-            read_only=False,
-        )
 
     def _ramp(self, client: RigClient) -> None:
         slope = self.node.get_parameter("ramp_slope").value

@@ -1,4 +1,4 @@
-"""What frames mean: the commands of the host and the answers of the rig (docs/friction_bench/protocol.md)."""
+"""What frames mean: the commands of the host and the answers of the rig (docs/reference/rig_protocol.md)."""
 
 from __future__ import annotations
 

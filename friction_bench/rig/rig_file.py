@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from friction_bench.protocol.errors import RigInputError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
+from rx90_common.base.groups import Group, Variants
+from rx90_common.base.section import Section
+from rx90_common.base.shapes import LEFT_OUT, Integer, Number, Numbers
 from rx90_common.friction.friction_file import read_element
 from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.parameters import ELEMENT
 
 CODES = 255
 """Highest code of both converters."""
@@ -19,6 +25,100 @@ RAMP_FRACTION = 256
 """The firmware's ramp counts in 1/256 of a DAC code per tick."""
 MAX_RAMP_STEP = 0x1000
 TRAVEL_UNIT = 256
+
+
+_least_0 = partial(Number, low=0.0)
+_positive = partial(Number, low=0.0, above=True)
+
+_EMULATION = Group(
+    "The plant of an emulated rig; a rig without it cannot be emulated.",
+    keys={
+        "motor": Group(
+            "The motor.",
+            keys={
+                "torque_constant": _positive("Torque per current.", "Nm/A"),
+                "resistance": _positive("Resistance of the winding.", "ohm"),
+                "supply": _positive("Supply voltage.", "V"),
+                "rotor_inertia": _positive("Rotor inertia, motor side.", "kg m^2"),
+            },
+        ),
+        "amplifier": Group(
+            "The amplifier.",
+            keys={
+                "gain_error": _least_0("Relative standard deviation of the gain, drawn once per rig.", "1", high=0.2),
+                "torque_noise": _least_0("Standard deviation of 1 ms means of the torque.", "Nm"),
+                "adc_noise": _least_0("Standard deviation of a reading.", "Nm"),
+            },
+        ),
+        "load_inertia": _least_0("Inertia of the load shaft alone, load side.", "kg m^2"),
+        "joint_inertia": _least_0("Inertia that the joint adds, load side.", "kg m^2"),
+        "motor_friction": Group(
+            "Friction of motor, brushes, gear and bearings, motor side.",
+            keys={
+                "coulomb": _least_0("Coulomb friction.", "Nm"),
+                "viscous": _positive("Viscous friction.", "Nm s/rad"),
+            },
+        ),
+        "joint_friction": Variants(
+            "Friction of the joint, load side.",
+            key="model",
+            groups={
+                "coulomb_viscous": Group(
+                    "Coulomb and viscous friction.",
+                    keys={
+                        "coulomb": _least_0("Coulomb friction.", "Nm"),
+                        "viscous": _least_0("Viscous friction.", "Nm s/rad"),
+                    },
+                ),
+                "lugre": Group("A LuGre element.", keys={"lugre": ELEMENT}),
+            },
+        ),
+    },
+    default=LEFT_OUT,
+)
+
+RIG = Group(
+    "A friction rig: scales, limits and default ramps; motor side unless a key says load.",
+    keys={
+        "counts_per_revolution": Integer("Encoder counts per turn of the motor.", low=1, high=65535),
+        "tick_us": Integer("Period of the firmware's reports.", "us", low=1000, high=65535),
+        "baud": Integer("Rate of the serial line.", "baud", low=1200, high=1_000_000),
+        "gear": Group(
+            "The gear.",
+            keys={
+                "ratio": _positive("Motor turns per turn of the load shaft.", "1"),
+                "efficiency": _positive("Efficiency.", "1", high=1.0),
+                "efficiency_uncertainty": _least_0("Standard uncertainty of the efficiency.", "1", high=0.5),
+            },
+        ),
+        "torque": Group(
+            "Scales of the torque; those of the converters are built into the firmware, too.",
+            keys={
+                "dac_full_scale": _positive("Commanded torque at code 255.", "Nm"),
+                "adc_full_scale": _positive("Measured torque at code 255.", "Nm"),
+                "scale_uncertainty": _least_0("Relative standard uncertainty of the torque scale.", "1", high=0.5),
+            },
+        ),
+        "limits": Group(
+            "What stops the rig.",
+            keys={
+                "load_travel": _positive("Turns of the load shaft that one arming allows.", "1"),
+                "speed": _positive("Highest speed of the motor.", "rad/s"),
+            },
+        ),
+        "ramps": Group(
+            "The ramps that are run by default.",
+            keys={
+                "slopes": Numbers("Two slopes.", "Nm/s", count=2, low=0.0, high=10.0, above=True),
+                "end_torque": _positive("End torque without the joint.", "Nm"),
+                "end_torque_loaded": _positive("End torque with the joint.", "Nm"),
+                "repeats": Integer("Ramps of each slope.", low=1, high=1000),
+            },
+        ),
+        "emulation": _EMULATION,
+    },
+)
+"""What a rig file holds."""
 
 
 @dataclass(frozen=True)
@@ -119,50 +219,25 @@ class Rig:
                 raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
-def _friction(section: Section) -> JointFriction | LuGreElement:
-    if section.text("model", ("coulomb_viscous", "lugre")) == "lugre":
-        element = read_element(section.section("lugre"))
-        section.finish()
-        return element
-    friction = JointFriction(section.number("coulomb", 0.0), section.number("viscous", 0.0))
-    section.finish()
-    return friction
+def _friction(section: Section, content: dict[str, Any]) -> JointFriction | LuGreElement:
+    if content["model"] == "lugre":
+        return read_element(section.section("lugre"))
+    return JointFriction(content["coulomb"], content["viscous"])
 
 
-def _plant(section: Section, gear_ratio: float, efficiency: float) -> PlantParameters:
-    motor = section.section("motor")
-    amplifier = section.section("amplifier")
-    own = section.section("motor_friction")
-    plant = PlantParameters(
-        gear_ratio=gear_ratio,
-        gear_efficiency=efficiency,
-        torque_constant=motor.number("torque_constant", 0.0, above=True),
-        resistance=motor.number("resistance", 0.0, above=True),
-        supply=motor.number("supply", 0.0, above=True),
-        rotor_inertia=motor.number("rotor_inertia", 0.0, above=True),
-        gain_error=amplifier.number("gain_error", 0.0, 0.2),
-        torque_noise=amplifier.number("torque_noise", 0.0),
-        adc_noise=amplifier.number("adc_noise", 0.0),
-        load_inertia=section.number("load_inertia", 0.0),
-        joint_inertia=section.number("joint_inertia", 0.0),
-        coulomb=own.number("coulomb", 0.0),
-        viscous=own.number("viscous", 0.0, above=True),
-        joint=_friction(section.section("joint_friction")),
+def _plant(section: Section, content: dict[str, Any], gear: dict[str, Any]) -> PlantParameters:
+    motor, amplifier, own = content["motor"], content["amplifier"], content["motor_friction"]
+    return PlantParameters(
+        gear_ratio=gear["ratio"],
+        gear_efficiency=gear["efficiency"],
+        **motor,
+        **amplifier,
+        load_inertia=content["load_inertia"],
+        joint_inertia=content["joint_inertia"],
+        coulomb=own["coulomb"],
+        viscous=own["viscous"],
+        joint=_friction(section.section("joint_friction"), content["joint_friction"]),
     )
-    for part in (motor, amplifier, own, section):
-        part.finish()
-    return plant
-
-
-def _ramps(section: Section) -> RampPlan:
-    plan = RampPlan(
-        slopes=section.numbers("slopes", 2, 0.0, 10.0, above=True),
-        end_torque=section.number("end_torque", 0.0, above=True),
-        end_torque_loaded=section.number("end_torque_loaded", 0.0, above=True),
-        repeats=section.integer("repeats", 1, 1000),
-    )
-    section.finish()
-    return plan
 
 
 def load_rig(path: Path) -> Rig:
@@ -172,27 +247,21 @@ def load_rig(path: Path) -> Rig:
         ConfigError: naming file, key, value and what is accepted.
     """
     root = load_yaml(path)
-    gear = root.section("gear")
-    torque = root.section("torque")
-    limits = root.section("limits")
-    ratio = gear.number("ratio", 0.0, above=True)
-    efficiency = gear.number("efficiency", 0.0, 1.0, above=True)
-    rig = Rig(
+    content = RIG.read(root)
+    gear, torque, limits, plant = content["gear"], content["torque"], content["limits"], content.get("emulation")
+    return Rig(
         file=path,
-        counts_per_revolution=root.integer("counts_per_revolution", 1, 65535),
-        tick=root.integer("tick_us", 1000, 65535) * 1e-6,
-        baud=root.integer("baud", 1200, 1_000_000),
-        gear_ratio=ratio,
-        gear_efficiency=efficiency,
-        efficiency_uncertainty=gear.number("efficiency_uncertainty", 0.0, 0.5),
-        dac_full_scale=torque.number("dac_full_scale", 0.0, above=True),
-        adc_full_scale=torque.number("adc_full_scale", 0.0, above=True),
-        scale_uncertainty=torque.number("scale_uncertainty", 0.0, 0.5),
-        load_travel=limits.number("load_travel", 0.0, above=True),
-        speed_limit=limits.number("speed", 0.0, above=True),
-        ramps=_ramps(root.section("ramps")),
-        plant=_plant(root.section("emulation"), ratio, efficiency) if "emulation" in root else None,
+        counts_per_revolution=content["counts_per_revolution"],
+        tick=content["tick_us"] * 1e-6,
+        baud=content["baud"],
+        gear_ratio=gear["ratio"],
+        gear_efficiency=gear["efficiency"],
+        efficiency_uncertainty=gear["efficiency_uncertainty"],
+        dac_full_scale=torque["dac_full_scale"],
+        adc_full_scale=torque["adc_full_scale"],
+        scale_uncertainty=torque["scale_uncertainty"],
+        load_travel=limits["load_travel"],
+        speed_limit=limits["speed"],
+        ramps=RampPlan(**content["ramps"]),
+        plant=None if plant is None else _plant(root.section("emulation"), plant, gear),
     )
-    for section in (gear, torque, limits, root):
-        section.finish()
-    return rig

@@ -8,15 +8,34 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rx90_common.bags.topics import FIELDS, absolute
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.bags.topics import FIELDS, USUAL_UNITS, absolute
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import BagError
+from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
+from rx90_common.base.shapes import LEFT_OUT, Number
 
 ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
 _JOINTS = "joints"
+_LIMITS = {
+    name: Number(f"How far a {name} may differ.", USUAL_UNITS[name], low=0.0, default=LEFT_OUT) for name in FIELDS
+}
+
+TOLERANCES = Entries(
+    "How far values of two bags may differ, by topic; * stands for any.",
+    of=Group(
+        "Tolerances of a topic.",
+        keys={
+            **_LIMITS,
+            _JOINTS: Entries(
+                "Tolerances of single joints.", of=Group("Tolerances of a joint.", keys=_LIMITS), default=LEFT_OUT
+            ),
+        },
+    ),
+)
+"""What a file of tolerances holds."""
 
 
 @dataclass(frozen=True)
@@ -117,22 +136,14 @@ def load_rules(path: Path) -> list[ToleranceRule]:
     Raises:
         ConfigError: if the file cannot be read or holds anything else.
     """
-    root = load_yaml(path)
     rules: list[ToleranceRule] = []
-    for name in root:
-        section = root.section(name)
+    for name, given in TOLERANCES.read(load_yaml(path)).items():
         topic = None if name == ANY else absolute(name)
-        rules += _field_rules(section, topic, None)
-        if _JOINTS in section:
-            joints = section.section(_JOINTS)
-            for joint in joints:
-                rules += _field_rules(joints.section(joint), topic, joint)
-        section.finish()
+        rules += _field_rules(given, topic, None)
+        for joint, own in given.get(_JOINTS, {}).items():
+            rules += _field_rules(own, topic, joint)
     return rules
 
 
-def _field_rules(section: Section, topic: str | None, joint: str | None) -> list[ToleranceRule]:
-    rules = [ToleranceRule(topic, joint, field, section.number(field, low=0.0)) for field in FIELDS if field in section]
-    if joint is not None:
-        section.finish()
-    return rules
+def _field_rules(given: Mapping[str, float], topic: str | None, joint: str | None) -> list[ToleranceRule]:
+    return [ToleranceRule(topic, joint, field, given[field]) for field in FIELDS if field in given]

@@ -24,7 +24,7 @@ PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 FIELDS: Final = ("position", "velocity", "effort")
 POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
-_USUAL: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 
 SUITE_TOPICS: Final = (
     "joint_states",
@@ -72,7 +72,7 @@ def unit(topic: str, field: str) -> str:
 
 def _fields(topic: str) -> dict[str, tuple[str, str]]:
     own = _QUANTITIES.get(topic.rpartition("/")[2], {})
-    return {field: own.get(field, (field, _USUAL[field])) for field in FIELDS}
+    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in FIELDS}
 
 
 def absolute(topic: str) -> str:

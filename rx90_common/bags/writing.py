@@ -82,7 +82,8 @@ def offered_qos(*, reliable: bool = True, transient_local: bool = False) -> Qos:
 class BagWriter:
     """A new rosbag2 folder, open from the start; `close()`, or leaving its context, makes it a valid bag.
 
-    Equal calls give equal files, byte for byte. All calls must come from one thread.
+    An error within its context before anything was written is a refusal: no folder stays. Equal calls give equal files,
+    byte for byte. All calls must come from one thread.
 
     Args:
         path: folder to make; must not exist.
@@ -101,7 +102,8 @@ class BagWriter:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
-        self._opened = self._closed = False
+        self._opened = self._closed = self._begun = False
+        self._above = [folder for folder in self.path.parents if not folder.exists()]  # made with it
         with self._failures():
             self._writer = BulkWriter(
                 self.path, version=BulkWriter.VERSION_LATEST, storage_plugin=StoragePlugin[storage.upper()]
@@ -118,6 +120,11 @@ class BagWriter:
         else:
             with suppress(BagError):  # the first error is the one to report
                 self.close()
+            if not self._begun:
+                shutil.rmtree(self.path, ignore_errors=True)
+                with suppress(OSError):
+                    for folder in self._above:
+                        folder.rmdir()
 
     def add_topic(self, topic: str, msgtype: str, qos: Sequence[Qos] = (), definition: str = "") -> Connection:
         """Announce a topic and return the handle that `write` wants; for `definition` see `types_with`.
@@ -153,6 +160,7 @@ class BagWriter:
             BagWriteError: if the disk is full or nearly so, or writing fails otherwise.
         """
         begin = 0
+        self._begun = self._begun or len(messages) > 0
         while begin < len(messages):
             end = self._next_stop(begin, log_ns, messages)
             rows = slice(begin, end)
@@ -192,7 +200,7 @@ class BagWriter:
         except (WriterError, OSError, sqlite3.Error) as error:
             with suppress(OSError, sqlite3.Error):
                 self._writer.abort()
-            raise self._explained(error) from error
+            raise _explained(error, self._named, opened=self._opened) from error
 
     def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
@@ -218,16 +226,17 @@ class BagWriter:
         try:
             yield
         except (WriterError, OSError, sqlite3.Error) as error:
-            raise self._explained(error) from error
+            raise _explained(error, self._named, opened=self._opened) from error
 
-    def _explained(self, error: Exception) -> BagError:
-        if isinstance(error, WriterError):
-            return BagError(plain(error, 1000))
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        # What is refused before anything is written is the user's to mend: another folder, another name.
-        failed = self._opened or getattr(error, "errno", None) in DISK_ERRORS
-        half = "; what was written before stays, and rx90_bag info says how much of it is whole" if self._opened else ""
-        return (BagWriteError if failed else BagError)(f"{plain(self._named)}: cannot be written ({reason}){half}")
+
+def _explained(error: Exception, named: Path, *, opened: bool) -> BagError:
+    if isinstance(error, WriterError):
+        return BagError(plain(error, 1000))
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    # What is refused before anything is written is the user's to mend: another folder, another name.
+    failed = opened or getattr(error, "errno", None) in DISK_ERRORS
+    half = "; what was written before stays, and rx90_bag info says how much of it is whole" if opened else ""
+    return (BagWriteError if failed else BagError)(f"{plain(named)}: cannot be written ({reason}){half}")
 
 
 @dataclass(frozen=True)

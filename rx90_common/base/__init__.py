@@ -1,3 +1,17 @@
 """Errors, quoted text, checked configuration files, tick rates, required packages, and the shared files."""
 
-__all__ = ["arrays", "config", "errors", "quoting", "rates", "requirements", "share", "sources", "stamps", "versions"]
+__all__ = [
+    "arrays",
+    "config",
+    "errors",
+    "groups",
+    "quoting",
+    "rates",
+    "requirements",
+    "section",
+    "shapes",
+    "share",
+    "sources",
+    "stamps",
+    "versions",
+]

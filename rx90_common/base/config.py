@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -13,174 +13,14 @@ import yaml
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain, quoted
-
-PROVENANCE = ("published", "derived", "assumed", "identified")
+from rx90_common.base.section import Section
 
 _MOST_BYTES = 16 << 20
 _MOST_VALUES = 1_000_000  # counted as often as aliases repeat them; some 40,000 are read in a second
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _LONGEST_REASON = 400
-
-
-class Section:
-    """A mapping of a YAML file, with its place in the file for messages.
-
-    A section may carry `source:` (a sentence) and `provenance:` (one of PROVENANCE), or a mapping from keys to these.
-    `finish()` refuses keys that were not read: a misspelt key must not fall back to a default.
-    """
-
-    def __init__(self, data: dict[str, Any], file: Path, path: str = "") -> None:
-        self._data = data
-        self.file = file
-        self.path = path
-        self._used = {"source", "provenance", "note"}
-        provenance = data.get("provenance")
-        for value in provenance.values() if isinstance(provenance, dict) else [provenance]:
-            if value is not None and value not in PROVENANCE:
-                self.refuse("provenance", value, f"one of {', '.join(PROVENANCE)}")
-
-    @property
-    def provenance(self) -> str | None:
-        """Return where the values come from: published, derived, assumed or identified."""
-        value = self._data.get("provenance")
-        return None if value is None else str(value)
-
-    @property
-    def source(self) -> str | None:
-        """Return the sentence that names the source."""
-        value = self._data.get("source")
-        return None if value is None else str(value)
-
-    @property
-    def content(self) -> dict[str, Any]:
-        """Return the mapping itself, unchecked."""
-        return self._data
-
-    def where(self, key: str) -> str:
-        """Return `file: path.key`, the way every message names a value."""
-        return f"{plain(self.file)}: {plain(self.path)}{'.' if self.path else ''}{plain(key)}"
-
-    def refuse(self, key: str, value: object, accepted: str) -> None:
-        """Raise a ConfigError that names file, key, value and what is accepted."""
-        raise ConfigError(f"{self.where(key)} is {quoted(value)}; accepted: {accepted}")
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._data
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(key for key in self._data if key not in {"source", "provenance", "note"})
-
-    def holds_mapping(self, key: str) -> bool:
-        """Return whether the value under `key` is itself a mapping."""
-        return isinstance(self._data.get(key), dict)
-
-    def _get(self, key: str, accepted: str) -> Any:
-        self._used.add(key)
-        if key not in self._data:
-            raise ConfigError(f"{self.where(key)} is missing; accepted: {accepted}")
-        return self._data[key]
-
-    def section(self, key: str) -> Section:
-        """Return the mapping under `key`."""
-        value = self._get(key, "a mapping")
-        if not isinstance(value, dict):
-            self.refuse(key, value, "a mapping")
-        return Section(value, self.file, f"{self.path}{'.' if self.path else ''}{key}")
-
-    def sections(self, key: str) -> list[Section]:
-        """Return the mappings in the list under `key`."""
-        values = self._get(key, "a list of mappings")
-        if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-            self.refuse(key, values, "a list of mappings")
-        where = f"{self.path}{'.' if self.path else ''}{key}"
-        return [Section(value, self.file, f"{where}[{i}]") for i, value in enumerate(values)]
-
-    def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
-        """Return a finite number in [low, high], or in (low, high] with `above`."""
-        accepted = _range_text(low, high, above)
-        return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
-
-    def numbers(
-        self, key: str, count: int, low: float = -math.inf, high: float = math.inf, *, above: bool = False
-    ) -> tuple[float, ...]:
-        """Return `count` finite numbers, each in [low, high] (or (low, high] with `above`)."""
-        accepted = f"{count} numbers, each {_range_text(low, high, above)}"
-        values = self._get(key, accepted)
-        if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
-            self.refuse(key, values, accepted)
-        return tuple(self._check_number(f"{key}[{i}]", v, low, high, above, accepted) for i, v in enumerate(values))
-
-    def rows(self, key: str, count: int) -> tuple[tuple[float, ...], ...]:
-        """Return a list, not an empty one, of rows of `count` finite numbers."""
-        accepted = f"a list of rows of {count} numbers"
-        values = self._get(key, accepted)
-        if not isinstance(values, list) or not values:
-            self.refuse(key, values, accepted)
-        names = [f"{key}[{i}]" for i in range(len(values))]
-        inner = Section(dict(zip(names, values, strict=True)), self.file, self.path)
-        return tuple(inner.numbers(name, count) for name in names)
-
-    def integer(self, key: str, low: int, high: int) -> int:
-        """Return an integer in [low, high]."""
-        value = self._get(key, f"an integer in [{low}, {high}]")
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            self.refuse(key, value, f"an integer in [{low}, {high}]")
-        return int(value)
-
-    def boolean(self, key: str) -> bool:
-        """Return true or false."""
-        value = self._get(key, "true or false")
-        if not isinstance(value, bool):
-            self.refuse(key, value, "true or false")
-        return bool(value)
-
-    def text(self, key: str, choices: Sequence[str] | None = None) -> str:
-        """Return a string, one of `choices` where they are given."""
-        accepted = "a text" if choices is None else "one of " + ", ".join(choices)
-        value = self._get(key, accepted)
-        if not isinstance(value, str) or (choices is not None and value not in choices):
-            self.refuse(key, value, accepted)
-        return str(value)
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """Return a list of strings."""
-        value = self._get(key, "a list of texts")
-        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-            self.refuse(key, value, "a list of texts")
-        return tuple(value)
-
-    def value(self, key: str, accepted: str) -> Any:
-        """Return what stands under `key`, whatever it is."""
-        return self._get(key, accepted)
-
-    def finish(self) -> None:
-        """Refuse keys that were not read."""
-        unknown = sorted(set(self._data) - self._used)
-        if unknown:
-            known = ", ".join(sorted(self._used - {"source", "provenance", "note"}))
-            raise ConfigError(f"{self.where(unknown[0])} is not a known key; accepted: {known}")
-
-    def _check_number(self, key: str, value: Any, low: float, high: float, above: bool, accepted: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.refuse(key, value, accepted)
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            self.refuse(key, value, accepted.replace("a number >", "a finite number >"))  # infinity is > 0, too
-        if number > high or number < low or (above and number == low):
-            self.refuse(key, value, accepted)
-        return number
-
-
-def _range_text(low: float, high: float, above: bool) -> str:
-    if math.isinf(low) and math.isinf(high):
-        return "a finite number"
-    if math.isinf(high):
-        return f"a number {'>' if above else '>='} {low:g}"
-    return f"a number in {'(' if above else '['}{low:g}, {high:g}]"
+_SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
 class _Loader(yaml.SafeLoader):
@@ -279,13 +119,20 @@ _Loader.add_constructor("tag:yaml.org,2002:bool", _construct_switch)
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _construct_mapping)
 
 
-def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, first: bool = False) -> Section:
+def load_yaml(
+    path: Path,
+    accepted: str = "a mapping of keys to values",
+    *,
+    first: bool = False,
+    faults: list[ConfigError] | None = None,
+) -> Section:
     """Read a YAML file whose top level is a mapping.
 
     Args:
         path: of the file.
         accepted: what it should hold, for messages.
         first: whether to read the first of several documents; otherwise there must be one.
+        faults: of the section.
 
     Raises:
         ConfigError: if the file is missing, unreadable, too large, not YAML or not a mapping.
@@ -299,7 +146,44 @@ def load_yaml(path: Path, accepted: str = "a mapping of keys to values", *, firs
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
         raise ConfigError(f"{plain(path)}: holds {type(data).__name__}; accepted: {accepted}")
-    return Section(data, path)
+    return Section(data, path, faults=faults)
+
+
+def yaml_value(text: str) -> Any:
+    """Return what a text means as YAML, as a value in a file would.
+
+    Raises:
+        ConfigError: if it is not YAML.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
+        raise ConfigError(f"{quoted(text)} is not valid YAML; accepted: a value as in a YAML file") from error
+
+
+def yaml_lines(path: Path) -> dict[str, int]:
+    """Return the lines, from 1 on, on which the keys and items of a YAML file stand, by path such as `a.b[2].c`.
+
+    Raises:
+        ConfigError: as `load_yaml`.
+    """
+    load_yaml(path, first=True)
+    lines: dict[str, int] = {}
+    _note_lines(next(yaml.compose_all(_read(path), _Loader)), "", lines)
+    return lines
+
+
+def _note_lines(node: yaml.Node, path: str, lines: dict[str, int]) -> None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            place = f"{path}{'.' * bool(path)}{key.value}"
+            lines[place] = key.start_mark.line + 1
+            _note_lines(value, place, lines)
+    elif isinstance(node, yaml.SequenceNode):
+        for i, item in enumerate(node.value):
+            place = f"{path}[{i}]"
+            lines[place] = item.start_mark.line + 1
+            _note_lines(item, place, lines)
 
 
 def _read(path: Path) -> str:
@@ -311,6 +195,11 @@ def _read(path: Path) -> str:
         return content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', error)})") from error
+
+
+def without_schema_line(text: str) -> str:
+    """Return a file's text without the line that names its JSON schema for editors, by a path from its own folder."""
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(_SCHEMA_LINE))
 
 
 def check_numbers(content: object, most: float = math.inf, where: str = "") -> None:

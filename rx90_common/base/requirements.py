@@ -32,6 +32,7 @@ SOURCES = {
     "rich": Source("viser"),
     "scipy": Source("scipy", "python3-scipy"),
     "serial": Source("pyserial", "python3-serial"),
+    "shtab": Source("shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
     "viser": Source("viser"),
     "yaml": Source("PyYAML", "python3-yaml"),
@@ -86,7 +87,7 @@ def _accepted(module: str) -> str:
     if source.apt and _APT_FOLDER in sys.path and os.environ.get("ROS_DISTRO") == "jazzy":
         return f"sudo apt install {source.apt}"
     if managed:
-        return f"a virtual environment with {source.pip} in it, as in README.md, With ROS 2 Jazzy"
+        return f"a virtual environment with {source.pip} in it, as in docs/start/install.md"
     return _pip(source.pip)
 
 

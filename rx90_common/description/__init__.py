@@ -13,6 +13,7 @@ __all__ = [
     "rotations",
     "shapes",
     "tip",
+    "tool",
     "urdf",
     "wrist",
 ]

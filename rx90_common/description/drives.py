@@ -3,14 +3,71 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
+from rx90_common.base.shapes import Integer, Number, Numbers
 from rx90_common.description.wrist import coupled_inertia
+
+_six = partial(Numbers, count=6, low=0.0)
+
+DRIVES = Group(
+    "Drives of an arm with six joints: lists of six values, motor 6 drives joints 5 and 6 together.",
+    keys={
+        "transmission": Group(
+            "Gears and rotors.",
+            keys={
+                "gear": Numbers(
+                    "Motor revolutions per joint revolution; negative where they turn against each other.",
+                    count=6, nonzero=True,
+                ),
+                "rotor_inertia": _six("Rotor inertia seen from the joint (armature).", "kg m^2"),
+            },
+        ),
+        "motor": Group(
+            "Motors and amplifiers.",
+            keys={
+                "torque_constant": _six("Motor torque per current, motor side.", "Nm/A", above=True),
+                "peak_current": _six("The most that the amplifier gives.", "A", above=True),
+            },
+        ),
+        "encoder": Group(
+            "Encoders of all motors.",
+            keys={
+                "counts_per_revolution": Integer("Encoder counts per motor revolution.", low=16, high=2**30),
+                "velocity_bandwidth": Number(
+                    "Bandwidth of the drive's velocity observer.", "Hz", low=0.0, above=True
+                ),
+            },
+        ),
+        "brake": Group(
+            "Closed brakes, joint side.",
+            keys={
+                "torque": _six("What the brake holds at most.", "Nm", above=True),
+                "stiffness": _six("Stiffness of the closed brake.", "Nm/rad", above=True),
+                "damping": _six("Damping of the closed brake.", "Nm s/rad"),
+            },
+        ),
+        "spring": Group(
+            "Gravity-compensation springs.",
+            keys={"torque": _six("Amplitude k of the torque -k sin(q) on each joint; 0 for none.", "Nm")},
+        ),
+        "end_stops": Group(
+            "Mechanical end stops, joint side.",
+            keys={
+                "stiffness": _six("Stiffness of the end stops.", "Nm/rad"),
+                "damping": _six("Damping of the end stops.", "Nm s/rad"),
+            },
+        ),
+    },
+)  # fmt: skip
+"""What a drives file holds."""
 
 
 @dataclass(frozen=True)
@@ -75,35 +132,22 @@ def load_drives(path: Path) -> DriveParameters:
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    root = load_yaml(path)
+    content = DRIVES.read(load_yaml(path))
 
-    def six(block: str, key: str, low: float = 0.0, *, above: bool = True) -> Array:
-        return np.array(sections[block].numbers(key, 6, low, above=above))
+    def six(block: str, key: str) -> Array:
+        return np.array(content[block][key])
 
-    blocks = ("transmission", "motor", "encoder", "brake", "spring", "end_stops")
-    sections = {name: root.section(name) for name in blocks}
-    parameters = DriveParameters(
-        gear=_gears(sections["transmission"]),
-        rotor_inertia=six("transmission", "rotor_inertia", above=False),
+    return DriveParameters(
+        gear=six("transmission", "gear"),
+        rotor_inertia=six("transmission", "rotor_inertia"),
         torque_constant=six("motor", "torque_constant"),
         peak_current=six("motor", "peak_current"),
-        encoder_counts=np.array([sections["encoder"].integer("counts_per_revolution", 16, 2**30)] * 6, float),
-        velocity_bandwidth=sections["encoder"].number("velocity_bandwidth", 0.0, above=True),
+        encoder_counts=np.array([content["encoder"]["counts_per_revolution"]] * 6, float),
+        velocity_bandwidth=content["encoder"]["velocity_bandwidth"],
         brake_torque=six("brake", "torque"),
         brake_stiffness=six("brake", "stiffness"),
-        brake_damping=six("brake", "damping", above=False),
-        spring_torque=six("spring", "torque", above=False),
-        stop_stiffness=six("end_stops", "stiffness", above=False),
-        stop_damping=six("end_stops", "damping", above=False),
+        brake_damping=six("brake", "damping"),
+        spring_torque=six("spring", "torque"),
+        stop_stiffness=six("end_stops", "stiffness"),
+        stop_damping=six("end_stops", "damping"),
     )
-    for section in (*sections.values(), root):
-        section.finish()
-    return parameters
-
-
-def _gears(section: Section) -> Array:
-    gears = section.numbers("gear", 6)
-    for i, gear in enumerate(gears):
-        if gear == 0.0:
-            section.refuse(f"gear[{i}]", gear, "6 numbers, each a finite number other than 0")
-    return np.array(gears)

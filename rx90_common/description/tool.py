@@ -6,8 +6,12 @@ import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
+from rx90_common.base.groups import Entries, Group
+from rx90_common.base.section import Section
+from rx90_common.base.shapes import LEFT_OUT, Number, Numbers
 from rx90_common.description.urdf import UrdfFile, inertia_fault
 
 MOUNT_LINK = "tool0"
@@ -48,6 +52,40 @@ class Tool:
     collision: tuple[Cylinder, ...]
 
 
+def _shapes(about: str) -> Group:
+    cylinder = Numbers("A cylinder along z of tool0: from, to, radius.", "m", count=3)
+    return Group(about, keys={"cylinders": Entries("Cylinders, by names of your own.", of=cylinder)}, default=LEFT_OUT)
+
+
+TOOL = Group(
+    "A tool on the flange, in the axes of link tool0.",
+    keys={
+        "inertial": Group(
+            "The tool as a rigid body.",
+            keys={
+                "mass": Number("Mass.", "kg", low=0.0, above=True),
+                "center_of_mass": Numbers("Centre of mass.", "m", count=3),
+                "inertia": Numbers(
+                    "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass; such as a body can have.", "kg m^2", count=6
+                ),
+            },
+        ),
+        "tcp": Group(
+            "The tool centre point.",
+            keys={
+                "position": Numbers("Where it is.", "m", count=3),
+                "rpy_degrees": Numbers(
+                    "Its roll, pitch and yaw about fixed axes.", "deg", count=3, low=-360.0, high=360.0
+                ),
+            },
+        ),
+        "visual": _shapes("The tool's shape, for display."),
+        "collision": _shapes("The tool's shape, for collision checks."),
+    },
+)
+"""What a tool file holds."""
+
+
 def load_tool(file: Path) -> Tool:
     """Read a tool file.
 
@@ -55,37 +93,30 @@ def load_tool(file: Path) -> Tool:
         ConfigError: naming file, key, value and what is accepted.
     """
     root = load_yaml(file)
-    inertial = root.section("inertial")
-    tcp = root.section("tcp")
+    content = TOOL.read(root)
+    inertial, tcp = content["inertial"], content["tcp"]
     tool = Tool(
-        mass=inertial.number("mass", 0.0, above=True),
-        center_of_mass=inertial.numbers("center_of_mass", 3),
-        inertia=inertial.numbers("inertia", 6),
-        tcp_position=tcp.numbers("position", 3),
-        tcp_rpy=tuple(math.radians(angle) for angle in tcp.numbers("rpy_degrees", 3, -360.0, 360.0)),
-        visual=_cylinders(root, "visual"),
-        collision=_cylinders(root, "collision"),
+        mass=inertial["mass"],
+        center_of_mass=inertial["center_of_mass"],
+        inertia=inertial["inertia"],
+        tcp_position=tcp["position"],
+        tcp_rpy=tuple(math.radians(angle) for angle in tcp["rpy_degrees"]),
+        visual=_cylinders(root, content, "visual"),
+        collision=_cylinders(root, content, "collision"),
     )
     fault = inertia_fault(tool.inertia)
     if fault is not None:
-        inertial.refuse("inertia", list(tool.inertia), fault)
-    for section in (inertial, tcp, root):
-        section.finish()
+        root.section("inertial").refuse("inertia", list(tool.inertia), fault)
     return tool
 
 
-def _cylinders(root: Section, kind: str) -> tuple[Cylinder, ...]:
+def _cylinders(root: Section, content: dict[str, Any], kind: str) -> tuple[Cylinder, ...]:
     """Return the shapes in a block that may be left out."""
-    if kind not in root:
-        return ()
-    block = root.section(kind)
-    section = block.section("cylinders")
-    block.finish()
     shapes = []
-    for name in section:
-        shape = Cylinder(*section.numbers(name, 3))
+    for name, values in content.get(kind, {"cylinders": {}})["cylinders"].items():
+        shape = Cylinder(*values)
         if not (shape.start < shape.end and shape.radius > 0.0):
-            section.refuse(name, [shape.start, shape.end, shape.radius], "from < to, and a radius > 0")
+            root.section(kind).section("cylinders").refuse(name, list(values), "from < to, and a radius > 0")
         shapes.append(shape)
     return tuple(shapes)
 

@@ -28,6 +28,11 @@ from rx90_common.exchange.ros_start import reason
 _ABOUT = "configure and activate the node when it starts; else that is left to its lifecycle services"
 
 
+def declare_autostart(node: Node) -> bool:
+    """Declare and return whether a managed node is active at once."""
+    return declare(node, "autostart", True, _ABOUT, read_only=True)
+
+
 class Managed(TickingNode, Protocol):
     """What a managed node is made of; the transitions are called on the executor's thread."""
 
@@ -72,7 +77,7 @@ class ManagedNode(LifecycleNode):
         self._managed = managed
         self.changes = ParameterChanges(self, lambda: not self.configured)
         self.ticking = TickThread()
-        self.autostart = declare(self, "autostart", True, _ABOUT, read_only=True)
+        self.autostart = declare_autostart(self)
         self.starting = False
         self.error: Exception | None = None
         self._before: _Entities | None = None

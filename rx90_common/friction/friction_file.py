@@ -7,12 +7,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rx90_common.base.config import PROVENANCE, Section, load_yaml, yaml_text
+from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
+from rx90_common.base.section import PROVENANCE, Section
+from rx90_common.base.shapes import LEFT_OUT
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.lugre import LuGreElement
-from rx90_common.friction.parameters import FRICTION_PARAMETERS, SIGNS, legend
+from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend
+
+FRICTION = Group(
+    "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
+    keys={
+        "elements": Entries("Elements by joint; joint_5_6 turns with joints 5 and 6 together.", of=ELEMENT),
+        "identification": Group(
+            "How the values were found and how well they are known; for readers.",
+            keys={}, known=False, default=LEFT_OUT,
+        ),
+    },
+)  # fmt: skip
+"""What a friction file holds."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +61,10 @@ class FrictionFile:
         """
         path = Path(path)
         root = load_yaml(path)
+        content = FRICTION.read(root)
         section = root.section("elements")
         elements = {name: read_element(section.section(name)) for name in section}
-        identification = root.section("identification").content if "identification" in root else None
-        root.finish()
-        return cls(elements, root.provenance, root.source, identification, path)
+        return cls(elements, root.provenance, root.source, content.get("identification"), path)
 
     def select(self, names: Sequence[str]) -> tuple[LuGreElement, ...]:
         """Return the elements of these names.
@@ -103,17 +117,12 @@ def read_element(section: Section) -> LuGreElement:
     Raises:
         ConfigError: naming file, element, value and accepted range.
     """
+    content = ELEMENT.read(section)
     values: dict[str, float] = {}
     for parameter in FRICTION_PARAMETERS:
-        name, (low, high, above) = parameter.name, parameter.interval
-        if parameter.signed and section.holds_mapping(name):
-            pair = section.section(name)
-            numbers = [pair.number(sign, low, high, above=above) for sign in SIGNS]
-            pair.finish()
-            values |= zip(parameter.attributes, numbers, strict=True)
-        elif name in section or parameter.default is None:
-            values |= dict.fromkeys(parameter.attributes, section.number(name, low, high, above=above))
-    section.finish()
+        given = content[parameter.name]
+        numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
+        values |= zip(parameter.attributes, numbers, strict=True)
     try:
         return LuGreElement(**values)
     except ConfigError as error:

@@ -25,7 +25,7 @@ class LuGreElement:
     The paper's c1 is a constant. That model is passive only while c1 < 4 c0 g(v) / |v|, so c1 may fade as
     c1 exp(-(v / omega_d)^2) (Olsson 1996, section 3.5); `omega_d` infinite is the paper's constant c1.
     The paper's viscous part is c2 v, `alpha` 1. With another exponent it is linear below LINEAR_SPEED, up to the same
-    value there. Its power is never negative, so the limit of c1 does not depend on it (docs/closed_loop.md).
+    value there. Its power is never negative: the limit of c1 does not depend on it (docs/explanation/closed_loop.md).
 
     Attributes:
         tau_c_positive, tau_c_negative: Coulomb friction torque, Nm, for v >= 0 and for v < 0.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Either, Group
+from rx90_common.base.shapes import REQUIRED, Number, Shape
 
 SIGNS = ("positive", "negative")
 """Of the velocity, in the order in which everything keeps them."""
@@ -62,6 +64,19 @@ class FrictionParameter:
             return "a number in [{:g}, {:g}]".format(*self.bounds)
         return f"a {'' if self.default == math.inf else 'finite '}number {'>' if self.positive else '>='} 0"
 
+    def shape(self) -> Shape:
+        """Return what may stand under its key in a file."""
+        low, high, above = self.interval
+        about = f"{self.meaning[0].upper()}{self.meaning[1:]}."
+        if not self.signed:
+            default = REQUIRED if self.default is None else self.default
+            return Number(about, self.unit, low=low, high=high, above=above, default=default)
+        number = Number(f"{about} For both signs of the velocity.", self.unit, low=low, high=high, above=above)
+        pair = {sign: replace(number, about=f"{about} Of {sign} velocities.") for sign in SIGNS}
+        return Either(
+            about, self.unit, mapping=Group(f"{about} For each sign of the velocity.", keys=pair), plain=number
+        )
+
     def check(self, attribute: str, value: float) -> None:
         """Refuse a value that is not in the range.
 
@@ -85,6 +100,12 @@ FRICTION_PARAMETERS = (
     FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", default=math.inf),
     FrictionParameter("alpha", "viscous exponent", "1", default=1.0, bounds=ALPHA_BOUNDS),
 )
+
+ELEMENT = Group(
+    "A LuGre friction element (equations 17 to 19), joint side.",
+    keys={parameter.name: parameter.shape() for parameter in FRICTION_PARAMETERS},
+)
+"""What stands in a file for one element."""
 
 FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
 """Units of the attributes of LuGreElement."""

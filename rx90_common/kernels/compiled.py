@@ -3,7 +3,7 @@
 numba's own cache looks at the file of a compiled function alone: after a change in a kernel that it *calls* from
 another file, it would run the old code. The cache therefore lies in a folder named after the hash of all files
 that hold kernels and of what they import. fastmath stays off, so that a kernel gives the same bits wherever it
-is inlined. docs/kernels.md explains when to use which decorator.
+is inlined. docs/explanation/kernels.md explains when to use which decorator.
 """
 
 from __future__ import annotations

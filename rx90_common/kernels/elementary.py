@@ -2,7 +2,7 @@
 
 All but the arc tangent work on lanes and floats. Reduction to a small interval after Cody and Waite (1980), then a
 polynomial. Errors stay below 1.2 ulp for exp, below 1.6 ulp for sine and cosine of up to a thousand radians, below
-2 ulp for the arc tangent and for powers up to the fourth. docs/kernels.md explains the method, and
+2 ulp for the arc tangent and for powers up to the fourth. docs/explanation/kernels.md explains the method, and
 tools/elementary_coefficients.py computes the constants.
 """
 

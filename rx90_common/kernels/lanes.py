@@ -2,7 +2,7 @@
 
 The links of the arm go through the same formulas, and so do the friction elements. A value of n lanes is a vector
 in the processor's registers, so each operation works on all of them at once. Loops over arrays would leave it to the
-compiler whether that happens. docs/kernels.md explains how it works and how to write a kernel.
+compiler whether that happens. docs/explanation/kernels.md explains how it works and how to write a kernel.
 
 Every operation rounds each lane by itself, as IEEE 754 says, in the order in which it is written. Results do not
 depend on the processor, on alignment or on where a kernel is inlined. `fma` is a product and a sum rounded

@@ -1,4 +1,4 @@
-"""Child processes: start them, wait for what they say, and leave none behind; docs/processes.md tells why."""
+"""Child processes: start them, wait for what they say, leave none behind; docs/explanation/processes.md tells why."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and requests to end that come only where a program can take them; docs/processes.md tells why."""
+"""Ctrl-C and requests to end that come only where a program can take them; docs/explanation/processes.md tells why."""
 
 from __future__ import annotations
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
 from rx90_common.base.rates import Rates
+from rx90_common.base.section import Section
+from rx90_common.base.shapes import Number, Numbers, Switch
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.parameters import ALPHA_BOUNDS
@@ -43,6 +47,69 @@ CONTROLLER_DTYPE = np.dtype(
 )
 
 
+_six = partial(Numbers, count=6, low=0.0)
+_positive = partial(Number, low=0.0, above=True)
+
+CONTROLLER = Group(
+    "Gains, limits and switches of six servo controllers: six values, one for each motor, seen from its joint. "
+    "The law: torque = inertia [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward.",
+    keys={
+        "servo": Group(
+            "Gains of the loops.",
+            keys={
+                "inertia": _six("Nominal inertia, rotors included.", "kg m^2", above=True),
+                "kp": _six("Proportional gain of the position loop.", "1/s"),
+                "kv": _six("Gain of the velocity loop.", "1/s"),
+                "ki": _six("Integral gain.", "1/s^3"),
+                "integrator_limit": _six("The most that the integrator gives.", "Nm"),
+            },
+        ),
+        "feed_forward": Group(
+            "What the set-points add beside PI.",
+            keys={
+                "velocity": Switch("The velocity set-point in the D block; the paper has the measured velocity alone."),
+                "acceleration": Switch("Inertia times acceleration of the set-point."),
+                "coulomb": Switch("Coulomb friction compensation."),
+                "viscous": Switch("Viscous friction compensation."),
+                "coulomb_torque": _six("Coulomb friction to compensate.", "Nm"),
+                "coulomb_velocity": _positive(
+                    "Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s"
+                ),
+                "viscous_friction": _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent"),
+                "viscous_exponent": Numbers(
+                    "Exponent of the viscous friction to compensate.", "1",
+                    count=6, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1], default=(1.0,) * 6,
+                ),
+            },
+        ),
+        "current_loop": Group(
+            "Amplifiers.",
+            keys={
+                "bandwidth": _positive("Bandwidth of the current loop.", "Hz"),
+                "slew_rate": _six("The amplifier's fastest change of current.", "A/s", above=True),
+            },
+        ),
+        "supervision": Group(
+            "What cuts the power, joint by joint.",
+            keys={
+                "following_error": _six("Position error at which the power is cut.", "rad", above=True),
+                "over_speed": _positive("Speed at which the power is cut, times the nominal speed of the joint."),
+            },
+        ),
+        "trajectory": Group(
+            "What is asked of set-points.",
+            keys={
+                "start_tolerance": Number(
+                    "How far a trajectory may start from the held set-point.", "rad", low=0.0
+                ),
+                "max_acceleration": _six("The most that a set-point may ask of each joint.", "rad/s^2", above=True),
+            },
+        ),
+    },
+)  # fmt: skip
+"""What a controller file holds."""
+
+
 @dataclass(frozen=True)
 class FeedForward:
     """What the set-points add beside PI, each part by its own switch.
@@ -71,7 +138,8 @@ class FeedForward:
 class CS7BParameters:
     """Six SISO controllers; every array has shape (6,) and joint-side units, motor by motor.
 
-    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward (docs/closed_loop.md).
+    The law, joint side: torque = Mn [kv (kp e + dq_r - dq) + ki integral(e)] + feed-forward; see
+    docs/explanation/closed_loop.md.
 
     Attributes:
         inertia: nominal inertia Mn, kg m^2.
@@ -184,32 +252,27 @@ def read_controller(root: Section) -> CS7BParameters:
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    names = ("servo", "feed_forward", "current_loop", "supervision", "trajectory")
-    servo, forward, current, supervision, trajectory = (root.section(name) for name in names)
-    exponents = forward.numbers("viscous_exponent", 6, *ALPHA_BOUNDS) if "viscous_exponent" in forward else (1.0,) * 6
-    parameters = CS7BParameters(
-        inertia=np.array(servo.numbers("inertia", 6, 0.0, above=True)),
-        kp=np.array(servo.numbers("kp", 6, 0.0)),
-        kv=np.array(servo.numbers("kv", 6, 0.0)),
-        ki=np.array(servo.numbers("ki", 6, 0.0)),
-        integrator_limit=np.array(servo.numbers("integrator_limit", 6, 0.0)),
-        coulomb=np.array(forward.numbers("coulomb_torque", 6, 0.0)),
-        coulomb_velocity=forward.number("coulomb_velocity", 0.0, above=True),
-        viscous=np.array(forward.numbers("viscous_friction", 6, 0.0)),
-        feed_forward=FeedForward(
-            velocity=forward.boolean("velocity"),
-            acceleration=forward.boolean("acceleration"),
-            coulomb=forward.boolean("coulomb"),
-            viscous=forward.boolean("viscous"),
-        ),
-        current_bandwidth=current.number("bandwidth", 0.0, above=True),
-        current_slew=np.array(current.numbers("slew_rate", 6, 0.0, above=True)),
-        following_error=np.array(supervision.numbers("following_error", 6, 0.0, above=True)),
-        over_speed=supervision.number("over_speed", 0.0, above=True),
-        start_tolerance=trajectory.number("start_tolerance", 0.0),
-        max_acceleration=np.array(trajectory.numbers("max_acceleration", 6, 0.0, above=True)),
-        viscous_exponent=np.array(exponents),
+    content = CONTROLLER.read(root)
+
+    def six(block: str, key: str) -> Array:
+        return np.array(content[block][key])
+
+    forward = content["feed_forward"]
+    return CS7BParameters(
+        inertia=six("servo", "inertia"),
+        kp=six("servo", "kp"),
+        kv=six("servo", "kv"),
+        ki=six("servo", "ki"),
+        integrator_limit=six("servo", "integrator_limit"),
+        coulomb=six("feed_forward", "coulomb_torque"),
+        coulomb_velocity=forward["coulomb_velocity"],
+        viscous=six("feed_forward", "viscous_friction"),
+        feed_forward=FeedForward(**{part.name: forward[part.name] for part in fields(FeedForward)}),
+        current_bandwidth=content["current_loop"]["bandwidth"],
+        current_slew=six("current_loop", "slew_rate"),
+        following_error=six("supervision", "following_error"),
+        over_speed=content["supervision"]["over_speed"],
+        start_tolerance=content["trajectory"]["start_tolerance"],
+        max_acceleration=six("trajectory", "max_acceleration"),
+        viscous_exponent=six("feed_forward", "viscous_exponent"),
     )
-    for section in (servo, forward, current, supervision, trajectory, root):
-        section.finish()
-    return parameters

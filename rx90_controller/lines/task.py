@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import LineError
+from rx90_common.base.groups import Group
+from rx90_common.base.shapes import LEFT_OUT, Number, Numbers, Text
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.rotations import length
@@ -24,6 +27,45 @@ TOOL_DOWN = (0.0, math.radians(180.0), 0.0)
 USUAL_SPEED = 0.1
 USUAL_ACCELERATION = 1.0
 """What a line has whose speed and acceleration nobody names, m/s and m/s²."""
+
+
+_angles = partial(Numbers, count=3, low=-360.0, high=360.0)
+_rest = partial(Number, low=0.0, high=LONGEST_REST, default=LEFT_OUT)
+
+TASK = Group(
+    "A straight line of the tool centre point.",
+    keys={
+        "line": Group(
+            "The line and the motion along it.",
+            keys={
+                "start": Numbers("Start, in base_link.", "m", count=3),
+                "end": Numbers("End, in base_link.", "m", count=3),
+                "speed": Number("Speed along the line.", "m/s", low=0.0, above=True),
+                "acceleration": Number("Acceleration of both ramps.", "m/s^2", low=0.0, above=True),
+                "tool_rpy_degrees": _angles("Roll, pitch and yaw of the tool about fixed axes of base_link.", "deg"),
+                "end_tool_rpy_degrees": _angles(
+                    "The same at the end, where the tool turns on the way.", "deg", default=LEFT_OUT
+                ),
+                "rest_before": _rest("Time at rest before the line; 0.5 s if left out.", "s"),
+                "rest_after": _rest("Time at rest after the line; 0.5 s if left out.", "s"),
+                "singularity_margin": Number(
+                    "Smallest accepted distance from a singularity; 0.05 if left out.", "1",
+                    low=MARGIN_RANGE[0], high=MARGIN_RANGE[1], default=LEFT_OUT,
+                ),
+            },
+        ),
+        "posture": Group(
+            "Which solution of the inverse kinematics; of no meaning to an arm without a spherical wrist.",
+            keys={
+                "shoulder": Text("The side of the shoulder.", choices=SHOULDERS),
+                "elbow": Text("Sign of joint 3.", choices=SIGNS),
+                "wrist": Text("Sign of joint 5.", choices=SIGNS),
+            },
+            default=LEFT_OUT,
+        ),
+    },
+)  # fmt: skip
+"""What a task file holds."""
 
 
 @dataclass(frozen=True)
@@ -110,33 +152,21 @@ def load_task(name: Path | str | None = None, *, robot: Path | str | None = None
     folder, own = (None if given is None else str(given) for given in (robot, name))
     file = RobotFiles.named(folder, task=own).required("task")
     root = load_yaml(file)
-    line = root.section("line")
-    posture = root.section("posture") if "posture" in root else None
-    rpy = _radians(line, "tool_rpy_degrees")
-    options = {key: line.number(key) for key in ("rest_before", "rest_after", "singularity_margin") if key in line}
+    content = TASK.read(root)
+    line = content["line"]
+    start_rpy = line.pop("tool_rpy_degrees")
+    end_rpy = line.pop("end_tool_rpy_degrees", start_rpy)
+    posture = content.get("posture")
     try:
-        task = LineTask(
-            start=line.numbers("start", 3),
-            end=line.numbers("end", 3),
-            speed=line.number("speed"),
-            acceleration=line.number("acceleration"),
-            start_rpy=rpy,
-            end_rpy=_radians(line, "end_tool_rpy_degrees") if "end_tool_rpy_degrees" in line else rpy,
-            branch=DEFAULT_BRANCH if posture is None else _branch(posture),
-            **options,
+        return LineTask(
+            **line,
+            start_rpy=_radians(start_rpy),
+            end_rpy=_radians(end_rpy),
+            branch=DEFAULT_BRANCH if posture is None else Branch(**posture),
         )
     except LineError as error:
         raise LineError(f"{file}: {error}") from error
-    line.finish()
-    root.finish()
-    return task
 
 
-def _branch(posture: Section) -> Branch:
-    branch = Branch(posture.text("shoulder", SHOULDERS), posture.text("elbow", SIGNS), posture.text("wrist", SIGNS))
-    posture.finish()
-    return branch
-
-
-def _radians(section: Section, key: str) -> tuple[float, ...]:
-    return tuple(math.radians(angle) for angle in section.numbers(key, 3, -360.0, 360.0))
+def _radians(degrees: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(math.radians(angle) for angle in degrees)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -14,7 +15,7 @@ from rclpy.node import Node
 from rx90_common.base.rates import Rates
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, check_goal
-from rx90_controller.goals.results import GoalError
+from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.node.action_messages import feedback_message, result_message
 from rx90_controller.node.offering import joined
@@ -23,7 +24,9 @@ from rx90_controller.node.servo_loop import ServoLoop
 _LOOK = 0.5  # s between two looks for the simulation, while there is a goal
 _PATIENCE = 2.0  # s without one, after which the goal is given up
 _KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
-_FAREWELL = 10  # turns of the executor that the last results may take
+_FAREWELL = 2.0  # s in which the client of the last goal may ask for its result
+_TURNS, _TURN = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
+_ENDS = "the controller ends"
 
 
 class _Server(ActionServer):
@@ -32,6 +35,14 @@ class _Server(ActionServer):
     Its own way is a function that runs while a goal does: it would keep the executor, or, if it waits for something,
     be called again and again, which takes a whole core (rclpy 7).
     """
+
+    heard: Callable[[bytes], object]
+
+    async def execute(self, taken_data: dict[str, Any]) -> None:
+        """Serve requests, and note the goal whose result is asked for."""
+        await super().execute(taken_data)
+        if "result" in taken_data:
+            self.heard(bytes(taken_data["result"][1].goal_id.uuid))
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
         """Do nothing: the goal is executed by the thread that ticks."""
@@ -49,6 +60,9 @@ class _Sender:
         handle: of the goal.
         feedback: makes the action's feedback.
         forget: called once the result is sent.
+
+    Attributes:
+        asked: whether the client has asked for the result.
     """
 
     def __init__(
@@ -59,6 +73,12 @@ class _Sender:
         forget: Callable[[], object],
     ) -> None:
         self._server, self._handle, self._feedback, self._forget = server, handle, feedback, forget
+        self.asked = False
+
+    @property
+    def told(self) -> bool:
+        """Return whether the goal has ended, and its client has asked how."""
+        return self.asked and not self._handle.is_active
 
     def went(self, feedback: Feedback) -> None:
         """Send feedback."""
@@ -107,6 +127,8 @@ class FollowJointTrajectoryAction:
         self._feedback = partial(feedback_message, names=tolerances.names, tick_ns=rates.period_ns * rates.ratio)
         self._senders: dict[bytes, _Sender] = {}  # of the goals that a client may still cancel
         self._checked: Goal | None = None  # the goal that is accepted next
+        self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
+        self._ending = False
         self._seen = time.monotonic()  # when the simulation was there
         self._server = _Server(
             node,
@@ -118,16 +140,21 @@ class FollowJointTrajectoryAction:
             cancel_callback=self._on_cancel,
             result_timeout=_KEPT,
         )
+        self._server.heard = self._on_asked
         self._timer = node.create_timer(_LOOK, self._look)
 
     def end(self) -> None:
-        """End the active goal because the node ends, and send its result."""
-        with self._loop.between_ticks() as goals:
-            goals.drop("the controller ends")
+        """End the active goal because the node ends, and send its result; take no other."""
+        with self._checking, self._loop.between_ticks() as goals:
+            self._ending, ending = True, list(self._senders.values())
+            goals.drop(_ENDS)
         self._loop.report()
-        for _ in range(_FAREWELL):
-            if self._node.executor is not None:
-                self._node.executor.spin_once(timeout_sec=0.0)
+        executor, until, turns = self._node.executor, time.monotonic() + _FAREWELL, _TURNS
+        # A client that asked while another goal was checked has not been heard yet.
+        while executor is not None and turns > 0:
+            executor.spin_once(timeout_sec=_TURN if ending else 0.0)
+            if time.monotonic() > until or all(sender.told for sender in ending):
+                turns -= 1
 
     def close(self) -> None:
         """Serve no more goals; those that there were have ended."""
@@ -137,10 +164,16 @@ class FollowJointTrajectoryAction:
 
     def _on_goal(self, message: Any) -> GoalResponse:
         """Check a goal."""
+        with self._checking:
+            return self._check(message)
+
+    def _check(self, message: Any) -> GoalResponse:
         loop = self._loop
         with loop.between_ticks() as goals:
             options = goals.options
         try:
+            if self._ending:
+                raise GoalError(ResultCode.INVALID_GOAL, _ENDS)
             # Not between two ticks: a long one takes longer than these.
             goal = check_goal(message, self.tolerances.names, self.tolerances, options, self._position_hz)
             with loop.between_ticks() as goals:
@@ -157,6 +190,10 @@ class FollowJointTrajectoryAction:
 
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
         """Follow the goal that was checked just before, once its client has got the answer."""
+        with self._checking:
+            self._follow(handle)
+
+    def _follow(self, handle: ServerGoalHandle) -> None:
         loop, goal, trajectory = self._loop, self._checked, handle.request.trajectory
         assert goal is not None
         handle.execute()
@@ -170,6 +207,13 @@ class FollowJointTrajectoryAction:
                 goals.take(sender, goal, trajectory, loop.inactive, plan)
             else:
                 goals.wait(sender, goal, trajectory)
+            if self._ending:
+                goals.drop(_ENDS)
+
+    def _on_asked(self, name: bytes) -> None:
+        sender = self._senders.get(name)
+        if sender is not None:
+            sender.asked = True
 
     def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         """Cancel a goal; where its end is on the way already, its client gets that."""

@@ -54,6 +54,8 @@ from rx90_controller.trajectory.message import check_trajectory_bytes
 if TYPE_CHECKING:
     from rx90_controller.node.controller_state import ControllerState
 
+FILE_PARAMETERS = ("urdf", "drives", "controller")
+"""Files of the robot that the node can be given."""
 _TRAJECTORY = "~/joint_trajectory"
 _MATCH_ATTEMPTS = 100  # of 50 ms
 

@@ -14,7 +14,7 @@ from rx90_common.exchange.lifecycle import ManagedNode, started
 from rx90_common.exchange.node_tools import declare_rates
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
-from rx90_controller.node.control import Control, declare_decimation, declare_horizon
+from rx90_controller.node.control import FILE_PARAMETERS, Control, declare_decimation, declare_horizon
 from rx90_controller.node.law_parameters import forget_law_parameters
 
 
@@ -45,7 +45,7 @@ class ControllerNode:
         declare_decimation(self.node)
 
     def _files(self) -> RobotFiles:
-        return self.node.declare_robot_files("urdf", "drives", "controller")
+        return self.node.declare_robot_files(*FILE_PARAMETERS)
 
     # Transitions, on the executor's thread.
 

@@ -9,7 +9,7 @@ from rx90_emulator.cli.options import new_folder
 
 HELP = "make a bag from a CSV log; a file says what its columns hold"
 EPILOG = """\
-a mapping file (docs/bags.md says more):
+a mapping file (docs/howto/bags.md says more):
   time: {column: 1, unit: s}                # or, without a column of times: rate: 5000
   topics:
     joint_states:

@@ -13,7 +13,7 @@ from rx90_emulator.measured.options import MeasuredLayout, MeasuredTolerances
 
 _EPILOG = """\
 set-points are those of the bag (rx90_controller/reference), else its measured path, smoothed without delay. Arms of
-another structure: rx90_identify --friction FILE --validation BAG --urdf URDF. docs/measured_path.md says more.
+another structure: rx90_identify --friction FILE --validation BAG --urdf URDF. docs/howto/measured_path.md says more.
 """
 
 

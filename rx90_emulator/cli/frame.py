@@ -30,6 +30,7 @@ EXECUTABLES = {
     "friction_ramp": "rx90_emulator.cli.friction_ramp",
     "friction_rig_emulator": "rx90_emulator.cli.friction_rig_emulator",
     "rx90_bag": "rx90_emulator.cli.bag",
+    "rx90_config": "rx90_emulator.cli.config",
     "rx90_compare_measured": "rx90_emulator.cli.compare_measured",
     "rx90_demo": "rx90_emulator.cli.demo",
     "rx90_experiment": "rx90_emulator.cli.experiment",
@@ -44,6 +45,7 @@ EXECUTABLES = {
 - `add_arguments(parser)` adds the options. It may set two defaults: `interrupted` says what an interrupt leaves behind,
   with {names} of options in it; `ros_args=[]` accepts arguments for ROS, which `main` gets with their `--ros-args`.
 - `main(options)` returns the exit code or None, and raises Rx90Error; what is slow to import it imports itself.
+  `options.executables` is this table.
 """
 
 
@@ -80,7 +82,7 @@ def execute(program: str, words: Sequence[str] | None = None) -> int:
 
 def run(program: str, words: Sequence[str]) -> int:
     """Run an executable with these arguments; return its exit code. What goes wrong is one line on standard error."""
-    options = SimpleNamespace()
+    options = SimpleNamespace(executables=EXECUTABLES)
     try:
         try:
             return _run(program, words, options)

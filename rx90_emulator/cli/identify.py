@@ -24,8 +24,9 @@ _EPILOG = """\
 example of another robot, with currents of its motors on /arm/motors:
   rx90_identify --sliding sweeps.bag --presliding wiggle.bag --validation run.bag --output friction.yaml \\
       --urdf arm.urdf --topic arm/motors --joints shoulder elbow --names m1 m2 --gear 100 80 --torque-constant 0.12 0.1
-a bag is a rosbag2 folder, an .mcap or .db3 file, or a .bag file of ROS 1; docs/identification.md says what the motions
-should be. Where the validation bag does not confirm the result, it is written all the same, and the verdict is no.
+a bag is a rosbag2 folder, an .mcap or .db3 file, or a .bag file of ROS 1; docs/howto/identification.md says what the
+motions should be. Where the validation bag does not confirm the result, it is written all the same, and the verdict is
+no.
 """
 
 
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
     bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
                       "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
-                      "drive gains (docs/excitation.md)")  # fmt: skip
+                      "drive gains (docs/explanation/excitation.md)")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "

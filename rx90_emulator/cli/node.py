@@ -1,4 +1,4 @@
-"""A ROS 2 node, or both of the arm in one process: parameters stand in README.md and in `ros2 param describe`."""
+"""A ROS 2 node, or both of the arm in one process: see docs/reference/parameters.md and `ros2 param describe`."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "plan",
         metavar="PLAN",
-        help="plan file of your own (docs/sweep.md), or the name of a shipped one: "
+        help="plan file of your own (docs/howto/sweep.md), or the name of a shipped one: "
         "sweep/friction_and_feed_forward.yaml, sweep/payload_and_speed.yaml, sweep/reference_1000.yaml",
     )
     run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")

@@ -18,7 +18,7 @@ from rx90_emulator.demo.analysis import analyse
 from rx90_emulator.demo.progress import follow_clock
 from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view import OPENED
+from rx90_emulator.view.announcement import OPENED
 
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time

@@ -10,10 +10,49 @@ from typing import Any
 from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError, TrajectoryError
+from rx90_common.base.groups import Group
+from rx90_common.base.shapes import Integer, ListOf, Number, Texts
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import points_from_message
 
 _ACCEPTED = "the YAML of a trajectory_msgs/JointTrajectory"
+_TIME = {
+    "sec": Integer("Whole seconds.", "s", low=-(2**31), high=2**31 - 1, default=0),
+    "nanosec": Integer("The rest.", "ns", low=0, high=2**32 - 1, default=0),
+}
+_ABOUT = {
+    "positions": ("Of each joint.", "rad"),
+    "velocities": ("Of each joint; may be left out.", "rad/s"),
+    "accelerations": ("Of each joint, with velocities; may be left out.", "rad/s^2"),
+    "effort": ("None: the controller follows positions.", "Nm"),
+}
+
+
+def _of_joints(name: str) -> ListOf:
+    about, unit = _ABOUT[name]
+    return ListOf(about, unit, item=Number(""), accepted="a list of numbers", default=())
+
+
+TRAJECTORY = Group(
+    "A trajectory_msgs/JointTrajectory; the header is not looked at.",
+    keys={
+        "joint_names": Texts("The robot's joints, in any order."),
+        "points": ListOf(
+            "Points in the order of their times.",
+            item=Group(
+                "A point.",
+                keys={
+                    **{name: _of_joints(name) for name in POINT_FIELDS},
+                    "time_from_start": Group("Its time.", keys=_TIME, known=False),
+                },
+                known=False,
+            ),
+            accepted="a list of points",
+        ),
+    },
+    known=False,
+)
+"""What a trajectory file holds."""
 
 
 def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> TrajectoryPoints:
@@ -27,23 +66,23 @@ def load_trajectory(name: Path | str, robot_joints: Sequence[str]) -> Trajectory
     """
     file = Path(name)
     # `ros2 topic echo` ends each message with a line of dashes.
-    data = load_yaml(file, _ACCEPTED, first=True).content
+    root = load_yaml(file, _ACCEPTED, first=True)
     try:
-        return points_from_message(robot_joints, _message(data))
+        content = TRAJECTORY.read(root)
+    except ConfigError as error:
+        raise ConfigError(f"{error}, as {_ACCEPTED} has") from error
+    try:
+        return points_from_message(robot_joints, _message(content))
     except TrajectoryError as error:
         raise TrajectoryError(f"{file}: {error}") from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ConfigError(f"{file}: {error!r}; accepted: {_ACCEPTED}") from error
 
 
-def _message(data: dict[str, Any]) -> SimpleNamespace:
+def _message(content: dict[str, Any]) -> SimpleNamespace:
     points = [
         SimpleNamespace(
-            time_from_start=SimpleNamespace(
-                sec=int(point["time_from_start"].get("sec", 0)), nanosec=int(point["time_from_start"].get("nanosec", 0))
-            ),
-            **{name: [float(value) for value in point.get(name) or []] for name in POINT_FIELDS},
+            time_from_start=SimpleNamespace(**{key: point["time_from_start"][key] for key in _TIME}),
+            **{name: list(point[name] or ()) for name in POINT_FIELDS},
         )
-        for point in data["points"]
+        for point in content["points"]
     ]
-    return SimpleNamespace(joint_names=[str(name) for name in data["joint_names"]], points=points)
+    return SimpleNamespace(joint_names=list(content["joint_names"]), points=points)

@@ -1,17 +1,22 @@
-"""Read a sweep's plan from a YAML file; docs/sweep.md shows the format."""
+"""Read a sweep's plan from a YAML file; docs/howto/sweep.md shows the format."""
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Either, Entries, Group
 from rx90_common.base.rates import Rates
+from rx90_common.base.section import Section
+from rx90_common.base.shapes import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Shape, Switch, Text
 from rx90_common.base.share import resolve_config
-from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
+from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
 from rx90_emulator.sweep.plan import LARGEST_SEED, MOST_RUNS, Block, SweepBase, SweepPlan, SweptParameter
 from rx90_emulator.sweep.spaces import Distribution, LogUniform, Normal, Uniform, Values
@@ -22,6 +27,135 @@ _DRAWN = (
     "{uniform: [low, high]}, {loguniform: [low, high]} or "
     "{normal: {mean: x, deviation: x, low: x, high: x}} (the bounds may be left out)"
 )
+
+_KINDS: dict[str, Callable[..., Values | Distribution]] = {
+    "linspace": Values.linspace,
+    "geomspace": Values.geomspace,
+    "uniform": Uniform,
+    "loguniform": LogUniform,
+}
+_ROLES = (*MODEL_FILES, "task")
+
+
+def _is_value(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) <= sys.float_info.max
+
+
+_VALUE = Other(
+    "A value.",
+    accepted="finite numbers, or true and false",
+    good=_is_value,
+    fragment={"anyOf": [Number("").rules(), Switch("").rules()]},
+)
+_SPACED = Group(
+    "Values at even distances or ratios, both ends included.",
+    keys={
+        "linspace": Numbers("Start, stop and count of evenly spaced values.", count=3, default=LEFT_OUT),
+        "geomspace": Numbers("Start, stop and count of values with a constant ratio.", count=3, default=LEFT_OUT),
+    },
+    one_of=("linspace", "geomspace"),
+)
+_VALUES = Either(
+    "The values, in their order.",
+    mapping=_SPACED,
+    plain=ListOf("The values.", item=_VALUE, least=1, accepted=_SPACES),
+    default=LEFT_OUT,
+)
+_bound = partial(Number, default=LEFT_OUT)
+_DISTRIBUTION = Group(
+    "The distribution that values are drawn from.",
+    keys={
+        "uniform": Numbers("Bounds; every value between them is as likely.", count=2, default=LEFT_OUT),
+        "loguniform": Numbers("Bounds, above 0; the logarithm is uniform.", count=2, default=LEFT_OUT),
+        "normal": Group(
+            "A normal distribution, cut off at the bounds.",
+            keys={
+                "mean": Number("Mean."),
+                "deviation": Number("Standard deviation.", low=0.0, above=True),
+                "low": _bound("Lower bound; none if left out."),
+                "high": _bound("Upper bound; none if left out."),
+            },
+            default=LEFT_OUT,
+        ),
+    },
+    one_of=("uniform", "loguniform", "normal"),
+    accepted=_DRAWN,
+    default=LEFT_OUT,
+)
+
+
+def _swept(space: Shape, each: Shape) -> Group:
+    path = Text("A path, such as friction.*.c0.")
+    return Group(
+        "A swept quantity; its name is the path that it sets, unless there are paths.",
+        keys={
+            "paths": ListOf(
+                "Paths that are all set to the same value.", item=path, least=1, accepted="at least one path",
+                default=LEFT_OUT,
+            ),
+            "value": replace(space, about=f"{space.about} They replace what the files have."),
+            "factor": replace(space, about=f"{space.about} They multiply what the files have."),
+            "each": each,
+        },
+        one_of=("value", "factor"),
+    )  # fmt: skip
+
+
+_GRID = _swept(
+    _VALUES,
+    Other("Of random draws only.", accepted="in random draws only", good=lambda value: value is False,
+          fragment={"const": False}, default=False),
+)  # fmt: skip
+_RANDOM = _swept(_DISTRIBUTION, Switch("Whether every place that a * stands for is drawn on its own.", default=False))
+
+
+def _name(role: str) -> Text:
+    about = f"{DESCRIPTIONS[role][0].upper()}{DESCRIPTIONS[role][1:]}"
+    return Text(f"{about}: beside the plan, or a shipped one; the robot's {FILES[role]} if left out.", default=LEFT_OUT)
+
+
+PLAN = Group(
+    "A plan of many closed-loop runs, for rx90_sweep.",
+    keys={
+        "seed": Integer("Seed of all random draws.", low=0, high=LARGEST_SEED, default=0),
+        "base": Group(
+            "What every run starts from.",
+            keys={
+                "robot": Text("A shipped robot, or a robot folder; the RX90B if left out.", default=LEFT_OUT),
+                **{role: _name(role) for role in _ROLES},
+                "base_rate": Integer(
+                    "Rate of plant and velocity loop.", "Hz", low=1, high=10**9, default=Rates.base_hz
+                ),
+                "position_rate": Integer(
+                    "Rate of the position loop.", "Hz", low=1, high=10**9, default=Rates.position_hz
+                ),
+                "substeps": Integer("Plant steps in a tick.", low=1, high=1000, default=1),
+            },
+            default=LEFT_OUT,
+        ),
+        "blocks": Entries(
+            "Blocks of runs, by names of your own.",
+            of=Group(
+                "All combinations of the grid's values, each with the same random draws.",
+                keys={
+                    "grid": Entries(
+                        "Parameters with lists of values, the last one varying fastest.",
+                        of=_GRID, least=1, what="parameter", default=LEFT_OUT,
+                    ),
+                    "random": Entries(
+                        "Parameters with distributions.", of=_RANDOM, least=1, what="parameter", default=LEFT_OUT
+                    ),
+                    "draws": Integer("How often the random ones are drawn.", low=1, high=MOST_RUNS, default=1),
+                },
+                some_of=("grid", "random"),
+                needed_by={"random": "draws"},
+            ),
+            least=1,
+            what="block",
+        ),
+    },
+)  # fmt: skip
+"""What a sweep plan holds."""
 
 
 def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> SweepPlan:
@@ -34,138 +168,69 @@ def load_sweep_plan(name: Path | str, *, robot: Path | str | None = None) -> Swe
     Raises:
         ConfigError: naming file, key, value and what is accepted.
     """
-    root = _PlanSection.load(resolve_config(str(name)))
+    root = load_yaml(resolve_config(str(name)))
+    content = PLAN.read(root)
     given = None if robot is None else str(robot)
-    base = _base(root.section("base"), given) if "base" in root else SweepBase(RobotFiles.named(given))
-    seed = root.integer("seed", 0, LARGEST_SEED) if "seed" in root else 0
+    base = SweepBase(RobotFiles.named(given))
+    if "base" in content:
+        base = _base(root.section("base"), content["base"], given)
     blocks = root.section("blocks")
-    if not list(blocks):
-        root.refuse("blocks", {}, "at least one block")
-    plan = _built(root, "blocks", lambda: SweepPlan(tuple(_block(blocks, name) for name in blocks), seed, base))
-    root.finish()
-    return plan
+    return _built(
+        root,
+        "blocks",
+        lambda: SweepPlan(
+            tuple(_block(blocks, name, block) for name, block in content["blocks"].items()), content["seed"], base
+        ),
+    )
 
 
-class _PlanSection(Section):
-    """A section that also holds lists of any length."""
-
-    @classmethod
-    def load(cls, path: Path) -> _PlanSection:
-        return cls(load_yaml(path)._data, path)
-
-    def section(self, key: str) -> _PlanSection:
-        """Return the mapping under `key`."""
-        inner = super().section(key)
-        return _PlanSection(inner._data, self.file, inner.path)
-
-    def listed(self, key: str, accepted: str) -> list[Any]:
-        """Return the list under `key`."""
-        value = self._get(key, accepted)
-        if not isinstance(value, list):
-            self.refuse(key, value, accepted)
-        return list(value)
-
-
-def _base(section: _PlanSection, robot: str | None) -> SweepBase:
-    names = {role: _file(section, role) for role in (*MODEL_FILES, "task") if role in section}
-    own = _beside(section, "robot") if "robot" in section else None
+def _base(section: Section, content: dict[str, Any], robot: str | None) -> SweepBase:
+    names = {role: _file(section, role, content[role]) for role in _ROLES if role in content}
+    own = _beside(section, content["robot"]) if "robot" in content else None
     files = _built(section, "robot", lambda: RobotFiles.named(own if robot is None else robot, **names))
-    base_hz = section.integer("base_rate", 1, 10**9) if "base_rate" in section else Rates.base_hz
-    position_hz = section.integer("position_rate", 1, 10**9) if "position_rate" in section else Rates.position_hz
-    substeps = section.integer("substeps", 1, 1000) if "substeps" in section else 1
-    rates = _built(section, "base_rate", lambda: Rates(base_hz, position_hz))
-    section.finish()
-    return SweepBase(files, rates=rates, substeps=substeps)
+    rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
+    return SweepBase(files, rates=rates, substeps=content["substeps"])
 
 
-def _file(section: _PlanSection, role: str) -> str:
+def _file(section: Section, role: str, given: str) -> str:
     """Return what names a file: beside the plan, from the working folder, or shipped; or the tool `none`."""
-    name = _beside(section, role)
+    name = _beside(section, given)
     _built(section, role, lambda: RobotFiles.named(**{role: name}))
     return name
 
 
-def _beside(section: _PlanSection, key: str) -> str:
+def _beside(section: Section, name: str) -> str:
     """Return the path of what stands beside the plan, or the name as it is."""
-    name = section.text(key)
     beside = section.file.parent / name
     return str(beside) if beside.exists() else name
 
 
-def _block(blocks: _PlanSection, name: str) -> Block:
+def _block(blocks: Section, name: str, content: dict[str, Any]) -> Block:
     section = blocks.section(name)
-    parts: dict[str, tuple[SweptParameter, ...]] = {}
-    for part, read in (("grid", _grid_space), ("random", _random_space)):
-        if part in section:
-            inner = section.section(part)
-            if not list(inner):
-                section.refuse(part, {}, "at least one parameter")
-            parts[part] = tuple(_parameter(inner, key, read) for key in inner)
-    if not parts:
-        blocks.refuse(name, {}, "a block with grid, random or both")
-    draws = 1
-    if "random" in section or "draws" in section:
-        draws = section.integer("draws", 1, MOST_RUNS)
-    section.finish()
-    return _built(blocks, name, lambda: Block(name, draws=draws, **parts))
+    parts = {
+        part: tuple(_parameter(section.section(part), key, one) for key, one in content[part].items())
+        for part in ("grid", "random")
+        if part in content
+    }
+    return _built(blocks, name, lambda: Block(name, draws=content["draws"], **parts))
 
 
-def _parameter(
-    part: _PlanSection, name: str, read: Callable[[_PlanSection, str], Values | Distribution]
-) -> SweptParameter:
-    section = part.section(name)
-    paths = tuple(section.listed("paths", "a list of paths")) if "paths" in section else (name,)
-    if not paths:
-        section.refuse("paths", [], "at least one path")
-    for path in paths:
-        if not isinstance(path, str):
-            section.refuse("paths", path, "texts, such as friction.joint_2.c0")
-    modes = [mode for mode in ("value", "factor") if mode in section]
-    if len(modes) != 1:
-        part.refuse(name, " and ".join(modes) or "neither value nor factor", "one of value and factor")
-    each = section.boolean("each") if "each" in section else False
-    space = _built(section, modes[0], lambda: read(section, modes[0]))
-    section.finish()
+def _parameter(part: Section, name: str, content: dict[str, Any]) -> SweptParameter:
+    mode = "factor" if "factor" in content else "value"
+    space = _built(part.section(name), mode, lambda: _space(content[mode]))
+    paths = content.get("paths", (name,))
     return _built(
-        part, name, lambda: SweptParameter(name, paths=paths, factor=modes[0] == "factor", space=space, each=each)
+        part,
+        name,
+        lambda: SweptParameter(name, paths=paths, factor=mode == "factor", space=space, each=content["each"]),
     )
 
 
-def _grid_space(section: _PlanSection, key: str) -> Values:
-    if not section.holds_mapping(key):
-        return Values(tuple(_value(section, key, value) for value in section.listed(key, _SPACES)))
-    inner = section.section(key)
-    kinds: dict[str, Callable[..., Values]] = {"linspace": Values.linspace, "geomspace": Values.geomspace}
-    kind = _only(section, key, inner, kinds, _SPACES)
-    return kinds[kind](*inner.numbers(kind, 3))
-
-
-def _random_space(section: _PlanSection, key: str) -> Distribution:
-    if not section.holds_mapping(key):
-        section.refuse(key, section.listed(key, _DRAWN), _DRAWN)
-    inner = section.section(key)
-    kind = _only(section, key, inner, ("uniform", "loguniform", "normal"), _DRAWN)
-    if kind != "normal":
-        low, high = inner.numbers(kind, 2)
-        return Uniform(low, high) if kind == "uniform" else LogUniform(low, high)
-    normal = inner.section(kind)
-    bounds = {side: normal.number(side) for side in ("low", "high") if side in normal}
-    distribution = Normal(normal.number("mean"), normal.number("deviation"), **bounds)
-    normal.finish()
-    return distribution
-
-
-def _only(section: _PlanSection, key: str, inner: _PlanSection, kinds: Any, accepted: str) -> str:
-    found = list(inner)
-    if len(found) != 1 or found[0] not in kinds:
-        section.refuse(key, ", ".join(found), accepted)
-    return found[0]
-
-
-def _value(section: _PlanSection, key: str, value: Any) -> Value:
-    if not isinstance(value, int | float) or not math.isfinite(value):
-        section.refuse(key, value, "finite numbers, or true and false")
-    return value if isinstance(value, bool) else float(value)
+def _space(given: tuple[Value, ...] | dict[str, Any]) -> Values | Distribution:
+    if not isinstance(given, dict):
+        return Values(tuple(value if isinstance(value, bool) else float(value) for value in given))
+    (kind, how), *_ = given.items()
+    return Normal(**how) if kind == "normal" else _KINDS[kind](*how)
 
 
 def _built(section: Section, key: str, build: Callable[[], _Thing]) -> _Thing:

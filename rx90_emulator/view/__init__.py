@@ -18,7 +18,4 @@ Subfolders are such parts: `live/` reads running nodes. A part that needs nodes 
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
 
-__all__ = ["OPENED", "arm", "line", "page", "plots", "state"]
-
-OPENED = "the page is open"
-"""What `rx90_view` prints when a browser has loaded the page for the first time."""
+__all__ = ["announcement", "arm", "line", "page", "plots", "state"]

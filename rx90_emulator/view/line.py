@@ -108,11 +108,11 @@ class LineScene:
     def _measure(self, tip: Array, step: Array) -> None:
         """Bring the path error up to date, after a step (3,) m: a spot that comes from elsewhere is not on the line."""
         error = path_error(tip[None], self._start, self._end)
-        distance = float(np.hypot(error.perpendicular[0], error.beyond[0]))
+        distance, beyond = float(error.perpendicular[0]), float(error.beyond[0])
         along, _ = decompose(step[None], self._end - self._start)
         way = float(np.linalg.norm(step))
         moves = way > _STANDS
-        if distance >= _NEAR or (moves and float(along[0]) < _ALONG * way):
+        if max(distance, beyond) >= _NEAR or (moves and float(along[0]) < _ALONG * way):
             self._error, self._worst = None, 0.0
             return
         self._error = distance

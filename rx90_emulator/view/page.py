@@ -20,7 +20,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
-from rx90_emulator.view import OPENED
+from rx90_emulator.view.announcement import OPENED
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")

@@ -1,3 +1,3 @@
 """The simulation node: parameters, topics and services around one plant step."""
 
-__all__ = ["simulation", "simulation_client"]
+__all__ = ["parameters", "simulation", "simulation_client"]

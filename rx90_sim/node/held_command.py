@@ -14,7 +14,7 @@ from rx90_common.exchange.throttle import ThrottledLog
 from rx90_common.exchange.tick_channel import TickChannel
 
 MOST_AGE = 3
-"""Ticks from the states that a command answers to the tick in which it is still applied; docs/free_running.md."""
+"""Ticks from the states that a command answers to the last that it is applied in: docs/explanation/free_running.md."""
 _LINES = 4  # about the brakes in _LINES_WINDOW; more changes are counted
 _LINES_WINDOW = 10.0  # s
 _OUT_OF_TURN = 3  # commands that are not newer than the one before, within _WINDOW, that make two controllers

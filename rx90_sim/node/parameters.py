@@ -17,6 +17,9 @@ from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_sim.plant import Plant
 
+FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
+"""Files of the robot that the node can be given."""
+
 
 @dataclass(frozen=True)
 class SimulationParameters:
@@ -82,6 +85,11 @@ def read_parameters(node: Node) -> SimulationParameters:
         paused=declare(node, "paused", False, "begin with time standing still"),
         substeps=declare(node, "substeps", 1, "steps of the plant in a tick", low=1, high=1000),
     )  # fmt: skip
+
+
+def declare_step_ticks(node: Node) -> int:
+    """Declare, unless it is, and return how many ticks a call of ~/step runs."""
+    return declare(node, "step_ticks", 1, "ticks of one call of ~/step", low=1, high=100_000_000)
 
 
 def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters) -> tuple[RobotModel, Plant]:

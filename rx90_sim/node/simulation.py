@@ -11,14 +11,11 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
 from rx90_common.exchange.channel import Channel
 from rx90_common.exchange.lifecycle import ManagedNode, started
-from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_sim.node.arm import SimulatedArm
-from rx90_sim.node.parameters import read_parameters
-
-_FILES = ("urdf", "tool", "drives", "friction")
+from rx90_sim.node.parameters import FILE_PARAMETERS, declare_step_ticks, read_parameters
 
 
 class Simulation:
@@ -43,10 +40,10 @@ class Simulation:
         self._step_ticks()
 
     def _files(self) -> RobotFiles:
-        return self.node.declare_robot_files(*_FILES)
+        return self.node.declare_robot_files(*FILE_PARAMETERS)
 
     def _step_ticks(self) -> int:
-        return declare(self.node, "step_ticks", 1, "ticks of one call of ~/step", low=1, high=100_000_000)
+        return declare_step_ticks(self.node)
 
     def lead(self, follow: Callable[[TimeMode | None], None], publishers: Callable[[], Sequence[Publisher]]) -> None:
         """Tell a controller in this process how time is kept, None when it is not kept any more.

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from schema_faults import schema_faults
 
 from friction_bench.experiment import job as ramp_job
 from friction_bench.rig.client import RigClient
@@ -49,6 +50,7 @@ def test_friction_file_is_one_that_the_simulation_reads(measured: Path) -> None:
     assert found.elements[index].tau_c_positive == pytest.approx(0.9, rel=0.05)
     assert found.elements[index].c2 == pytest.approx(0.11, rel=0.05)
     assert found.elements[:index] == shipped.elements[:index]
+    assert schema_faults("friction", measured / "friction.yaml") == []
     stated = yaml.safe_load((measured / "friction.yaml").read_text())
     parameters = stated["identification"]["parameters"]["joint_6"]
     assert stated["provenance"] == "assumed"

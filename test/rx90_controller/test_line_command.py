@@ -17,6 +17,7 @@ import yaml
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from schema_faults import schema_faults
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -91,6 +92,7 @@ def test_output_is_the_message_in_yaml(shipped: Setup, tmp_path: Path) -> None:
     """The written file holds names, points and times as in the plan, to the last bit."""
     file = tmp_path / "line.yaml"
     assert run("rx90_line", ["--from-file", REFERENCE, "--dry-run", "--output", str(file)]) == 0
+    assert schema_faults("trajectory", file) == []
     message = yaml.safe_load(file.read_text(encoding="utf-8"))
     plan = plan_line(shipped.robot, load_task(config_path(REFERENCE)))
     assert message["joint_names"] == list(shipped.robot.joint_names)

@@ -145,7 +145,7 @@ def test_values_that_make_no_line_are_refused(change: dict[str, Any], expected: 
 @pytest.mark.parametrize(
     ("path", "value", "expected"),
     [
-        (("line", "speed"), 0, "speed is 0 m/s"),
+        (("line", "speed"), 0, r"line\.speed is 0; accepted: a number > 0"),
         (("line", "speed"), "fast", r"line\.speed is 'fast'"),
         (("line", "start"), [0.6, 0.0], r"line\.start is .*3 numbers"),
         (("line", "velocity"), 1.0, r"line\.velocity is not a known key"),

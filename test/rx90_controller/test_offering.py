@@ -95,13 +95,15 @@ def time(seconds: float) -> tuple[int, int]:
     return sec, nanosec
 
 
-def goal(rig: Rig, trajectory: SimpleNamespace) -> None:
-    """Offer a goal as the action does."""
+def goal(rig: Rig, trajectory: SimpleNamespace) -> mock.Mock:
+    """Offer a goal as the action does; return who has sent it."""
+    sender = mock.Mock()
     asked = Goal(points_from_message(rig.names, trajectory), GoalTolerances.defaults(rig.names), None)
     with rig.loop.between_ticks() as goals:
         entrance = asked.entrance(goals.options)
     with joined(rig.loop, entrance) as (goals, plan):
-        goals.take(mock.Mock(), asked, trajectory, rig.loop.inactive, plan)
+        goals.take(sender, asked, trajectory, rig.loop.inactive, plan)
+    return sender
 
 
 @pytest.mark.parametrize(("count", "last", "beside"), [(20, 20.0, False), (21, 2.0, True), (2, 21.0, True)])
@@ -280,3 +282,29 @@ def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) 
         rig.loop.offer(given)
         assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
     assert rig.loop.rejected == 3
+
+
+def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
+    """One that is refused leaves the goal alone; that another one replaces it is no error."""
+    rig.loop.hold(rig.states(0))
+    sender = goal(rig, rig.trajectory(0.02))
+    rig.loop.offer(rig.trajectory(9.0))
+    sender.ended.assert_not_called()
+    with mock.patch.object(rig.around, "error") as error:
+        rig.loop.offer(rig.trajectory(0.01))
+    (outcome,) = sender.ended.call_args.args
+    assert outcome.text.startswith("replaced by a trajectory on the topic")
+    error.assert_not_called()
+
+
+def test_nothing_is_computed_for_a_controller_that_is_not_active(ways: Ways) -> None:
+    """What is sent to it is refused for that reason, whatever else is wrong with it, and not joined."""
+    rig = ways.rig
+    rig.loop.activate(False)
+    wrong = message(rig, 30, 1.0)
+    wrong.joint_names[0] = "elbow"
+    rig.loop.offer(wrong)
+    goal(rig, message(rig, 30, 1.0))
+    assert "the controller is inactive" in rig.around.lines[-2]
+    assert "the controller is inactive" in rig.around.lines[-1]
+    assert ways.beside == []

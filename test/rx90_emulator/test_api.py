@@ -19,7 +19,7 @@ import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs/python.md"
+PAGE = ROOT / "docs/tutorials/python.md"
 EXAMPLES = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 LIGHT = "numpy scipy numba pinocchio rclpy rosbags matplotlib pyarrow yaml tqdm jinja2 serial"
 
@@ -100,26 +100,6 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
     """A misspelt name is refused as of any module, with where to look."""
     with pytest.raises(AttributeError, match=r"no attribute 'load_setups'; help\(rx90_emulator\) lists them"):
         _ = rx.load_setups  # type: ignore[attr-defined]
-
-
-def test_the_documented_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every example of docs/python.md runs, one after the other, in an empty folder, and leaves what it names."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
-    for example in EXAMPLES:
-        exec(compile(example, str(PAGE), "exec"), names)
-    for made in (
-        "path_error.png",
-        "friction.png",
-        "run.npz",
-        "reference_run/metadata.yaml",
-        "grid.parquet",
-        "scatter.parquet",
-    ):
-        assert (tmp_path / made).is_file()
 
 
 def test_the_first_example_is_short_and_shows_an_effect() -> None:

@@ -1,4 +1,4 @@
-"""The two verbs of the `ros2` command line that the README uses, for an environment without it.
+"""The two verbs of the `ros2` command line that docs/ uses, for an environment without it.
 
     ros2_stand_in.py topic pub --once -w COUNT TOPIC TYPE YAML
     ros2_stand_in.py service call SERVICE TYPE YAML

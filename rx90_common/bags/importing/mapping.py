@@ -18,17 +18,18 @@ Columns are numbers from 1 on, or names in the log's header. Of several logs tha
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from rx90_common.bags.topics import FIELDS
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.groups import Entries, Group
+from rx90_common.base.section import Section
+from rx90_common.base.shapes import LEFT_OUT, Integer, ListOf, Number, Other, Text, Texts
 
 Column: TypeAlias = int | str
 """Number of a column, from 1 on, or its name."""
@@ -45,9 +46,79 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 """What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 _MOST_FILES = 100
-_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MOST_COLUMNS = 100_000
-_COLUMN = "the number of a column, from 1 on, or its name in the header"
+_NAMES = (
+    r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*\Z",
+    "topics as ROS names them, of letters, digits, _ and /, no part of which begins with a digit",
+)
+
+
+def _is_column(value: object) -> bool:
+    number = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MOST_COLUMNS
+    return number or isinstance(value, str)
+
+
+_COLUMN = Other(
+    "Number of a column, from 1 on, or its name in the header.",
+    accepted="the number of a column, from 1 on, or its name in the header",
+    good=_is_column,
+    fragment={"anyOf": [{"type": "integer", "minimum": 1, "maximum": _MOST_COLUMNS}, {"type": "string"}]},
+)
+_FILE = Integer("Number of the log, from 1 on, where several belong together.", low=1, high=_MOST_FILES, default=1)
+_NOT_0 = Number("", nonzero=True).rules()
+
+
+def _for_each(about: str) -> Other:
+    return Other(
+        f"{about} One number, or a list of them, one for each name.",
+        accepted="a number other than 0, or a list of them, one for each name",
+        good=lambda _: True,  # how many there are is known with the names
+        fragment={"anyOf": [_NOT_0, {"type": "array", "minItems": 1, "items": _NOT_0}]},
+        default=LEFT_OUT,
+    )
+
+
+def _of_field(name: str) -> Group:
+    return Group(
+        f"Where each joint's {name} comes from.",
+        keys={
+            "columns": ListOf(
+                "A column for each name.", item=_COLUMN, least=1, accepted="a list of columns, one for each name"
+            ),
+            "unit": Text("Unit in the log.", choices=tuple(UNITS[name])),
+            "factor": _for_each("What the log's numbers are multiplied by."),
+            "counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s."),
+            "file": _FILE,
+        },
+        default=LEFT_OUT,
+    )
+
+
+_TOPIC = Group(
+    "What becomes the messages of the topic.",
+    keys={"names": Texts("Names of the joints.", once=True), **{name: _of_field(name) for name in FIELDS}},
+    some_of=FIELDS,
+)
+
+MAPPING = Group(
+    "What the columns of a log hold, for rx90_bag import.",
+    keys={
+        "time": Group(
+            "The column of the times.",
+            keys={"column": _COLUMN, "unit": Text("Unit of the times.", choices=tuple(SECONDS)), "file": _FILE},
+            default=LEFT_OUT,
+        ),
+        "rate": Number(
+            "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
+        ),
+        "topics": Entries("Topics of joint states, by name.", of=_TOPIC, least=1, what="topic", names=_NAMES),
+        "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
+        "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
+        "header": Integer("Lines of header; found out if left out.", low=0, high=1000, default=LEFT_OUT),
+    },
+    one_of=("time", "rate"),
+)  # fmt: skip
+"""What a mapping file holds."""
 
 
 @dataclass(frozen=True)
@@ -116,28 +187,19 @@ class LogMapping:
             ConfigError: for a key or value that is not acceptable.
         """
         root = load_yaml(path)
-        if ("time" in root) == ("rate" in root):
-            both = "both are there" if "time" in root else "neither is there"
-            raise ConfigError(f"{root.where('time')} and rate: {both}; accepted: one of them")
-        time, seconds, rate = None, Fraction(1), None
-        if "time" in root:
-            section = root.section("time")
-            time = _file(section), _columns([section.value("column", _COLUMN)], section, "column")[0]
-            seconds = SECONDS[section.text("unit", tuple(SECONDS))]
-            section.finish()
-        else:
-            rate = root.number("rate", 1e-3, 1e6)
+        content = MAPPING.read(root)
+        time = content.get("time")
+        topics = root.section("topics")
         mapping = cls(
             file=path,
-            topics=_topics(root.section("topics")),
-            time=time,
-            seconds=seconds,
-            rate=rate,
-            delimiter=root.text("delimiter", tuple(DELIMITERS)) if "delimiter" in root else None,
-            decimal=root.text("decimal", (".", ",")) if "decimal" in root else None,
-            header=root.integer("header", 0, 1000) if "header" in root else None,
+            topics={name: _topic(topics.section(name), topic) for name, topic in content["topics"].items()},
+            time=None if time is None else (time["file"], time["column"]),
+            seconds=Fraction(1) if time is None else SECONDS[time["unit"]],
+            rate=content.get("rate"),
+            delimiter=content.get("delimiter"),
+            decimal=content.get("decimal"),
+            header=content.get("header"),
         )
-        root.finish()
         if (mapping.delimiter, mapping.decimal) == (",", ","):
             raise ConfigError(
                 f"{root.where('decimal')} is ',', and so is delimiter: a field could not be told from a decimal; "
@@ -146,60 +208,22 @@ class LogMapping:
         return mapping
 
 
-def _topics(section: Section) -> dict[str, TopicMapping]:
-    topics = {name: _topic(section.section(name)) for name in section}
-    if not topics:
-        raise ConfigError(f"{section.where('joint_states')} is missing; accepted: one topic or more")
-    for name in topics:
-        if not _TOPIC.fullmatch(name):
-            raise ConfigError(
-                f"{plain(section.where(name))}: accepted: topics as ROS names them, of letters, digits, _ and /, "
-                "no part of which begins with a digit"
-            )
-    return topics
-
-
-def _topic(section: Section) -> TopicMapping:
-    names = section.texts("names")
-    if not names or len(set(names)) < len(names):
-        section.refuse("names", list(names), "one name or more, each once")
-    fields = {name: _field(section.section(name), name, len(names)) for name in FIELDS if name in section}
-    if not fields:
-        raise ConfigError(f"{section.where('position')} is missing; accepted: one or more of {', '.join(FIELDS)}")
-    section.finish()
+def _topic(section: Section, content: dict[str, Any]) -> TopicMapping:
+    names = content["names"]
+    fields: dict[str, FieldMapping] = {
+        name: _field(section.section(name), name, content[name], len(names)) for name in FIELDS if name in content
+    }
     return TopicMapping(names, fields)
 
 
-def _field(section: Section, name: str, count: int) -> FieldMapping:
-    accepted = f"a list of {count}, one for each name"
-    columns = section.value("columns", accepted)
-    if not isinstance(columns, list) or len(columns) != count:
-        section.refuse("columns", columns, accepted)
-    chosen = _columns(columns, section, "columns")
-    unit = section.text("unit", tuple(UNITS[name]))
+def _field(section: Section, name: str, content: dict[str, Any], count: int) -> FieldMapping:
+    columns, unit = content["columns"], content["unit"]
+    if len(columns) != count:
+        section.refuse("columns", list(columns), f"a list of {count}, one for each name")
     factor = _each(section, "factor", count) if "factor" in section else (1.0,) * count
-    turn = (1.0,) * count
-    if unit.startswith(COUNTS):
-        turn = _each(section, "counts_per_turn", count)
-    found = FieldMapping(
-        _file(section), chosen, tuple(UNITS[name][unit] * f / c for f, c in zip(factor, turn, strict=True))
-    )
-    section.finish()
-    return found
-
-
-def _file(section: Section) -> int:
-    return section.integer("file", 1, _MOST_FILES) if "file" in section else 1
-
-
-def _columns(given: list[object], section: Section, key: str) -> tuple[Column, ...]:
-    chosen: list[Column] = []
-    for one in given:
-        if isinstance(one, str) or (isinstance(one, int) and not isinstance(one, bool) and 1 <= one <= _MOST_COLUMNS):
-            chosen.append(one)
-        else:
-            section.refuse(key, one, _COLUMN)
-    return tuple(chosen)
+    turn = _each(section, "counts_per_turn", count) if unit.startswith(COUNTS) else (1.0,) * count
+    scale = UNITS[name][unit]
+    return FieldMapping(content["file"], columns, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
 
 
 def _each(section: Section, key: str, count: int) -> tuple[float, ...]:

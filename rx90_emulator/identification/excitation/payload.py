@@ -13,7 +13,25 @@ from numpy.typing import ArrayLike
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, quoted
+from rx90_common.base.shapes import Number, Numbers
+
+PAYLOADS = Entries(
+    "What was fixed to the last link in each loaded run, by name or path of the bag.",
+    of=Group(
+        "A rigid body.",
+        keys={
+            "mass": Number("Mass.", "kg", low=0.0, above=True),
+            "centre": Numbers("Centre of mass in the frame of the last joint.", "m", count=3),
+            "inertia": Numbers(
+                "About the centre of mass, along the axes of that frame: ixx, ixy, ixz, iyy, iyz, izz.",
+                "kg m^2", count=6,
+            ),
+        },
+    ),
+)  # fmt: skip
+"""What a payload file holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +87,11 @@ def read_payloads(path: Path | str) -> dict[str, Payload]:
     """
     file = load_yaml(Path(path))
     found = {}
-    for name in file:
-        entry = file.section(name)
-        xx, xy, xz, yy, yz, zz = entry.numbers("inertia", 6)
+    for name, body in PAYLOADS.read(file).items():
+        xx, xy, xz, yy, yz, zz = body["inertia"]
         inertia = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
-        mass, centre = entry.number("mass"), entry.numbers("centre", 3)
-        entry.finish()
         try:
-            found[name] = Payload(mass, centre, inertia)
+            found[name] = Payload(body["mass"], body["centre"], inertia)
         except IdentificationError as error:
             raise IdentificationError(f"{file.where(name)}: {error}") from None
     return found

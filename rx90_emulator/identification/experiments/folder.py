@@ -8,9 +8,22 @@ from pathlib import Path
 
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.errors import IdentificationError, write_text
+from rx90_common.base.groups import Group
+from rx90_common.base.shapes import LEFT_OUT, Texts
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
 INDEX = "experiments.yaml"
+
+EXPERIMENTS = Group(
+    "The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder.",
+    keys={
+        str(Kind.SLIDING): Texts("Sweeps at constant velocity."),
+        str(Kind.PRESLIDING): Texts("Micro-oscillations."),
+        str(Kind.EXCITATION): Texts("Excitation runs; left out where there are none.", default=LEFT_OUT),
+        str(Kind.VALIDATION): Texts("Runs for the validation."),
+    },
+)
+"""What the index of a series holds."""
 
 TOPICS = {
     Kind.SLIDING: ("joint_states", "robot_description"),
@@ -86,15 +99,10 @@ def read_index(folder: Path) -> IdentificationBags:
     if INDEX not in _names(folder):
         raise IdentificationError(f"{folder}: no {INDEX}; accepted: a folder that rx90_experiment wrote, or --sliding, "
                                   "--presliding and --validation")  # fmt: skip
-    root = load_yaml(folder / INDEX)
     found = {}
-    for kind in Kind:
-        if kind is Kind.EXCITATION and str(kind) not in root:
-            continue  # a series of sweeps
-        bags = tuple(folder / name for name in root.texts(str(kind)))
+    for kind, names in EXPERIMENTS.read(load_yaml(folder / INDEX)).items():
+        found[kind] = bags = tuple(folder / name for name in names)
         for bag in bags:
             if not bag.exists():
                 raise IdentificationError(f"{folder / INDEX} names {bag.name}, which is not there")
-        found[str(kind)] = bags
-    root.finish()
     return IdentificationBags(**found)

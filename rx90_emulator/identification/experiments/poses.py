@@ -6,12 +6,32 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rx90_common.base.config import Section, load_yaml
+from rx90_common.base.config import load_yaml
 from rx90_common.base.errors import IdentificationError
+from rx90_common.base.groups import Group
+from rx90_common.base.shapes import Numbers, Rows
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 
 Pose = tuple[float, ...]
+
+
+def _positions(about: str) -> Group:
+    return Group(about, keys={"positions": Rows("Joint positions, six for each pose.", "rad", count=6)})
+
+
+POSES = Group(
+    "Where the experiments of an identification take place.",
+    keys={
+        "home": Group(
+            "Where every experiment begins and ends.",
+            keys={"position": Numbers("Six joint positions.", "rad", count=6)},
+        ),
+        "sweeps": _positions("Where the sweeps take place."),
+        "validation": _positions("Between which the validation moves."),
+    },
+)
+"""What a poses file holds."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +55,8 @@ class Poses:
         Raises:
             ConfigError: naming file, key, value and what is accepted.
         """
-        root = load_yaml(file)
-        home, sweeps, validation = (root.section(name) for name in ("home", "sweeps", "validation"))
-        poses = cls(home.numbers("position", 6), _positions(sweeps), _positions(validation))
-        for section in (home, sweeps, validation, root):
-            section.finish()
-        return poses
+        content = POSES.read(load_yaml(file))
+        return cls(content["home"]["position"], content["sweeps"]["positions"], content["validation"]["positions"])
 
     @classmethod
     def shipped(cls) -> Poses:
@@ -59,10 +75,6 @@ class Poses:
         validation = ((f"pose {i + 1} of the validation", pose) for i, pose in enumerate(self.validation))
         for what, pose in (("home", self.home), *sweeps, *validation):
             _check(robot, what, pose)
-
-
-def _positions(section: Section) -> tuple[Pose, ...]:
-    return section.rows("positions", 6)
 
 
 def _check(robot: RobotModel, what: str, pose: Sequence[float]) -> None:

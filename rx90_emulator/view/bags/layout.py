@@ -22,6 +22,7 @@ from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.measured.options import MeasuredLayout
 
 _JOINT_STATES = "joint_states"
+_ONCE_MORE = f"/sampled/{_JOINT_STATES}"
 _SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
 
 
@@ -67,6 +68,8 @@ def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
         fitting = [topic for topic in held if topic.name == absolute(wanted)]
     else:
         fitting = [topic for topic in held if topic.name.rpartition("/")[2] == _JOINT_STATES]
+        # Of those recorded with what the simulation publishes once more for who looks on.
+        fitting = [topic for topic in fitting if not topic.name.endswith(_ONCE_MORE)] or fitting
         fitting = fitting or [topic for topic in held if topic.name.rpartition("/")[2] == MOTOR_STATES]
     if len(fitting) == 1:
         return fitting[0]

@@ -176,7 +176,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("[2, 3]", "[2, qb]"), "t,qa,qc\n1,2,3", "log.csv: no column 'qb'; there are t, qa, qc"),
         (("[2, 3]", "[2, qb]"), "t,qb,qb\n1,2,3", "log.csv: more than one column 'qb'; there are t, qb, qb"),
         (("[2, 3]", "[2, qb]"), "1,2,3", "log.csv: no column 'qb'; there are no names"),
-        (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns is 0; accepted: the number of a column, from 1 on, or"),
+        (("[2, 3]", "[2, 0]"), "1,2,3", "position.columns[1] is 0; accepted: the number of a column, from 1 on, or"),
         (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), "1,2,3", "decimal is ',', and so is delimiter"),
         (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),
         (("unit: rad", "unit: counts"), "1,2,3", "position.counts_per_turn is missing"),
@@ -184,7 +184,11 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("unit: rad", "unit: rad, gears: 3"), "1,2,3", "position.gears is not a known key"),
         (("unit: rad", "unit: rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
         (("column: 1, ", ""), "1,2,3", "m.yaml: time.column is missing; accepted: the number of a column, from 1 on"),
-        (("columns: [2, 3], ", ""), "1,2,3", "position.columns is missing; accepted: a list of 2, one for each name"),
+        (
+            ("columns: [2, 3], ", ""),
+            "1,2,3",
+            "position.columns is missing; accepted: a list of columns, one",
+        ),
         (
             ("[2, 3]", "[2, 2]"),
             "1,2,3",

@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -106,6 +107,46 @@ def test_a_definition_goes_into_its_bag_alone(tmp_path: Path, storage: str) -> N
     assert (log_ns, message.pair.tolist(), message.words, message.inner[0].flag) == (5, [0.0, 0.0], [], True)
     with BagWriter(tmp_path / "other", storage) as bag, pytest.raises(BagError, match="my_msgs/msg/Odd"):
         bag.add_topic("odd", odd)
+
+
+@pytest.mark.ros
+def test_a_type_that_is_not_there_leaves_no_bag(
+    tmp_path: Path, ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The refusal comes once the topic is found: by then the folder and those above it are there; none stays."""
+    from std_msgs.msg import String
+
+    from rx90_common.bags.recorder.recording import Recorder, StatusLine
+
+    monkeypatch.delattr("std_msgs.msg.String")
+    with own_node("node", ros_domain) as node, StatusLine() as status:
+        publisher = node.create_publisher(String, "note", 1)
+        with pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_msgs"):
+            Recorder(["note"], [], status).run(lambda: BagWriter(tmp_path / "new" / "bag"), Event())
+        publisher.destroy()
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_only_an_error_before_the_first_message_leaves_no_bag(tmp_path: Path, storage: str) -> None:
+    """What was written stays, and so does an empty bag that ends as it should; what else lies beside it stays, too."""
+    (tmp_path / "mine").write_text("")
+    with BagWriter(tmp_path / "empty", storage):
+        pass
+
+    def refused(count: int) -> None:
+        with BagWriter(tmp_path / f"bag_{count}", storage) as bag:
+            topic = bag.add_topic("a", "std_msgs/msg/Empty")
+            for _ in range(count):
+                bag.write(topic, 5, bytes(4))
+            raise BagError("refused")
+
+    for count in (0, 1):
+        with pytest.raises(BagError, match="refused"):
+            refused(count)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["bag_1", "empty", "mine"]
+    with AnyReader([tmp_path / "bag_1"]) as reader:
+        assert reader.message_count == 1
 
 
 @pytest.mark.usefixtures("needs_tf")

@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal_by
 
-from rx90_common.base.config import PROVENANCE
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.section import PROVENANCE
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionSet, LuGreElement, load_friction
 from rx90_common.friction.friction_file import FrictionFile

@@ -1,4 +1,4 @@
-"""The example of docs/kernels.md works as it stands."""
+"""The example of docs/explanation/kernels.md works as it stands."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from mypy import api
 
 from rx90_common.base.sources import ROOT
 
+PAGE = ROOT / "docs/explanation/kernels.md"
+
 
 @pytest.fixture
 def example(tmp_path: Path) -> Path:
     """Return a file that holds the page's code."""
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "kernels.md").read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     file = tmp_path / "example.py"
     file.write_text(code)
     return file

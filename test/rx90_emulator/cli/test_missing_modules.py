@@ -27,6 +27,7 @@ CALLS = {
     "friction_rig_emulator": ([], "numpy yaml numba"),
     "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),
     "rx90_compare_measured": (["bag"], "numba scipy"),
+    "rx90_config": (["completion", "bash"], "shtab yaml"),
     "rx90_demo": ([], "numba"),
     "rx90_experiment": (["plan"], "numba rosbags"),
     "rx90_identify": (["bag", "--output", "out.yaml"], "numba scipy"),
@@ -129,7 +130,7 @@ def test_an_error_of_the_project_itself_is_none_of_a_package() -> None:
     ("module", "managed", "apt", "advice"),
     [
         ("numba", False, False, f"{sys.executable} -m pip install numba"),
-        ("numba", True, True, "a virtual environment with numba in it, as in README.md, With ROS 2 Jazzy"),
+        ("numba", True, True, "a virtual environment with numba in it, as in docs/start/install.md"),
         ("scipy", True, True, "sudo apt install python3-scipy"),
         ("pinocchio", False, True, "sudo apt install ros-jazzy-pinocchio"),
         ("pinocchio", False, False, f"{sys.executable} -m pip install pin"),

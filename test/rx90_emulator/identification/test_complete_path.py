@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from processes import Processes, wait_until
+from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.errors import DONE, INTERRUPTED, REFUSED, VERDICT_NO, IdentificationError
@@ -53,6 +54,7 @@ def test_python_identifies_and_writes_what_the_command_does(
     """`identify_friction` gives the elements that the command wrote, and the same file but for its date."""
     result = identify_friction(str(series))
     output, _ = write_identification(result, tmp_path / "friction.yaml")
+    assert schema_faults("friction", output) == schema_faults("experiments", series / "experiments.yaml") == []
     assert result.confirmed
     assert [use for use, _ in result.bags] == ["sliding", "presliding", "validation"]
     texts = [re.sub(r"20\d\d-[-+:T\d]+", "", file.read_text(encoding="utf-8")) for file in (output, identified[0])]

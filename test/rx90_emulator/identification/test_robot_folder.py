@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import xml.etree.ElementTree as ET
@@ -14,11 +15,13 @@ import pytest
 import yaml
 from foreign_arms import urdf_text
 from numpy.typing import NDArray
+from schema_faults import schema_faults
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.description.robot_files import RobotFiles
+from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import LuGreElement
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
 from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.physical.fit import BaseEstimate, consistent_inertias
@@ -151,7 +154,26 @@ def test_folder_says_where_its_values_come_from(case: Case) -> None:
     assert (bristle["provenance"], bristle["taken_from"]) == ("assumed", "other.yaml")
     assert files.tool is not None
     assert shipped.tool is not None
-    assert files.tool.read_text() == shipped.tool.read_text()
+    assert yaml.safe_load(files.tool.read_text()) == yaml.safe_load(shipped.tool.read_text())
+
+
+def test_folder_is_one_that_editors_and_rx90_config_accept(case: Case, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each written file fits its schema and names none by a path that leads nowhere; what is assumed is shown so."""
+    for role, name in FILES.items():
+        path: Path | None = getattr(case.files, role)
+        if role != "urdf" and path is not None:
+            assert schema_faults(role, path) == [], name
+            assert "yaml-language-server" not in path.read_text(encoding="utf-8")
+    folder = str(case.files.urdf.parent)
+    assert run("rx90_config", ["check", folder]) == 0
+    capsys.readouterr()
+    assert run("rx90_config", ["show", "--robot", folder, "--json"]) == 0
+    shown = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    assert shown["drives.transmission.rotor_inertia"]["provenance"] == "identified"
+    assert shown["drives.transmission.gear"]["assumed"] is True
+    bristle = shown["friction.elements.joint_5_6.c0"]
+    assert (bristle["assumed"], bristle["source"].rpartition("; ")[2]) == (True, "taken from other.yaml")
+    assert shown["controller.feed_forward.coulomb_torque"]["provenance"] == "derived"
 
 
 def run_of(setup: Setup) -> Array:

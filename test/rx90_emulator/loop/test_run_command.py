@@ -74,11 +74,11 @@ def test_a_trajectory_of_a_file_runs_into_arrays_with_units(tmp_path: Path, caps
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "accepted: the YAML of a trajectory_msgs/JointTrajectory"),
-        ("points: 3", "accepted: the YAML of a trajectory_msgs/JointTrajectory"),
+        ("", "the YAML of a trajectory_msgs/JointTrajectory"),
+        ("points: 3", "the YAML of a trajectory_msgs/JointTrajectory"),
         ("a: [", "not valid YAML"),
         (TRAJECTORY.replace("joint_6", "elbow"), "elbow"),
-        (TRAJECTORY.replace("0.5, 0.0, 0.1", ".nan, 0.0, 0.1"), "joint_6"),
+        (TRAJECTORY.replace("0.5, 0.0, 0.1", ".nan, 0.0, 0.1"), "points[0].positions[0] is nan"),
     ],
 )
 def test_a_file_that_is_no_trajectory_is_one_line(

@@ -1,4 +1,4 @@
-"""The closed loop, written a second time from docs/closed_loop.md with Pinocchio and NumPy."""
+"""The closed loop, written a second time from docs/explanation/closed_loop.md with Pinocchio and NumPy."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def set_points(k: int) -> tuple[Array, Array, Array]:
 
 
 class Controller:
-    """Position, velocity and current loop of docs/closed_loop.md."""
+    """Position, velocity and current loop of docs/explanation/closed_loop.md."""
 
     def __init__(self, setup: Setup) -> None:
         self.c, self.n = setup.controller, setup.drives.gear
@@ -72,7 +72,7 @@ class Controller:
 
 
 class Arm:
-    """Drives, friction, arm and resolvers of docs/closed_loop.md; no end stops."""
+    """Drives, friction, arm and resolvers of docs/explanation/closed_loop.md; no end stops."""
 
     def __init__(self, setup: Setup) -> None:
         self.model, drives = setup.robot.model, setup.drives

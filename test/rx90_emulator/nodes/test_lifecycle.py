@@ -41,7 +41,7 @@ def latched(client: Client, topic: str, kind: type) -> list[Any]:
 
 @pytest.mark.ros
 def test_a_pair_goes_through_its_states(processes: Processes, client: Client) -> None:
-    """Two processes that others manage: each state is what docs/lifecycle.md says, also with another robot after it."""
+    """Two processes that others manage: each state is what lifecycle.md says, also with another robot after it."""
     started = [
         processes.start(SIMULATION, *UNMANAGED, "-p", "real_time_factor:=0.0"),
         processes.start(CONTROLLER, *UNMANAGED),

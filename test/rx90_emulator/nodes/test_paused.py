@@ -11,6 +11,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from rx90_common.base.stamps import cdr_stamp_ns
+
 ROS_ARGS = ("--ros-args", "-r", "__ns:=/cell_1")
 QOS = ("reliability:=best_effort", "durability:=transient_local", "depth:=5")
 
@@ -30,11 +32,13 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     )
     controller = processes.start("rx90_controller", *ROS_ARGS)
     raw: list[bytes] = []
+    sampled: list[bytes] = []
     client.node.create_subscription(JointState, "/cell_1/joint_states", raw.append, 10, raw=True)
+    client.node.create_subscription(JointState, "/cell_1/sampled/joint_states", sampled.append, 10, raw=True)
     clock = client.listen("/clock", Clock)
     diagnostics = client.listen("/diagnostics", DiagnosticArray)
-    client.spin_until(lambda: len(raw) > 3 and len(clock) > 3, "a heartbeat")
-    assert len(set(raw)) == 1
+    client.spin_until(lambda: min(map(len, (raw, sampled, clock))) > 3, "a heartbeat")
+    assert len({*raw, *sampled}) == 1
     assert {(message.clock.sec, message.clock.nanosec) for message in clock} == {(0, 0)}
     (offered,) = client.node.get_publishers_info_by_topic("/cell_1/friction_states")
     assert offered.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT
@@ -50,6 +54,8 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     client.spin_until(lambda: len(set(raw)) > 100, "the arm to move")
     client.asking.call(SetBool, "/cell_1/rx90_sim/pause", SetBool.Request(data=True))
     client.spin_until(lambda: len(raw) > 5 and len(set(raw[-4:])) == 1, "the last sample again and again")
+    assert len(set(sampled)) > 1
+    assert {cdr_stamp_ns(sample) % 10_000_000 for sample in sampled} == {0}  # a hundred times a second
     names = {(status.name, status.hardware_id) for message in diagnostics for status in message.status}
     assert names == {(f"cell_1/{node}", "cell_1/rx90_emulator") for node in ("rx90_sim", "rx90_controller")}
     assert simulation.output.count("ready: ") == controller.output.count("ready: ") == 1

@@ -87,8 +87,8 @@ def test_shipped_plans_fit(name: str) -> None:
 
 
 def test_the_documented_plan_has_the_runs_that_the_page_says(tmp_path: Path) -> None:
-    """The plan in docs/sweep.md is read as it stands, and has as many runs as the page counts."""
-    page = (ROOT / "docs/sweep.md").read_text(encoding="utf-8")
+    """The plan in docs/howto/sweep.md is read as it stands, and has as many runs as the page counts."""
+    page = (ROOT / "docs/howto/sweep.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     plan = tmp_path / "plan.yaml"
     plan.write_text(text, encoding="utf-8")
@@ -113,18 +113,21 @@ def test_help_names_plans_that_can_be_run_from_anywhere(
     ("text", "said"),
     [
         ("blocks: {}", "blocks is {}; accepted: at least one block"),
-        ("blocks: {a: {}}", "blocks.a is {}; accepted: a block with grid, random or both"),
+        ("blocks: {a: {}}", "blocks.a.grid is missing; accepted: one or more of grid, random"),
         ("blocks: {a: {grid: {}}}", "blocks.a.grid is {}; accepted: at least one parameter"),
-        ("blocks: {a: {grid: {task.speed: {value: []}}}}", "the list of values is empty"),
+        ("blocks: {a: {grid: {task.speed: {value: []}}}}", "value is []; accepted: [v1, v2, ...]"),
         ("blocks: {a: {grid: {task.speed: {value: 0.1}}}}", "value is 0.1; accepted: [v1, v2, ...]"),
         ("blocks: {a: {grid: {task.speed: {value: [fast]}}}}", "is 'fast'; accepted: finite numbers"),
         ("blocks: {a: {grid: {task.speed: {value: [true]}}}}", "a value is True; accepted: numbers"),
         ("blocks: {a: {grid: {task.speed: {value: [0.1, 0.1]}}}}", "0.1 stands twice"),
-        ("blocks: {a: {grid: {task.speed: {value: [1], factor: [1]}}}}", "one of value and factor"),
-        ("blocks: {a: {grid: {task.speed: {}}}}", "one of value and factor"),
+        (
+            "blocks: {a: {grid: {task.speed: {value: [1], factor: [1]}}}}",
+            "value and factor: both are there; accepted: one",
+        ),
+        ("blocks: {a: {grid: {task.speed: {}}}}", "value and factor: none is there; accepted: one of them"),
         ("blocks: {a: {grid: {task.speed: {value: {linspace: [1, 2, -3]}}}}}", "count of values is -3"),
         ("blocks: {a: {grid: {task.speed: {value: {linspace: [1, 2]}}}}}", "accepted: 3 numbers"),
-        ("blocks: {a: {grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}}", "is 'logspace'"),
+        ("blocks: {a: {grid: {task.speed: {value: {logspace: [1, 2, 3]}}}}}", "linspace and geomspace: none is there"),
         ("blocks: {a: {grid: {task.speed: {value: [1], each: true}}}}", "in random draws only"),
         ("blocks: {a: {grid: {task.sped: {value: [1]}}}}", "'sped' is unknown; accepted there: accel"),
         ("blocks: {a: {grid: {task.speed: {value: [1]}, task.speed: {value: [2]}}}}", "stands twice"),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.config import load_yaml, without_schema_line, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError
 from rx90_common.base.quoting import listed
 from rx90_common.description.robot import load_robot
@@ -35,7 +35,7 @@ _DRIVES_HEAD = """\
 """
 _CONTROLLER_HEAD = """\
 # The controller, with the identified friction in its feed-forward; everything else is as it was before.
-# Joint-side units, one value per motor (docs/closed_loop.md).
+# Joint-side units, one value per motor (docs/explanation/closed_loop.md).
 """
 _SLOW = 0.25  # of the nominal speed: where the compensation of two viscous parts meets their sum a second time
 
@@ -142,7 +142,7 @@ def robot_texts(
         for role in ("tool", "task", "poses"):
             path: Path | None = getattr(base, role)
             if path is not None:
-                texts[FILES[role]] = path.read_text(encoding="utf-8")
+                texts[FILES[role]] = without_schema_line(path.read_text(encoding="utf-8"))
     return texts
 
 

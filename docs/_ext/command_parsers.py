@@ -1,0 +1,42 @@
+"""The parser of each command, by its name, as `sphinx-argparse` asks for them."""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentParser, _SubParsersAction
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import import_module
+
+from rx90_emulator.cli.frame import EXECUTABLES
+from rx90_emulator.cli.options import CommandParser
+
+
+def _parser(name: str) -> ArgumentParser:
+    command = import_module(EXECUTABLES[name])
+    parser = CommandParser(prog=name, description=command.__doc__)
+    command.add_arguments(parser)
+    for each in _with_verbs(parser):
+        each.description, each.epilog = _as_written(each.description), _as_written(each.epilog)
+    return parser
+
+
+def _with_verbs(parser: ArgumentParser) -> Iterator[ArgumentParser]:
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, _SubParsersAction):
+            yield from action.choices.values()
+
+
+def _as_written(text: str | None) -> str | None:
+    """Return a text with its indented lines as code, as a terminal shows them."""
+    if text is None:
+        return None
+    return re.sub(r"(?:^ +\S.*\n?)+", lambda lines: f"\n::\n\n{lines[0]}\n", text, flags=re.MULTILINE)
+
+
+def __getattr__(name: str) -> Callable[[], ArgumentParser]:
+    """Return what makes the parser of a command."""
+    if name not in EXECUTABLES:
+        raise AttributeError(name)
+    return partial(_parser, name)

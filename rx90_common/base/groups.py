@@ -1,0 +1,195 @@
+"""Mappings of files as tables of shapes: known keys, names of one's own, and keys that follow from another one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any, ClassVar, Final
+
+from rx90_common.base.section import ABOUT, PROVENANCE, Section
+from rx90_common.base.shapes import LEFT_OUT, REQUIRED, JsonSchema, Shape
+
+DEFINITIONS: Final[Mapping[str, JsonSchema]] = {
+    "provenance": {
+        "description": "Where the values come from: one word for the whole mapping, or one for each key.",
+        "anyOf": [
+            {"enum": [*PROVENANCE, None]},
+            {"type": "object", "additionalProperties": {"enum": [*PROVENANCE, None]}},
+        ],
+    },
+    "source": {"description": "A sentence that names the source, for the whole mapping or for each key."},
+    "note": {"description": "A remark for readers."},
+}
+"""Keys that every mapping may have, as JSON schemas."""
+
+
+@dataclass(frozen=True)
+class Group(Shape):
+    """A mapping with known keys.
+
+    Attributes:
+        keys: the shapes of their values.
+        one_of: keys of which there must be one and no other.
+        some_of: keys of which there must be one at least.
+        needed_by: key that must be there where another one is, by that other one.
+        known: whether other keys are refused.
+        accepted: what is, in words.
+    """
+
+    _: KW_ONLY
+    keys: Mapping[str, Shape] = field(hash=False)
+    one_of: tuple[str, ...] = ()
+    some_of: tuple[str, ...] = ()
+    needed_by: Mapping[str, str] = field(default_factory=dict, hash=False)
+    known: bool = True
+    accepted: str = "a mapping"
+
+    def take(self, section: Section, key: str) -> dict[str, Any]:
+        """Return the values by their keys."""
+        return self.read(section.section(key, self.accepted))
+
+    def read(self, section: Section) -> dict[str, Any]:
+        """Return the values by their keys; keys with a default are always there.
+
+        Raises:
+            ConfigError: naming file, key, value and what is accepted; of a section that gathers faults, after all were
+                looked at.
+        """
+        found: dict[str, Any] = {}
+        section.attempt(self._check_keys, section)
+        for key, shape in self.keys.items():
+            needed = any(self.needed_by.get(other) == key for other in section)
+            if key in section or shape.default is REQUIRED or needed:
+                section.attempt(lambda key=key, shape=shape: found.update({key: shape.take(section, key)}))
+            elif shape.default is not LEFT_OUT:
+                section.miss(key)
+                found[key] = shape.default
+            else:
+                section.miss(key)
+        if self.known:
+            section.attempt(section.finish)
+            return found
+        return {**section.content, **found}
+
+    def _check_keys(self, section: Section) -> None:
+        if self.one_of:
+            there = [key for key in self.one_of if key in section]
+            if len(there) != 1:
+                first, *others = self.one_of
+                told = "both are there" if len(self.one_of) == 2 else f"{len(there)} of them are there"
+                told = told if there else "none is there"
+                section.fault(first, f" and {', '.join(others)}: {told}; accepted: one of them")
+        if self.some_of and not any(key in section for key in self.some_of):
+            section.fault(self.some_of[0], f" is missing; accepted: one or more of {', '.join(self.some_of)}")
+
+    def rules(self) -> JsonSchema:
+        """Return keys and what ties them together."""
+        about = {key: {"$ref": f"#/$defs/{key}"} for key in ABOUT}
+        rules: JsonSchema = {
+            "type": "object",
+            "properties": {key: {"title": key.replace("_", " ")} | s.schema() for key, s in self.keys.items()} | about,
+        }
+        needed = [key for key, shape in self.keys.items() if shape.default is REQUIRED]
+        if needed:
+            rules["required"] = needed
+        if self.known:
+            rules["additionalProperties"] = False
+        if self.one_of:
+            rules["oneOf"] = [{"required": [key]} for key in self.one_of]
+        if self.some_of:
+            rules["anyOf"] = [{"required": [key]} for key in self.some_of]
+        if self.needed_by:
+            rules["allOf"] = [
+                {"if": {"required": [key]}, "then": {"required": [other]}} for key, other in self.needed_by.items()
+            ]
+        return rules
+
+
+@dataclass(frozen=True)
+class Entries(Shape):
+    """A mapping from names of one's own to values of one shape.
+
+    Attributes:
+        of: the shape.
+        least: how many entries there must be.
+        what: each entry is, in words.
+        names: pattern that all names must fit, if any, and what that means.
+    """
+
+    _: KW_ONLY
+    of: Shape
+    least: int = 0
+    what: str = "entry"
+    names: tuple[str, str] = ("", "")
+
+    def take(self, section: Section, key: str) -> dict[str, Any]:
+        """Return the values by their names."""
+        inner = section.section(key)
+        if sum(1 for _ in inner) < self.least:
+            section.refuse(key, inner.content, f"at least one {self.what}")
+        return self.read(inner)
+
+    def read(self, section: Section) -> dict[str, Any]:
+        """Return the values by their names.
+
+        Raises:
+            ConfigError: as `Group.read`.
+        """
+        found: dict[str, Any] = {}
+        pattern, accepted = self.names
+        for name in section:
+            if pattern and not re.search(pattern, name):
+                section.attempt(section.fault, name, f" is no name of a {self.what}; accepted: {accepted}")
+            section.attempt(lambda name=name: found.update({name: self.of.take(section, name)}))
+        return found
+
+    def rules(self) -> JsonSchema:
+        """Return what the values are."""
+        about = {key: {"$ref": f"#/$defs/{key}"} for key in ABOUT}
+        some: JsonSchema = {"minProperties": self.least} if self.least else {}
+        some |= {"propertyNames": {"pattern": self.names[0]}} if self.names[0] else {}
+        return {"type": "object", "properties": about, "additionalProperties": self.of.schema(), **some}
+
+
+@dataclass(frozen=True)
+class Either(Shape):
+    """A mapping of one shape, or a value of another."""
+
+    _: KW_ONLY
+    mapping: Shape
+    plain: Shape
+
+    def take(self, section: Section, key: str) -> Any:
+        """Return what it is."""
+        return (self.mapping if section.holds_mapping(key) else self.plain).take(section, key)
+
+    def rules(self) -> JsonSchema:
+        """Return both."""
+        return {"anyOf": [self.plain.schema(), self.mapping.schema()]}
+
+
+@dataclass(frozen=True)
+class Variants(Shape):
+    """A mapping whose other keys follow from the text under one of them, `key`."""
+
+    _: KW_ONLY
+    key: str
+    groups: Mapping[str, Group] = field(hash=False)
+    _rest: ClassVar[str] = "which of these keys there are"
+
+    def take(self, section: Section, key: str) -> dict[str, Any]:
+        """Return the values by their keys, `key` among them."""
+        inner = section.section(key)
+        chosen = inner.text(self.key, tuple(self.groups))
+        return {self.key: chosen, **self.groups[chosen].read(inner)}
+
+    def rules(self) -> JsonSchema:
+        """Return each group with the text that it belongs to."""
+        head = {self.key: {"description": self._rest, "enum": list(self.groups)}}
+        either = []
+        for text, group in self.groups.items():
+            rules = group.rules()
+            rules["properties"] = {self.key: {}} | rules["properties"]
+            either.append({"if": {"properties": {self.key: {"const": text}}}, "then": rules})
+        return {"type": "object", "properties": head, "required": [self.key], "allOf": either}

@@ -1,0 +1,138 @@
+"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
+from rx90_common.base.quoting import one_line, quoted
+from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_emulator.cli.completion import SHELLS, completion
+from rx90_emulator.cli.options import CommandParser, add_robot_arguments
+
+if TYPE_CHECKING:
+    from rx90_emulator.configuration.origins import ShownValue
+
+_COMPLETION = """
+Print the completion of all commands for a shell. To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config
+completion bash)", or zsh; that of zsh behind compinit.
+"""
+_SHOW = """
+Show what a setup comes to: each value with its unit, where it comes from (file and line, command line, default of the
+code), whether it is assumed, and the sentence that names its source.
+"""
+_KINDS = "controller, drives, friction, rig, sweep_plan …"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verbs and their options."""
+    verbs = parser.add_subparsers(required=True, metavar="VERB")
+    check = verbs.add_parser(
+        "check",
+        help="say what is wrong in configuration files",
+        description="Say what is wrong in configuration files, each problem in a line with key, value and what is "
+        "accepted. Exit code 0: nothing; 1: something is; 2: a file is not there, or it cannot be told what it is.",
+    )
+    check.add_argument("files", nargs="+", type=Path, metavar="FILE",
+                       help="YAML file of the project, or a robot folder: its files, and whether they fit "
+                       "together")  # fmt: skip
+    check.add_argument("--kind", metavar="KIND", help=f"what the files are ({_KINDS}); else told from their keys")
+    check.set_defaults(verb=_check)
+    about = "show what a setup comes to, and where each value comes from"
+    complete = verbs.add_parser(
+        "completion", help="print the completion of all commands for a shell", description=_COMPLETION
+    )
+    complete.add_argument("shell", choices=SHELLS)
+    complete.set_defaults(verb=_completion)
+    _add_show(verbs.add_parser("show", help=about, description=_SHOW))
+
+
+def _add_show(show: argparse.ArgumentParser) -> None:
+    show.set_defaults(verb=_show, ros_args=[])
+    add_robot_arguments(show, *FILES)
+    about = "what rx90_sim and rx90_controller come to with these, which may also stand behind --ros-args"
+    nodes = show.add_argument_group("nodes", about)
+    _add_parameters(nodes)
+    show.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_parameters(group: argparse._ActionsContainer) -> None:
+    group.add_argument("--params-file", type=Path, action="append", default=[], metavar="FILE", help="parameter file")
+    group.add_argument("-p", "--param", action="append", default=[], metavar="[NODE:]NAME:=VALUE", help="a parameter")
+    group.add_argument("--nodes", action="store_true", help="with the nodes' parameters also where none is given")
+
+
+def main(options: argparse.Namespace) -> int:
+    """Run the verb; return its exit code.
+
+    Raises:
+        Rx90Error: if it cannot be done.
+    """
+    code: int = options.verb(options)
+    return code
+
+
+def _check(options: argparse.Namespace) -> int:
+    from rx90_emulator.configuration.check import check_path, kind_named
+
+    kind = None if options.kind is None else kind_named(options.kind)
+    checked = [one for path in options.files for one in check_path(path, kind)]
+    for one in checked:
+        if not one.problems:
+            print(one_line(f"{one.path}: {one.kind}, no problem"))
+        for problem in one.problems:
+            print(problem)
+    return VERDICT_NO if any(one.problems for one in checked) else DONE
+
+
+def _completion(options: argparse.Namespace) -> int:
+    print(completion(options.shell, options.executables))
+    return DONE
+
+
+def _show(options: argparse.Namespace) -> int:
+    from rx90_emulator.configuration.showing import values_json, values_table
+
+    if options.ros_args:
+        _take_ros_args(options)
+    nodes = options.params_file or options.param or options.nodes
+    values = _of_nodes(options) if nodes else _of_files(options)
+    print(values_json(values) if options.json else values_table(values))
+    return DONE
+
+
+def _take_ros_args(options: argparse.Namespace) -> None:
+    """Add what stands behind --ros-args."""
+    parser = CommandParser(prog="--ros-args", add_help=False)
+    _add_parameters(parser)
+    given, other = parser.parse_known_args([word for word in options.ros_args if word != "--ros-args"])
+    if other:
+        raise ConfigError(f"--ros-args {quoted(other[0])}; accepted: -p and --params-file")
+    options.params_file += given.params_file
+    options.param += given.param
+
+
+def _of_nodes(options: argparse.Namespace) -> list[ShownValue]:
+    # Here, because it needs ROS.
+    from rx90_common.exchange.environment import prepare
+
+    prepare()
+    from rx90_emulator.configuration.node_values import GivenParameters, node_setup
+
+    named = [role for role in ("robot", *FILES) if getattr(options, role) is not None]
+    if named:
+        raise ConfigError(f"--{named[0]} with parameters of nodes; accepted: -p {named[0]}:=...")
+    return node_setup(GivenParameters.of(options.params_file, options.param))
+
+
+def _of_files(options: argparse.Namespace) -> list[ShownValue]:
+    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, setup_values
+    from rx90_emulator.loop.setup import Setup
+
+    files = RobotFiles.of_options(options)
+    Setup.load(files)
+    of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
+    chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
+    return setup_values(files, chosen)

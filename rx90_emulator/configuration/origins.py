@@ -1,0 +1,143 @@
+"""What a setup comes to: every value with where it comes from, and whether that is assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rx90_common.base.config import load_yaml, yaml_lines
+from rx90_common.base.groups import Either, Entries, Group
+from rx90_common.base.section import ABOUT
+from rx90_common.base.shapes import LEFT_OUT, Shape
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.friction.parameters import SIGNS
+from rx90_emulator.configuration.check import kind_named
+
+OF_CODE = "default of the code"
+COMMAND_LINE = "command line"
+ASSUMED = "assumed"
+_OTHERS = "others"
+
+
+class ShownValue(NamedTuple):
+    """A value of a setup.
+
+    Attributes:
+        name: role of the file and path of the key in it, or node and parameter.
+        value: plain data.
+        unit: of it; empty where it has none.
+        origin: the file with the line, the command line, or the code's default.
+        provenance: published, derived, assumed or identified; empty where nothing says so.
+        source: the sentence that names the source.
+    """
+
+    name: str
+    value: Any
+    unit: str
+    origin: str
+    provenance: str = ""
+    source: str = ""
+
+
+class _About(NamedTuple):
+    """What a mapping says of its values, or of each."""
+
+    provenance: Any
+    source: Any
+
+    def within(self, content: Mapping[str, Any], key: str) -> _About:
+        """Return what holds in the mapping under `key`."""
+        given = {name: content.get(name) for name in self._fields}
+        return _About(*(_for_key(given[name], key) or getattr(self, name) for name in self._fields))
+
+
+def _for_key(said: Any, key: str) -> Any:
+    return said.get(key, said.get(_OTHERS)) if isinstance(said, dict) else said
+
+
+def place_of(path: Path) -> str:
+    """Return what names a file in short: its path below config/ or below the working folder, or the path itself."""
+    for folder in (config_path(""), Path.cwd()):
+        if path.is_absolute() and path.is_relative_to(folder):
+            return path.relative_to(folder).as_posix()
+    return str(path)
+
+
+def file_values(role: str, path: Path) -> list[ShownValue]:
+    """Return the values of a robot's file, checked.
+
+    Raises:
+        ConfigError: naming file, key, value and what is accepted.
+    """
+    kind = kind_named(role)
+    kind.read(path)
+    root, lines = load_yaml(path), yaml_lines(path)
+    if not isinstance(kind.shape, Group):
+        return []
+    found = []
+    name = place_of(path)
+    for place, shape, value, about in _leaves(kind.shape, root.content, "", _About(None, None)):
+        line = lines.get(place)
+        origin = OF_CODE if line is None else f"{name}:{line}"
+        said = about if line is not None else _About(None, None)
+        one = ShownValue(f"{role}.{place}", value, shape.unit, origin, said.provenance or "", said.source or "")
+        found.append(_by_itself(one, root.content))
+    return found
+
+
+def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
+    """Return a value with what the block `identification` of a friction file says of it, if it says anything."""
+    _, blocks, *names = one.name.split(".")
+    known = content.get("identification", {}).get("parameters", {}) if blocks == "elements" else {}
+    if not names or names[0] not in known:
+        return one
+    parameter, *sign = names[1:]
+    entries = [known[names[0]].get(name) for name in (parameter, *(f"{parameter}_{each}" for each in sign or SIGNS))]
+    said = [entry for entry in entries if entry is not None]
+    if not said:
+        return one
+    first = next((entry for entry in said if entry["provenance"] == ASSUMED), said[0])
+    taken = first.get("taken_from")
+    reasons = [first.get("reason"), None if taken is None else f"taken from {taken}"]
+    source = "; ".join(reason for reason in reasons if reason)
+    return one._replace(provenance=first["provenance"], source=source or one.source)
+
+
+def _leaves(shape: Shape, content: Any, path: str, about: _About) -> Iterator[tuple[str, Shape, Any, _About]]:
+    """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
+    keys = shape.keys if isinstance(shape, Group) else {}
+    names = [name for name in content if name not in ABOUT]
+    for key in dict.fromkeys((*names, *keys)):
+        inner = shape.of if isinstance(shape, Entries) else keys.get(key)
+        if inner is None:
+            continue  # for readers alone
+        place = f"{path}{'.' * bool(path)}{key}"
+        said = about.within(content, key)
+        if key not in content:
+            if inner.default is not LEFT_OUT:
+                yield place, inner, inner.default, said
+        elif isinstance(content[key], dict):
+            mapping = inner.mapping if isinstance(inner, Either) else inner
+            yield from _leaves(mapping, content[key], place, said)
+        else:
+            yield place, inner, content[key], said
+
+
+def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValue]:
+    """Return the files of a robot and the values in them.
+
+    Args:
+        files: of the robot.
+        chosen: where the choice of a file comes from, by its role.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+    """
+    found = [ShownValue(f"file.{role}", files.text(role), "", chosen[role]) for role in FILES if role in chosen]
+    for role in FILES:
+        path: Path | None = getattr(files, role)
+        if role != "urdf" and path is not None:
+            found += file_values(role, path)
+    return found

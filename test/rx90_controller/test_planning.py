@@ -1,0 +1,120 @@
+"""Trajectories joined to a copy of the generator, and handed over: as the generator itself would have taken them."""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+import pytest
+from joint_moves import HOME, LIMITS, PERIOD, move
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import TrajectoryError
+from rx90_controller.trajectory import TrajectoryGenerator
+from rx90_controller.trajectory.planning import Entrance, Plan
+
+NOW, LEAD, END = 500, 30, 1000
+BACK = Entrance(move(0.05, 1.0), None)
+
+
+def running() -> TrajectoryGenerator:
+    """Return a generator in the midst of a motion that ends at END."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    generator.accept(move(0.2, 1.0), 0, 0)
+    generator.setpoints(0, NOW)
+    return generator
+
+
+def planned(generator: TrajectoryGenerator, entrance: Entrance = BACK, now: int = NOW) -> Plan:
+    """Return a trajectory that was joined at a tick."""
+    plan = Plan(generator, entrance, now, LEAD)
+    plan.join()
+    return plan
+
+
+def rest(generator: TrajectoryGenerator, tick: int) -> Array:
+    """Return what the generator does from a tick on."""
+    return generator.setpoints(tick, 3000)
+
+
+@pytest.mark.parametrize("late", [0, 10, LEAD])
+def test_what_is_handed_over_in_time_is_what_the_generator_would_do(late: int) -> None:
+    """It begins after the lead, to the bit; set-points that were sampled in advance are said to be out of date."""
+    generator, alone = running(), running()
+    plan, revision = planned(generator), generator.revision
+    schedule = plan.adopt(NOW + late)
+    assert schedule == alone.join(BACK.points, NOW, NOW + LEAD, anywhere=False)
+    assert schedule.begin == NOW + LEAD
+    assert generator.revision != revision
+    assert np.array_equal(rest(generator, NOW + late), rest(alone, NOW + late))
+
+
+def test_what_would_come_too_late_is_not_handed_over() -> None:
+    """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
+    for entrance, late in ((BACK, LEAD + 1), (Entrance(BACK.points, NOW + 5), 6), (Entrance(BACK.points, NOW), 1)):
+        plan = planned(running(), entrance)
+        assert plan.adopt(NOW + late) is None
+        assert plan.adopt(NOW + late - 1) is not None
+
+
+def test_from_rest_it_begins_when_it_is_there() -> None:
+    """Then the time that it took shifts the motion, and when it is said to run."""
+    generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
+    alone = copy(generator)
+    assert planned(generator).adopt(NOW + 77) == alone.join(BACK.points, NOW + 77, None, anywhere=False)
+    assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))
+
+
+def test_what_waits_is_replaced_unless_it_has_begun_meanwhile() -> None:
+    """A trajectory that would have begun before the one that is joined never runs; once it runs, it is joined to."""
+    generator, alone = running(), running()
+    generator.join(move(0.6, 2.0), NOW, NOW + 10, anywhere=False)
+    plan = planned(generator)
+    assert plan.adopt(NOW + 11) is None
+    assert plan.adopt(NOW + 10) is not None
+    alone.join(BACK.points, NOW, NOW + LEAD, anywhere=False)
+    assert np.array_equal(rest(generator, NOW + 10), rest(alone, NOW + 10))
+
+
+def test_a_change_of_the_speed_makes_it_out_of_date() -> None:
+    """One on the way, and one before, where what waits has been joined to what runs: the plan does not fit."""
+    generator = running()
+    plan = planned(generator)
+    generator.set_speed_scaling(0.5, NOW)
+    assert plan.adopt(NOW) is None
+    assert planned(generator).adopt(NOW) is not None
+    generator.set_speed_scaling(0.8, NOW + LEAD - 1)
+    assert planned(generator, now=NOW + LEAD - 1).adopt(NOW + LEAD - 1) is None
+
+
+def test_to_join_leaves_the_generator_alone() -> None:
+    """What the ticks use meanwhile is not touched, not even what they would compute themselves."""
+    generator = running()
+    generator.set_speed_scaling(0.5, NOW)
+    (law,) = generator._current.laws
+    before, revision, shape = rest(copy(generator), NOW)[0], generator.revision, law._series.shape
+    plan = Plan(generator, BACK, NOW, 400)
+    assert law is not plan._motion.laws[0]
+    plan.join()
+    assert generator.revision == revision
+    assert law._series.shape == shape
+    assert np.array_equal(generator.setpoints(NOW)[0], before)
+
+
+def test_an_end_is_told_once() -> None:
+    """Where the motion ends, and is said to have, while the next one is joined, the end is not told again."""
+    generator = running()
+    plan = planned(generator, now=END - 1)
+    assert generator.ended(END) is not None
+    assert plan.adopt(END + 1) is not None
+    assert [generator.ended(END + k) for k in range(1, LEAD - 1)] == [None] * (LEAD - 2)
+
+
+def test_a_refusal_is_handed_over_too() -> None:
+    """What breaks a limit is not computed a second time between the ticks."""
+    generator = running()
+    plan = planned(generator, Entrance(move(9.0, 1.0), None))
+    assert plan.fits(NOW + 900)
+    with pytest.raises(TrajectoryError, match="joint_1 has the position 9"):
+        plan.adopt(NOW + 900)
+    assert generator.setpoints(END + 1)[0, 0] == pytest.approx(HOME + 0.2)

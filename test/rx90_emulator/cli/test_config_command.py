@@ -1,0 +1,281 @@
+"""rx90_config: what is wrong in files, what a setup comes to, and completion in a real shell."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from config_samples import shipped, written
+
+from rx90_common.base.config import load_yaml
+from rx90_common.base.share import config_path
+from rx90_emulator.cli.frame import EXECUTABLES, run
+from rx90_emulator.configuration.check import kind_of
+
+Captured = pytest.CaptureFixture[str]
+Show = Callable[..., dict[str, dict[str, object]]]
+PACE = ".".join(("rx90_sim", "real_time_factor"))
+NODE_FILE = """\
+/**/rx90_sim:
+  ros__parameters:
+    real_time_factor: 0.5
+    tool: ""
+rx90_controller:
+  ros__parameters:
+    servo: {kp: [1, 2, 3, 4, 5, 6]}
+    feed_forward.coulomb: false
+"""
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    """Return a copy of a robot folder."""
+    return Path(shutil.copytree(config_path("robots/rx90b"), tmp_path / "arm"))
+
+
+@pytest.fixture
+def show(capsys: Captured) -> Show:
+    """Return a function that shows a setup and returns its values by their names."""
+
+    def call(*words: str) -> dict[str, dict[str, object]]:
+        assert run("rx90_config", ["show", "--json", *words]) == 0, capsys.readouterr().err
+        return {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+
+    return call
+
+
+def edited(path: Path, *changes: tuple[str, str]) -> None:
+    """Replace texts in a file."""
+    text = path.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+
+
+def line_of(path: Path, text: str) -> int:
+    """Return the line on which a text stands."""
+    return 1 + next(i for i, line in enumerate(path.read_text("utf-8").splitlines()) if text in line)
+
+
+def test_all_problems_of_a_file_are_told_with_their_lines(arm: Path, capsys: Captured) -> None:
+    """Each of several faults of a file is a line of its own, with the line in the file, value and what is accepted."""
+    tool = arm / "tool.yaml"
+    edited(tool, ("mass: 3.5", "mass: -3.5"), ("beam: [0.170", "beam: [high"), ("tcp:", "colour: red\ntcp:"))
+    assert run("rx90_config", ["check", str(tool)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said == [
+        f"{tool}:{line_of(tool, 'mass:')}: inertial.mass is -3.5; accepted: a number > 0",
+        f"{tool}:{line_of(tool, 'beam:')}: visual.cylinders.beam[0] is 'high'; accepted: 3 numbers, "
+        "each a finite number",
+        f"{tool}:{line_of(tool, 'colour:')}: colour is not a known key; accepted: collision, inertial, tcp, visual",
+    ]
+
+
+def test_what_only_the_reader_sees_is_told_too(arm: Path, capsys: Captured) -> None:
+    """A rule that ties two values together is told with the line, and so is the place of what is no YAML."""
+    friction, task = arm / "friction.yaml", arm / "task.yaml"
+    edited(friction, ("tau_c: 18.0", "tau_c: 38.0"))
+    edited(task, ("speed: 0.1", "speed: [0.1"))
+    assert run("rx90_config", ["check", str(friction), str(task)]) == 1
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith(f"{friction}:{line_of(friction, 'joint_3:')}: elements.joint_3: tau_s_positive is 23.0")
+    assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", second)
+
+
+def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
+    """Every good file is taken for what it is whatever it is called; what cannot be told is refused unless named."""
+    for kind, path in shipped() + written(tmp_path):
+        assert kind_of(path, load_yaml(path, first=True).content).name == kind, path
+    odd = tmp_path / "odd.yaml"
+    odd.write_text("mass: 1.0\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(odd)]) == 2
+    assert "cannot be told from its keys, mass; accepted: --kind with one of drives," in capsys.readouterr().err
+    assert run("rx90_config", ["check", "--kind", "tool", str(odd)]) == 1
+    assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
+    assert run("rx90_config", ["check", "--kind", "toll", str(odd)]) == 2
+    assert "kind 'toll'; accepted: drives, tool," in capsys.readouterr().err
+    assert run("rx90_config", ["check", str(tmp_path / "gone.yaml")]) == 2
+    assert "gone.yaml: no such file; accepted" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        ("friction.yaml", ("joint_4:", "joint_7:"), r"friction.yaml:\d+: elements.joint_4 is missing; accepted: one"),
+        ("poses.yaml", ("[0.0, -0.6,", "[0.0, -6.6,"), r"poses.yaml:? pose 1: joint_2 is -6.6 rad; accepted: \["),
+        ("moveit/joint_limits.yaml", ("joint_2:", "elbow:"), r"joint_limits.joint_2 is missing; accepted: joint_1, jo"),
+        ("tool.yaml", ("inertia: [0.010", "inertia: [0.001"), r"tool.yaml:\d+: inertial.inertia is \[0.001, 0.01, "),
+        ("robot.urdf", ("<robot", "<robott"), r"robot.urdf:(\d+:)? "),
+    ],
+)
+def test_a_robot_folder_is_checked_as_a_whole(
+    arm: Path, capsys: Captured, file: str, change: tuple[str, str], said: str
+) -> None:
+    """Names of joints, poses and limits must fit the arm; one fault in a good folder is one line."""
+    assert run("rx90_config", ["check", str(arm)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == f"{arm}: robot folder, no problem"
+    edited(arm / file, change)
+    assert run("rx90_config", ["check", str(arm)]) == 1
+    lines = [line for line in capsys.readouterr().out.splitlines() if not line.endswith(", no problem")]
+    assert re.search(said, lines[0]), lines
+    (arm / "drives.yaml").unlink()
+    assert run("rx90_config", ["check", str(arm)]) == 1
+    assert f"{arm}/drives.yaml: is missing; accepted: a drives file" in capsys.readouterr().out
+
+
+def test_a_parameter_file_of_the_nodes_is_checked(tmp_path: Path, capsys: Captured) -> None:
+    """Unknown names, ranges and numbers of values are told for each node, in any namespace; other nodes are let be."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(NODE_FILE + "rviz2: {ros__parameters: {odd: 1}}\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(file)]) == 0
+    assert capsys.readouterr().out == f"{file}: node_parameters, no problem\n"
+    edited(file, ("factor: 0.5", "factor: -1"), ("4, 5, 6]", "4, 5]"), ("coulomb:", "columb:"))
+    assert run("rx90_config", ["check", str(file)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == (
+        f"{file}:3: /**/rx90_sim.ros__parameters.real_time_factor is -1; accepted: a number in [0, 1000]"
+    )
+    assert said[1].startswith(
+        f"{file}:7: rx90_controller.ros__parameters.servo.kp is [1, 2, 3, 4, 5]; accepted: 6 numb"
+    )
+    assert f"{file}:8: rx90_controller.ros__parameters.feed_forward.columb is unknown to rx90_controller" in said[2]
+    file.write_text("rx90_sim: {ros__parameters: {time_mode: fast}}\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(file)]) == 1
+    assert ":1: rx90_sim.ros__parameters.time_mode is 'fast'; accepted: lock_step, free_r" in capsys.readouterr().out
+    file.write_text("rx90_sim: {ros__parameters: {paused: {}}}\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(file)]) == 1
+    assert ":1: rx90_sim.ros__parameters.paused is {}; accepted: true or false" in capsys.readouterr().out
+
+
+def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show) -> None:
+    """The values are those of the files, the line holds the key, and what the file calls assumed is marked."""
+    values = show("--robot", "tx40")
+    seen = 0
+    for role in ("drives", "friction", "controller"):
+        path = config_path(f"robots/tx40/{role}.yaml")
+        lines, data = path.read_text("utf-8").splitlines(), yaml.safe_load(path.read_text("utf-8"))
+        for name, one in values.items():
+            origin, _, line = str(one["origin"]).rpartition(":")
+            if name.startswith(f"{role}.") and origin:
+                *above, key = name.split(".")[1:]
+                holder = data
+                for part in above:
+                    holder = holder[part]
+                assert one["value"] == pytest.approx(holder[key])
+                assert f"{key}:" in lines[int(line) - 1]
+                about = {**data, **data[above[0]]}
+                assert (one["provenance"], one["source"]) == (about["provenance"], about["source"])
+                assert one["assumed"] == (about["provenance"] == "assumed")
+                seen += 1
+    assert seen > 60
+    assert values["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
+    assert values["drives.motor.peak_current"]["unit"] == "A"
+    assert values["file.tool"]["value"] == "none"
+
+
+def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path: Path, capsys: Captured) -> None:
+    """A single parameter wins over a file, that over the robot's files and the code; each says where it comes from."""
+    file = tmp_path / "nodes.yaml"
+    file.write_text(NODE_FILE, encoding="utf-8")
+    usual = show("--nodes")
+    assert usual[PACE]["origin"] == "default of the code"
+    assert str(usual["controller.servo.kp"]["origin"]).startswith("robots/rx90b/controller.yaml:")
+    values = show("--params-file", str(file))
+    assert (values[PACE]["value"], values[PACE]["origin"]) == (
+        0.5, f"{file}:3",
+    )  # fmt: skip
+    assert (values["controller.servo.kp"]["value"], values["controller.servo.kp"]["origin"]) == (
+        [1, 2, 3, 4, 5, 6], f"{file}:7",
+    )  # fmt: skip
+    assert values["controller.feed_forward.coulomb"]["value"] is False
+    assert values["file.tool"]["value"] == usual["file.tool"]["value"]
+    single = show("--params-file", str(file), "-p", "robot:=tx40", "--ros-args", "-p", "rx90_sim:real_time_factor:=0")
+    assert single[PACE]["origin"] == "command line"
+    assert single[PACE.replace("sim.real_time_factor", "controller.robot")]["value"] == "tx40"
+    assert single["file.drives"]["value"] == "robots/tx40/drives.yaml"
+    assert single["file.drives"]["origin"] == "robot tx40"
+    for words, said in (
+        (["-p", "rx90_sim:robot:=tx40"], "robot: tx40 and rx90b; accepted: the same for both nodes"),
+        (["-p", "pace:=1"], "-p 'pace:=1': no parameter of rx90_sim or rx90_controller"),
+        (["-p", "paused"], "-p 'paused'; accepted: [NODE:]NAME:=VALUE"),
+        (["-p", "paused:=1"], "parameter paused is 1; accepted: true or false"),
+        (["--robot", "tx40", "-p", "paused:=true"], "--robot with parameters of nodes; accepted: -p robot:=..."),
+    ):
+        assert run("rx90_config", ["show", *words]) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_the_table_names_assumptions_and_their_sources(capsys: Captured) -> None:
+    """For people a value stands in one line, an assumed one marked, with the number of the sentence below."""
+    assert run("rx90_config", ["show"]) == 0
+    out = capsys.readouterr().out
+    row = next(line for line in out.splitlines() if line.startswith("tool.inertial.mass"))
+    number = re.fullmatch(r"tool.inertial.mass +3.5 +kg +robots/rx90b/tool.yaml:6 +ASSUMED \[(\d+)\]", row)
+    assert number is not None, row
+    assert f"\n[{number[1]}] a welding head of 3.5 kg as a slim body" in out
+    assert re.search(r"^\d+ of \d+ values are assumed$", out, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("rx90_bag ", {"record", "compare", "info", "import"}),
+        ("rx90_bag record --stor", {"--storage"}),
+        ("rx90_bag record --storage ", {"mcap", "sqlite3"}),
+        ("rx90_bag record motor_s", {"motor_states"}),
+        ("rx90_run --robot r", {"rx90b", "robots"}),
+        ("rx90_run --task m", {"my_task.yaml"}),
+        ("rx90_run --output ", {"robots"}),
+        ("rx90_sweep run sweep/p", {"sweep/payload_and_speed.yaml"}),
+        ("rx90_config check m", {"my_task.yaml"}),
+        ("rx90_sim --params-file m", {"my_task.yaml"}),
+    ],
+)
+def test_bash_completes_verbs_options_files_and_robots(
+    words: str, expected: set[str], tmp_path: Path, bash_script: Path
+) -> None:
+    """In a real bash the completion of each command offers what is there, of verbs, too."""
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "my_task.yaml").touch()
+    program = words.split(" ", maxsplit=1)[0]
+    code = f"""
+source {bash_script}
+function_=$(complete -p {program} | sed 's/.*-F \\([^ ]*\\) .*/\\1/')
+COMP_WORDS=({words} {"''" if words.endswith(" ") else ""}); COMP_CWORD=$(( ${{#COMP_WORDS[@]}} - 1 ))
+$function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    done = subprocess.run(["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert set(done.stdout.split()) >= expected, done
+    assert "my_task.yaml" not in done.stdout or "my_task.yaml" in expected
+    assert not [each for each in done.stdout.split() if not each.startswith(words.rpartition(" ")[2])]
+
+
+@pytest.fixture(scope="module")
+def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the file of the completion for bash."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        printed: list[str] = []
+        monkeypatch.setattr("builtins.print", printed.append)
+        assert run("rx90_config", ["completion", "bash"]) == 0
+    file = tmp_path_factory.mktemp("completion") / "rx90.bash"
+    file.write_text("\n".join(printed), encoding="utf-8")
+    return file
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_the_completion_knows_every_command(shell: str, capsys: Captured) -> None:
+    """Every executable has its completion, and a shell that is there reads the script without an error."""
+    assert run("rx90_config", ["completion", shell]) == 0
+    script = capsys.readouterr().out
+    for name in EXECUTABLES:
+        assert re.search(rf"^(complete|\s*compdef) .*\b{name}$", script, re.MULTILINE), name
+    if shutil.which(shell):
+        done = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True, check=False, timeout=60)
+        assert (done.returncode, done.stderr) == (0, "")

@@ -1,0 +1,148 @@
+"""The JSON schemas say what the readers accept: of the shipped files, of those that are written, and of wrong ones."""
+
+from __future__ import annotations
+
+import copy
+import math
+import random
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from config_samples import EVERY_KIND, OWN, shipped, written
+from jsonschema import Draft202012Validator
+from schema_faults import schema_faults, validator
+
+from rx90_common.base.config import load_yaml
+from rx90_common.base.errors import Rx90Error
+from rx90_common.base.share import config_path
+from rx90_emulator.configuration.check import kind_named
+from tools import schemas
+
+ROOT = Path(__file__).resolve().parents[3]
+WRONG = (None, "text", True, 7, -3.5, 0, 1e400, -1e30, 0.5, [], [1.0], {}, {"odd": 1})
+MUTATIONS = 25  # of each kind
+TOGETHER = re.compile(
+    r"positive definite inertia|principal moments|from < to|counts_per_turn is missing|2 numbers, each|ends? at|"
+    r"takes .* s at|one for each name|length is|>= tau_c|bounds are|of the normal|stands twice|count of values|"
+    r"geomspace|is not there"
+)
+"""What is refused because of several values together, or of one in a list of unlike ones: no schema says that."""
+ELSEWHERE = {"rx90_common.bags.metadata", "rx90_controller.node.law_parameters", "rx90_emulator.demo.report"}
+ELSEWHERE |= {"rx90_emulator.identification.output.robot.folder"}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, Path]]:
+    """A good file, or several, of every kind."""
+    return shipped() + written(tmp_path_factory.mktemp("samples"))
+
+
+def test_the_shipped_schemas_are_those_of_the_readers() -> None:
+    """The files in config/schemas/ are what `python -m tools.schemas` writes, and are schemas of draft 2020-12."""
+    shipped_texts = {path.name: path.read_text(encoding="utf-8") for path in config_path("schemas").iterdir()}
+    assert shipped_texts == schemas.texts()
+    for kind in EVERY_KIND:
+        Draft202012Validator.check_schema(kind.json_schema())
+
+
+def test_every_reader_of_yaml_has_a_schema() -> None:
+    """Each module that reads YAML is that of a kind, but for those that read the file of a kind once more."""
+    readers = set()
+    for path in (*ROOT.glob("rx90_*/**/*.py"), *ROOT.glob("friction_bench/**/*.py")):
+        if re.search(r"(?<!def )load_yaml\(", path.read_text(encoding="utf-8")):
+            readers.add(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    text = (ROOT / "rx90_emulator/configuration/kinds.py").read_text(encoding="utf-8")
+    of_kinds = set(re.findall(r"^from ([\w.]+) import", text, re.MULTILINE))
+    own = {name for name in readers if name.startswith("rx90_emulator.configuration.")}
+    assert readers - own - {"rx90_common.base.config"} - of_kinds == ELSEWHERE
+
+
+def test_good_files_fit_their_schemas(samples: list[tuple[str, Path]]) -> None:
+    """Shipped files and those of every other kind are read, and fit their schemas."""
+    assert {kind for kind, _ in samples} == {kind.name for kind in EVERY_KIND}
+    for kind, path in samples:
+        kind_named(kind).read(path)
+        assert schema_faults(kind, path) == [], path
+
+
+def test_shipped_files_name_their_schemas() -> None:
+    """The first line of a shipped file leads an editor to its schema; a generated one needs none."""
+    for kind, path in shipped():
+        if kind != "moveit_limits":
+            line = path.read_text(encoding="utf-8").splitlines()[0]
+            assert line.startswith("# yaml-language-server: $schema=")
+            named = (path.parent / line.partition("=")[2]).resolve()
+            assert named == config_path(f"schemas/{kind}.json").resolve(), path
+
+
+def places(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the paths of all values."""
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for key, value in items:
+        yield (*path, key)
+        yield from places(value, (*path, key))
+
+
+def changed(data: Any, random_: random.Random) -> tuple[str, Any]:
+    """Return data with one value changed, taken away or added, and what was done."""
+    data = copy.deepcopy(data)
+    path = random_.choice(list(places(data)))
+    parent = data
+    for key in path[:-1]:
+        parent = parent[key]
+    how = random_.randrange(8)
+    if how == 0 and isinstance(parent, dict):
+        del parent[path[-1]]
+        return f"{path} taken away", data
+    if how == 1 and isinstance(parent, dict):
+        parent["unknown_key"] = 1.0
+        return f"{path}: unknown key", data
+    parent[path[-1]] = value = random_.choice(WRONG)
+    return f"{path} = {value!r}", data
+
+
+def refused(kind: str, path: Path, data: Any) -> str:
+    """Return why a file with this data is refused by its reader; empty if it is not."""
+    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
+    try:
+        kind_named(kind).read(path)
+    except Rx90Error as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("kind", [kind.name for kind in EVERY_KIND])
+def test_schema_and_reader_refuse_the_same(kind: str, samples: list[tuple[str, Path]], tmp_path: Path) -> None:
+    """Of random changes the schema refuses none that the reader takes, and 95 % of those that break a value's own rule.
+
+    Not among these: a whole number written as 1.0 where an integer is asked for, which JSON does not tell from 1.
+    """
+    random_ = random.Random(f"{kind} 1")
+    check = validator(kind)
+    of_kind = [path for name, path in samples if name == kind]
+    if kind in OWN:
+        shutil.copytree(of_kind[0].parent, tmp_path, dirs_exist_ok=True)
+    both, alone = 0, []
+    for _ in range(MUTATIONS):
+        file = random_.choice(of_kind)
+        what, data = changed(load_yaml(file).content, random_)
+        by_reader = refused(kind, tmp_path / file.name, data)
+        by_schema = not check.is_valid(data)
+        assert by_reader or not by_schema, f"{file.name}: {what}"
+        both += bool(by_reader and by_schema)
+        if by_reader and not by_schema and not TOGETHER.search(by_reader):
+            alone.append(f"{what}: {by_reader}")
+    assert both > MUTATIONS / 4
+    assert len(alone) <= 0.05 * (both + len(alone)), "\n".join(alone)
+
+
+def test_an_infinite_number_is_refused_by_the_schema() -> None:
+    """Infinity, which JSON has not, is beyond the largest number of a schema; NaN no schema can refuse."""
+    data = load_yaml(config_path("robots/rx90b/tool.yaml")).content
+    data["inertial"]["mass"] = math.inf
+    assert not validator("tool").is_valid(data)

@@ -1,0 +1,89 @@
+"""A good file of every kind: the shipped ones, and one for each kind of which none is shipped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import FILES, shipped_robots
+from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.node_file import NODE_FILE
+
+EVERY_KIND = (*KINDS, NODE_FILE)
+
+OWN = {
+    "trajectory": """\
+header: {stamp: {sec: 0, nanosec: 0}, frame_id: base_link}
+joint_names: [joint_1, joint_2, joint_3, joint_4, joint_5, joint_6]
+points:
+- {positions: [0, 0, 0, 0, 0, 0], time_from_start: {sec: 0, nanosec: 0}}
+- {positions: [0.1, 0, 0, 0, 0, 0], velocities: [], effort: [], time_from_start: {sec: 1}}
+""",
+    "log_mapping": """\
+time: {column: 1, unit: ms}
+topics:
+  joint_states:
+    names: [shoulder, elbow]
+    position: {columns: [2, 3], unit: counts, counts_per_turn: [4096, 8192], file: 2}
+    velocity: {columns: [dq1, dq2], unit: rad/s}
+    effort: {columns: [i1, i2], unit: A, factor: -1.5}
+delimiter: ;
+decimal: ','
+header: 2
+""",
+    "tolerances": """\
+"*": {velocity: 1.0e-6}
+joint_states:
+  position: 1.0e-9
+  joints: {joint_1: {position: 1.0e-8, effort: 2}}
+""",
+    "node_parameters": """\
+/**/rx90_sim:
+  ros__parameters:
+    real_time_factor: 0
+    robot: tx40
+    initial_position: [0, 0.1, 0, 0, 0, 0]
+    paused: true
+cell_1/rx90_controller:
+  ros__parameters:
+    servo: {kp: [1, 2, 3, 4, 5, 6]}
+    feed_forward.coulomb: false
+    constraints: {joint_1.goal: 0.1, goal_time: 1}
+    detail_decimation: 5
+friction_bench:
+  ros__parameters: {seed: 3, ramp_slope: 0.03}
+rviz2:
+  ros__parameters: {use_sim_time: true}
+""",
+    "payloads": """\
+loaded: {mass: 4.0, centre: [0.0, 0.01, 0.1], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.02]}
+""",
+    "experiments": """\
+sliding: [one]
+presliding: [two]
+excitation: []
+validation: [three]
+""",
+}
+
+
+def shipped() -> list[tuple[str, Path]]:
+    """Return kind and path of every shipped file that the project's own readers read."""
+    robots = [config_path(f"robots/{name}") for name in shipped_robots()]
+    found = [(role, folder / file) for folder in robots for role, file in FILES.items() if role != "urdf"]
+    found += [("moveit_limits", folder / "moveit" / "joint_limits.yaml") for folder in robots]
+    found += [("rig", path) for path in sorted(config_path("rig").glob("*.yaml"))]
+    found += [("sweep_plan", path) for path in sorted(config_path("sweep").glob("*.yaml"))]
+    return [(kind, path) for kind, path in found if path.is_file()]
+
+
+def written(folder: Path) -> list[tuple[str, Path]]:
+    """Write a file of each kind of which none is shipped; return kind and path."""
+    for bag in ("one", "two", "three"):
+        (folder / bag).mkdir()
+    found = []
+    for name, text in OWN.items():
+        path = folder / f"{name}.yaml"
+        path.write_text(text, encoding="utf-8")
+        found.append((name, path))
+    return found

@@ -1,0 +1,152 @@
+"""Does what a page of docs/ tells its reader to do, block by block, and compares what it says comes out.
+
+    ```yaml file=NAME        a file of that name; also python, which is then not run
+    ```console               lines after "$ " are run, in order; what follows each is what it prints
+    ```console terminal=NAME the first command of a terminal goes on; what follows is waited for. ^C interrupts it
+    ```python                run, in one interpreter for the page
+    ```text output           what the python block before it has printed
+    ```... skip              not run
+
+In an output `...` is any text, as in doctest, and runs of blanks are one. `echo $?` shows how the command before it
+ended; without it that is to be 0. Blocks in other languages are for reading.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import io
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+from processes import TIMEOUT, Processes
+
+from rx90_common.process.children import ChildProcess, executable
+from rx90_emulator.cli.frame import EXECUTABLES
+
+_STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
+_FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block of a page: the words behind its fence, its text, and the line on which it begins."""
+
+    language: str
+    words: tuple[str, ...]
+    text: str
+    line: int
+
+    def value(self, key: str) -> str | None:
+        """Return VALUE of the word `key=VALUE`."""
+        return next((word.partition("=")[2] for word in self.words if word.startswith(f"{key}=")), None)
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return the fenced blocks of a page."""
+    tokens = MarkdownIt().parse(page.read_text(encoding="utf-8"))
+    return [_block(token.info.split(), token.content, token.map[0] + 1) for token in tokens if token.type == "fence"]
+
+
+def _block(info: Sequence[str], text: str, line: int) -> Block:
+    return Block(info[0] if info else "", tuple(info[1:]), text, line)
+
+
+def commands(text: str) -> list[tuple[str, str]]:
+    """Return the commands of a console block, each with the output that is expected of it."""
+    parts = re.split(r"^(\$ .*|\^C)\n", text, flags=re.MULTILINE)
+    return [("", parts[0])] * bool(parts[0]) + [*zip(parts[1::2], parts[2::2], strict=True)]
+
+
+def same(expected: str, output: str) -> bool:
+    """Return whether an output is what a page says."""
+    return doctest.OutputChecker().check_output(expected, output, _FLAGS)
+
+
+class PageSession:
+    """One reader of one page, in the working folder.
+
+    Args:
+        page: the page.
+        processes: starts and ends what the reader starts.
+        faster: arguments that are added to a command, by its name.
+    """
+
+    def __init__(self, page: Path, processes: Processes, faster: Mapping[str, Sequence[str]]) -> None:
+        self._page, self._processes, self._faster = page, processes, faster
+        self._terminals: dict[str, ChildProcess] = {}
+        self._names: dict[str, object] = {}
+        self._printed = ""
+        self._code = 0
+
+    def run(self) -> None:
+        """Do it all; an AssertionError names the line of the page."""
+        for block in blocks(self._page):
+            where = f"{self._page.name}:{block.line}"
+            if "skip" in block.words:
+                continue
+            if (name := block.value("file")) is not None:
+                Path(name).write_text(block.text, encoding="utf-8")
+            elif block.language == "console":
+                for command, expected in commands(block.text):
+                    self._command(command, expected, block.value("terminal"), where)
+            elif block.language == "python":
+                self._python(block)
+            elif (block.language, block.words) == ("text", ("output",)):
+                assert same(block.text, self._printed), f"{where}: expected\n{block.text}printed\n{self._printed}"
+        assert self._code == 0, f"{self._page.name}: the last command ended with {self._code}"
+
+    def _python(self, block: Block) -> None:
+        printed = io.StringIO()
+        code = compile("\n" * block.line + block.text, str(self._page), "exec")
+        with contextlib.redirect_stdout(printed):
+            exec(code, self._names)
+        self._printed = printed.getvalue()
+
+    def _command(self, line: str, expected: str, terminal: str | None, where: str) -> None:
+        where += f": {line}"
+        command = line.removeprefix("$ ")
+        if terminal is not None:
+            self._in_terminal(command, expected, terminal, where)
+            return
+        if command == "echo $?":
+            assert expected == f"{self._code}\n", f"{where}: {self._code}"
+            self._code = 0
+            return
+        assert self._code == 0, f"{where}: the command before it ended with {self._code}"
+        done = self._processes.run(*self._words(command), timeout=TIMEOUT)
+        self._code = done.returncode
+        seen = (done.stdout, done.stderr + done.stdout)  # a reader may be shown either alone
+        assert any(same(expected, text) for text in seen), f"{where}: expected\n{expected}came\n{seen[1]}"
+
+    def _in_terminal(self, command: str, expected: str, terminal: str, where: str) -> None:
+        if command == "^C":
+            process = self._terminals.pop(terminal)
+            process.signal(signal.SIGINT)
+            assert process.wait() == 0, f"{where}: {process.output}"
+            assert not expected or same(f"...{expected}", process.output), f"{where}: {process.output}"
+            return
+        if command:
+            assert terminal not in self._terminals, f"{where}: {terminal} is busy"
+            self._terminals[terminal] = self._processes.start(*self._words(command))
+        process = self._terminals[terminal]
+        for part in filter(None, (part.strip() for part in expected.split("..."))):
+            process.wait_for(re.escape(part))
+
+    def _words(self, line: str) -> list[str]:
+        """Return the command line to start for one of the page's, which bash reads as the reader's shell does."""
+        first = line.split(maxsplit=1)[0]
+        if first not in EXECUTABLES and first != "ros2":
+            folder = Path(sys.executable).parent
+            return ["/bin/bash", "-c", f"PATH={folder}:$PATH; {line}"]
+        expanded = ["bash", "-c", f"printf '%s\\0' {line}"]
+        words = subprocess.run(expanded, capture_output=True, text=True, check=True).stdout.split("\0")[:-1]
+        if first == "ros2":
+            return [sys.executable, str(_STAND_IN), *words[1:]]
+        return executable(words[0], *words[1:], *self._faster.get(first, ()))

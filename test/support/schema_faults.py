@@ -1,0 +1,21 @@
+"""What a file's schema says against it, by a validator that is not the project's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from jsonschema import Draft202012Validator
+
+from rx90_common.base.config import load_yaml
+from rx90_common.base.share import config_path
+
+
+def validator(kind: str) -> Draft202012Validator:
+    """Return what checks data against the shipped schema of a kind."""
+    return Draft202012Validator(json.loads(config_path(f"schemas/{kind}.json").read_text(encoding="utf-8")))
+
+
+def schema_faults(kind: str, path: Path) -> list[str]:
+    """Return what is wrong in a file by the schema of a kind."""
+    return [error.message for error in validator(kind).iter_errors(load_yaml(path).content)]
