@@ -17,12 +17,12 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.urdf import JOINT_COUNT
 from rx90_common.description.wrist import coupling_matrix
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.measured.options import MeasuredLayout
 
 _JOINT_STATES = "joint_states"
-_ONCE_MORE = f"/sampled/{_JOINT_STATES}"
+_ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"
 _SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
 
 
