@@ -9,6 +9,7 @@ __all__ = [
     "ordering",
     "reading",
     "robot_name",
+    "storage",
     "summary",
     "tables",
     "tolerance",

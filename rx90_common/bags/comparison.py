@@ -180,8 +180,8 @@ def compare_bags(
     for topic in wanted:
         if topic not in both:
             raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
-    shift = time_shift(scope.align, paths, lambda number: _first_stamp((bag_a, bag_b)[number]))
-    series_a, series_b = bag_a.series, _moved(bag_b.series, shift)
+    shift = shift_between(bag_a, bag_b, scope.align)
+    series_a, series_b = bag_a.series, moved(bag_b.series, shift)
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
         for topic in wanted
@@ -196,6 +196,12 @@ def compare_bags(
     skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.is_joint_state}
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
     return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
+
+
+def shift_between(bag_a: JointBag, bag_b: JointBag, align: int | str) -> int:
+    """Return what to add to the stamps of the second bag, ns; `align` is that, START or TRAJECTORY."""
+    bags = (bag_a, bag_b)
+    return time_shift(align, [bag.path for bag in bags], lambda number: _first_stamp(bags[number]))
 
 
 def time_shift(align: int | str, paths: Sequence[Path], first_stamp: Callable[[int], int]) -> int:
@@ -225,7 +231,8 @@ def _first_stamp(bag: JointBag) -> int:
     return min(stamps)
 
 
-def _moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
+def moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
+    """Return the series with stamps that much later, ns."""
     if not shift_ns:
         return series
     return {topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found] for topic, found in series.items()}

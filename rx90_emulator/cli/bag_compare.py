@@ -75,10 +75,10 @@ def main(args: argparse.Namespace) -> int:
 
 
 def alignment(text: str) -> int | str:
-    """Return what --align says, as `Scope` takes it.
+    """Return what --align says: START, TRAJECTORY, or a time in ns.
 
     Raises:
-        BagError: for other words, and times that no stamp has.
+        BagError: for anything else.
     """
     from rx90_common.bags.comparison import START, TRAJECTORY
 
