@@ -16,7 +16,7 @@ _ROD, _BALL = 0.02, 1.6  # radius of rods as a share of the arm's length, of the
 _ROD_COLOR, _BALL_COLOR = np.array([0.75, 0.6, 0.2]), np.array([0.2, 0.3, 0.45])
 
 
-class Shape(NamedTuple):
+class VisualShape(NamedTuple):
     """A box, cylinder (along z) or sphere.
 
     Attributes:
@@ -36,7 +36,7 @@ class Shape(NamedTuple):
     color: Array
 
 
-def visual_shapes(robot: RobotModel) -> list[Shape]:
+def visual_shapes(robot: RobotModel) -> list[VisualShape]:
     """Return the visual geometry of an arm with its tool.
 
     Raises:
@@ -48,11 +48,11 @@ def visual_shapes(robot: RobotModel) -> list[Shape]:
         joint = int(shape.parentJoint) - 1  # Pinocchio's joint 0 is the world
         place = shape.placement
         color = np.array(shape.meshColor[:3])
-        found.append(Shape(kind, half, joint, np.array(place.translation), np.array(place.rotation), color))
+        found.append(VisualShape(kind, half, joint, np.array(place.translation), np.array(place.rotation), color))
     return found
 
 
-def drawn_shapes(robot: RobotModel) -> list[Shape]:
+def drawn_shapes(robot: RobotModel) -> list[VisualShape]:
     """Return the visual geometry of an arm; where its URDF has none that can be drawn, a rod from joint to joint.
 
     Most robots' URDFs name files of meshes, which seldom are where a bag is.
@@ -63,7 +63,7 @@ def drawn_shapes(robot: RobotModel) -> list[Shape]:
         return _rods(robot)
 
 
-def _rods(robot: RobotModel) -> list[Shape]:
+def _rods(robot: RobotModel) -> list[VisualShape]:
     places = [robot.model.jointPlacements[number + 1].translation for number in range(len(robot.joint_names))]
     places.append(robot.model.frames[robot.model.getFrameId(robot.tcp_frame)].placement.translation)
     radius = _ROD * float(sum(np.linalg.norm(place) for place in places))
@@ -72,11 +72,11 @@ def _rods(robot: RobotModel) -> list[Shape]:
         length = float(np.linalg.norm(place))
         if joint >= 0:
             ball = np.full(3, _BALL * radius)
-            found.append(Shape("Sphere", ball, joint, np.zeros(3), np.eye(3), _BALL_COLOR))
+            found.append(VisualShape("Sphere", ball, joint, np.zeros(3), np.eye(3), _BALL_COLOR))
         if length > radius:
             turn = np.array(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), place / length).matrix())
             half = np.array([radius, radius, 0.5 * length])
-            found.append(Shape("Cylinder", half, joint, 0.5 * np.array(place), turn, _ROD_COLOR))
+            found.append(VisualShape("Cylinder", half, joint, 0.5 * np.array(place), turn, _ROD_COLOR))
     return found
 
 

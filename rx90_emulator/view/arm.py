@@ -9,7 +9,7 @@ from viser import transforms
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.shapes import Shape, drawn_shapes
+from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_emulator.view.page import Page
 
 _GHOST_OPACITY = 0.3
@@ -74,7 +74,7 @@ class ArmScene:
     def _draw(
         scene: viser.SceneApi,
         path: str,
-        shapes: list[Shape],
+        shapes: list[VisualShape],
         opacity: float | None,
         tint: tuple[int, int, int] | None,
     ) -> None:
