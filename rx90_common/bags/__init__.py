@@ -12,6 +12,7 @@ __all__ = [
     "storage",
     "summary",
     "tables",
+    "time_shift",
     "tolerance",
     "topics",
     "trajectories",

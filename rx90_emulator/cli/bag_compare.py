@@ -75,12 +75,12 @@ def main(args: argparse.Namespace) -> int:
 
 
 def alignment(text: str) -> int | str:
-    """Return what --align says: START, TRAJECTORY, or a time in ns.
+    """Return what --align says, as `Scope` takes it.
 
     Raises:
-        BagError: for anything else.
+        BagError: for other words, and times that no stamp has.
     """
-    from rx90_common.bags.comparison import START, TRAJECTORY
+    from rx90_common.bags.time_shift import START, TRAJECTORY
 
     if text in (START, TRAJECTORY):
         return text

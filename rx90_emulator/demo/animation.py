@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.shapes import Shape, visual_shapes
+from rx90_common.description.shapes import VisualShape, visual_shapes
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
 
@@ -171,7 +171,7 @@ def _eye(start: Array, end: Array) -> Array:
     return np.array([right, np.cross(toward, right), toward])
 
 
-def _corners(shape: Shape) -> Array:
+def _corners(shape: VisualShape) -> Array:
     """Return points whose hull is the shape, in the frame that it moves with, m, shape (k, 3)."""
     turns = np.linspace(0.0, 2.0 * math.pi, _CORNERS, endpoint=False)
     circle = np.column_stack([np.cos(turns), np.sin(turns)])

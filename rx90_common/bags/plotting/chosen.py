@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rx90_common.bags.comparison import moved, shift_between
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, picked, read_joint_bag
 from rx90_common.bags.storage import BagReader
+from rx90_common.bags.time_shift import moved, shift_between
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 
