@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_emulator.view.bags.curves import RecordedCurve, CurvesPlot
+from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
 from rx90_emulator.view.bags.track import Track
