@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +141,21 @@ def test_who_interrupts_leaves_nothing(
     words = ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]
     assert run("rx90_bag", words) == 130
     assert "interrupted; nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_before_memory_is_mapped_to_it(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The room of an NPZ file is taken before its numbers come: 3, one line, nothing left, and no bus error."""
+
+    def no_room(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", no_room)
+    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "all.npz")]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "all.npz: cannot be written (No space left on device)" in line
     assert list(tmp_path.iterdir()) == []
 
 
