@@ -16,6 +16,7 @@ from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import listed, plain
 
+_OTHERS = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
 _LONGEST_PREFIX = 100  # characters of a name
 
@@ -59,6 +60,10 @@ def export_bag(
     single = output.suffix.lower() in FORMATS
     if single:
         kind = output.suffix.lower()
+    elif output.suffix.lower() in _OTHERS:
+        raise BagError(
+            f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none for a folder"
+        )
     with BagReader(path) as bag:
         chosen, left_out = _choose(bag, topics)
         counts = {topic.name: topic.count for topic in chosen}

@@ -165,6 +165,7 @@ def test_a_full_disk_is_told_before_memory_is_mapped_to_it(
         (["{bag}", "--output", "x.csv"], "x.csv would hold 3 topics, /friction_states, /joint_states, /rx90_con"),
         (["{bag}", "--output", "x.npz", "--topic", "joints"], "no topic /joints; JointState topics: "),
         (["{bag}", "--output", "there"], "there exists; accepted: a new name"),
+        (["{bag}", "--output", "x.mat"], "x.mat: the suffix says the format; accepted: .csv, .parquet, .npz, or none"),
         (["{bag}/none", "--output", "x.csv"], "none: no such bag"),
     ],
 )
