@@ -61,9 +61,7 @@ def export_bag(
     if single:
         kind = output.suffix.lower()
     elif output.suffix.lower() in _OTHERS:
-        raise BagError(
-            f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none for a folder"
-        )
+        raise BagError(f"{plain(output)}: the suffix says the format; accepted: {listed(FORMATS)}, or none")
     with BagReader(path) as bag:
         chosen, left_out = _choose(bag, topics)
         counts = {topic.name: topic.count for topic in chosen}
