@@ -70,6 +70,7 @@ setup(
         "PyYAML>=6.0.1,<7",
         "matplotlib>=3.6,<3.12",
         "Jinja2>=3.1.2,<4",
+        "bokeh>=3.9,<3.10",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
         "shtab>=1.7,<2",
@@ -80,8 +81,8 @@ setup(
             "ros-jazzy-common-interfaces>=5.3.6,<5.4",
         ],
         "sweep": ["pyarrow>=18,<27", "distributed>=2026.1,<2027"],
-        "view": VIEW,
         "docs": DOCS,
+        "view": VIEW,
         "test": TEST,
         "dev": [
             *TEST,

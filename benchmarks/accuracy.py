@@ -17,7 +17,7 @@ import dataclasses
 import itertools
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, hyb
 from benchmarks.report import merge, print_table
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
-from rx90_common.report.drawing import COLOURS, make_figure
+from rx90_common.report.plot import COLOURS, INK, Band, Curve, Panel, Plot
+from rx90_common.report.still import write_picture
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 
@@ -163,41 +164,35 @@ def full_speed(setup: Setup, stiffening: float = 1.0) -> FullSpeed:
 
 
 def draw(found: Convergence, file: Path) -> None:
-    """Draw the convergence as a PNG."""
-    figure, (tip, states) = make_figure(2, 6.4)
-    steps = np.array(SUBSTEPS)
+    """Draw the convergence as a picture."""
+    steps = np.array(SUBSTEPS, dtype=np.float64)
     spread = np.array([m.tip for m in found.solver_counts]) * 1e6
     shipped = np.array([[m.tip for m in found.counts[n]] for n in SUBSTEPS]) * 1e6
     exact = [found.exact[n] for n in SUBSTEPS]
-    tip.axhspan(*np.percentile(spread, [0, 100]), color=COLOURS[6], alpha=0.25, lw=0)
-    tip.axhline(float(np.median(spread)), color=COLOURS[6], lw=1, label="encoders as shipped: solver against itself")
-    middle = np.median(shipped, axis=1)
-    tip.errorbar(
-        steps,
-        middle,
-        [middle - shipped.min(axis=1), shipped.max(axis=1) - middle],
-        fmt="s",
-        capsize=3,
-        color=COLOURS[1],
-        label="encoders as shipped: plant step, median and range",
+    tips, joints, bristles = (
+        np.array(values) * 1e6
+        for values in zip(*((m.tip, m.joints.max(), m.bristles.max()) for m in exact), strict=True)
     )
-    _lines(tip, steps, "without rounding: plant step", [m.tip * 1e6 for m in exact], COLOURS[0])
-    tip.set_ylabel("worst tip difference, µm")
-    _lines(states, steps, "joint positions", [m.joints.max() * 1e6 for m in exact], COLOURS[0])
-    _lines(states, steps, "bristle deflections", [m.bristles.max() * 1e6 for m in exact], COLOURS[2])
-    states.set_ylabel("worst difference, µrad")
-    states.set_xlabel("plant steps in a tick of 250 µs")
-    for axes, first in ((tip, exact[0].tip), (states, exact[0].joints.max())):
-        axes.plot(steps, 2e6 * first / steps**2.0, "k:", lw=1, label="order 2")
-        axes.set(xscale="log", yscale="log")
-        axes.set_xticks(steps, [str(n) for n in steps])
-        axes.minorticks_off()
-        axes.legend(fontsize=8)
-    figure.savefig(file, dpi=130, metadata={"Software": None})
-
-
-def _lines(axes: Any, steps: NDArray[np.int64], label: str, values: list[float], colour: str) -> None:
-    axes.plot(steps, values, "o-", color=colour, label=label)
+    limits = np.percentile(spread, [0, 100])[:, None] * np.ones(2)
+    ends = steps[[0, -1]]
+    tip = [
+        Band(ends, *limits, "encoders as shipped: solver against itself"),
+        Curve(ends, np.full(2, float(np.median(spread))), "encoders as shipped: solver against itself", COLOURS[6]),
+        Band(steps, shipped.min(axis=1), shipped.max(axis=1), "encoders as shipped: plant step", COLOURS[1]),
+        Curve(steps, np.median(shipped, axis=1), "encoders as shipped: plant step", COLOURS[1], dots=True),
+        Curve(steps, tips, "without rounding: plant step", COLOURS[0], dots=True),
+        Curve(steps, 2.0 * tips[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
+    ]
+    states = [
+        Curve(steps, joints, "joint positions", COLOURS[0], dots=True),
+        Curve(steps, bristles, "bristle deflections", COLOURS[2], dots=True),
+        Curve(steps, 2.0 * joints[0] / steps**2.0, "order 2", INK, 1.0, "dotted"),
+    ]
+    panels = [
+        Panel(tip, "", "", "worst tip difference, µm", "log", "log"),
+        Panel(states, "", "plant steps in a tick of 250 µs", "worst difference, µrad", "log", "log"),
+    ]
+    write_picture(Plot(panels, height=3.2), file)
 
 
 def _exact_table(found: Convergence) -> None:

@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from benchmarks.agreement import Agreement, agreement
 from benchmarks.report import merge, print_table
 from rx90_common.friction import FrictionSet
-from rx90_common.report.drawing import COLOURS, make_figure
+from rx90_common.report.plot import COLOURS, Curve, Dots, Level, Mark, Panel, Plot
+from rx90_common.report.still import write_picture
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -219,43 +219,28 @@ def print_validity(cases: list[Case]) -> None:
 def plot(cases: list[Case], spacing: list[tuple[float, float]], file: Path) -> None:
     """Draw the disagreement over speed, over the size of the deviation, and over the spacing of the coarse points."""
     names = list(dict.fromkeys(case.controller for case in cases))
-    figure, (over_speed, over_size, over_spacing) = make_figure(3, 9.5, share_x=False)
+    accepted = Level(ACCEPTED_ERROR * 100, "accepted")
+    over_speed: list[Mark] = [accepted]
     for scale, colour in zip(SCALES, COLOURS, strict=False):
         line = [c for c in cases if c.controller == names[0] and c.scale == scale]
-        apart = [c.agreement.relative_difference * 100 for c in line]
-        over_speed.loglog([c.speed * 1e3 for c in line], apart, "o-", color=colour, label=f"friction x {scale:g}")
-    _ticks(over_speed, [s * 1e3 for s in SPEEDS])
-    _label(over_speed, "Controller as shipped", "line speed, mm/s", "tips apart, % of deviation")
+        apart = np.array([c.agreement.relative_difference * 100 for c in line])
+        speeds = np.array([c.speed * 1e3 for c in line])
+        over_speed.append(Curve(speeds, apart, f"friction x {scale:g}", colour, dots=True))
+    over_size: list[Mark] = [accepted]
     for name, colour in zip(names, COLOURS, strict=False):
         line = [c for c in cases if c.controller == name]
-        apart = [c.agreement.relative_difference * 100 for c in line]
-        over_size.loglog([c.agreement.worst[0] * 1e3 for c in line], apart, "o", color=colour, label=name)
-    _label(over_size, "All speeds, frictions and controllers", "largest deviation of the tip, mm", "tips apart, %")
-    for axes in (over_speed, over_size):
-        axes.axhline(ACCEPTED_ERROR * 100, color="black", linewidth=0.8, label="accepted")
-        axes.set_ylim(0.05, 30.0)
-        axes.legend(fontsize=8, ncols=2, loc="upper left")
-    over_spacing.semilogx([s * 1e3 for s, _ in spacing], [d * 1e6 for _, d in spacing], "o-", color=COLOURS[0])
-    over_spacing.set_ylim(bottom=0.0)
-    _ticks(over_spacing, [s * 1e3 for s in SPACINGS])
-    _label(
-        over_spacing,
-        f"As shipped, {SPEEDS[-1] * 1e3:.0f} mm/s",
-        "from coarse point to coarse point, ms",
-        "tips apart, um",
-    )
-    figure.savefig(file, dpi=110)
-
-
-def _ticks(axes: Axes, values: list[float]) -> None:
-    axes.set_xticks(values, [f"{value:g}" for value in values])
-    axes.minorticks_off()
-
-
-def _label(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_title(title, loc="left")
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
+        apart = np.array([c.agreement.relative_difference * 100 for c in line])
+        over_size.append(Dots(np.array([c.agreement.worst[0] * 1e3 for c in line]), apart, name, colour))
+    coarse = np.array(spacing)
+    over_spacing = Curve(coarse[:, 0] * 1e3, coarse[:, 1] * 1e6, dots=True)
+    panels = [
+        Panel(over_speed, "Controller as shipped", "line speed, mm/s", "tips apart, % of deviation", "log", "log"),
+        Panel(over_size, "All speeds, frictions and controllers", "largest deviation of the tip, mm", "tips apart, %",
+              "log", "log"),
+        Panel([over_spacing], f"As shipped, {SPEEDS[-1] * 1e3:.0f} mm/s", "from coarse point to coarse point, ms",
+              "tips apart, µm", "log", from_zero=True),
+    ]  # fmt: skip
+    write_picture(Plot(panels, height=3.2), file)
 
 
 def spacings(work: Work) -> list[tuple[float, float]]:

@@ -20,7 +20,7 @@ from rx90_common.base.requirements import missing_module
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
-pytest_plugins = ["browser", "processes", "lugre_oracle"]
+pytest_plugins = ["browser", "report_pages", "processes", "lugre_oracle"]
 
 # A background job or `nohup` ignores signals, and what it starts inherits that: tests of interrupts would wait in vain.
 for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):

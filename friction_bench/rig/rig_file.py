@@ -12,9 +12,9 @@ from friction_bench.protocol.errors import RigInputError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers
 from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import LEFT_OUT, Integer, Number, Numbers
 from rx90_common.friction.friction_file import read_element
 from rx90_common.friction.lugre import LuGreElement
 from rx90_common.friction.parameters import ELEMENT

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
@@ -12,16 +12,13 @@ import numpy as np
 from rx90_common.bags.alignment import Alignment, Side, align
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, read_joint_bag
+from rx90_common.bags.time_shift import START, TRAJECTORY, moved, shift_between
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, absolute
-from rx90_common.bags.trajectories import read_trajectories
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-
-START = "start"
-TRAJECTORY = "trajectory"
 
 
 class Verdict(IntEnum):
@@ -180,8 +177,8 @@ def compare_bags(
     for topic in wanted:
         if topic not in both:
             raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
-    shift = time_shift(scope.align, paths, lambda number: _first_stamp((bag_a, bag_b)[number]))
-    series_a, series_b = bag_a.series, _moved(bag_b.series, shift)
+    shift = shift_between(bag_a, bag_b, scope.align)
+    series_a, series_b = bag_a.series, moved(bag_b.series, shift)
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}
         for topic in wanted
@@ -196,39 +193,6 @@ def compare_bags(
     skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.is_joint_state}
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
     return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
-
-
-def time_shift(align: int | str, paths: Sequence[Path], first_stamp: Callable[[int], int]) -> int:
-    """Return what to add to the stamps of the second of two bags, ns.
-
-    Args:
-        align: as in `Scope`.
-        paths: of both bags.
-        first_stamp: gives the time at which the bag of this number begins, ns; asked for START alone.
-
-    Raises:
-        BagError: if a bag has no trajectory, for TRAJECTORY.
-    """
-    if isinstance(align, int):
-        return align
-    if align == TRAJECTORY:
-        starts = [read_trajectories(path)[-1].start_ns for path in paths]
-    else:
-        starts = [first_stamp(number) for number in range(2)]
-    return starts[0] - starts[1]
-
-
-def _first_stamp(bag: JointBag) -> int:
-    stamps = [int(one.stamp_ns.min()) for found in bag.series.values() for one in found if len(one.stamp_ns)]
-    if not stamps:
-        raise BagError(f"{plain(bag.path)}: holds no JointState message, so it has no start to be aligned")
-    return min(stamps)
-
-
-def _moved(series: dict[str, list[JointSeries]], shift_ns: int) -> dict[str, list[JointSeries]]:
-    if not shift_ns:
-        return series
-    return {topic: [replace(one, stamp_ns=one.stamp_ns + shift_ns) for one in found] for topic, found in series.items()}
 
 
 def _joint_state_topics(bag: JointBag) -> set[str]:

@@ -116,7 +116,7 @@ def read_joint_series(
     with BagReader(path) as bag:
         wanted = [topic for topic in bag.topics if topic.is_joint_state]
         if topics is not None:
-            wanted = _pick(Path(path), bag.topics, topics)
+            wanted = picked(Path(path), bag.topics, topics)
         return _read(bag, wanted, record_time)
 
 
@@ -148,7 +148,12 @@ def _read(bag: BagReader, topics: Sequence[BagTopic], record_time: bool) -> dict
         raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
 
 
-def _pick(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
+def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
+    """Return those of a bag's topics that are wanted.
+
+    Raises:
+        BagError: if one is not there as JointState, with those that are.
+    """
     by_name = {topic.name: topic for topic in there if topic.is_joint_state}
     wanted = dict.fromkeys(map(absolute, topics))
     for name in wanted:

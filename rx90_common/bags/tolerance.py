@@ -10,10 +10,10 @@ from typing import Final
 
 from rx90_common.bags.topics import FIELDS, USUAL_UNITS, absolute
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import BagError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
-from rx90_common.base.shapes import LEFT_OUT, Number
 
 ANY: Final = "*"
 GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"

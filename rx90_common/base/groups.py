@@ -1,4 +1,4 @@
-"""Mappings of files as tables of shapes: known keys, names of one's own, and keys that follow from another one."""
+"""Mappings of files as tables of entries: known keys, names of one's own, and keys that follow from another one."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, ClassVar, Final
 
+from rx90_common.base.entries import LEFT_OUT, REQUIRED, Entry, JsonSchema
 from rx90_common.base.section import ABOUT, PROVENANCE, Section
-from rx90_common.base.shapes import LEFT_OUT, REQUIRED, JsonSchema, Shape
 
 DEFINITIONS: Final[Mapping[str, JsonSchema]] = {
     "provenance": {
@@ -25,11 +25,11 @@ DEFINITIONS: Final[Mapping[str, JsonSchema]] = {
 
 
 @dataclass(frozen=True)
-class Group(Shape):
+class Group(Entry):
     """A mapping with known keys.
 
     Attributes:
-        keys: the shapes of their values.
+        keys: the entries of their values.
         one_of: keys of which there must be one and no other.
         some_of: keys of which there must be one at least.
         needed_by: key that must be there where another one is, by that other one.
@@ -38,7 +38,7 @@ class Group(Shape):
     """
 
     _: KW_ONLY
-    keys: Mapping[str, Shape] = field(hash=False)
+    keys: Mapping[str, Entry] = field(hash=False)
     one_of: tuple[str, ...] = ()
     some_of: tuple[str, ...] = ()
     needed_by: Mapping[str, str] = field(default_factory=dict, hash=False)
@@ -58,13 +58,13 @@ class Group(Shape):
         """
         found: dict[str, Any] = {}
         section.attempt(self._check_keys, section)
-        for key, shape in self.keys.items():
+        for key, entry in self.keys.items():
             needed = any(self.needed_by.get(other) == key for other in section)
-            if key in section or shape.default is REQUIRED or needed:
-                section.attempt(lambda key=key, shape=shape: found.update({key: shape.take(section, key)}))
-            elif shape.default is not LEFT_OUT:
+            if key in section or entry.default is REQUIRED or needed:
+                section.attempt(lambda key=key, entry=entry: found.update({key: entry.take(section, key)}))
+            elif entry.default is not LEFT_OUT:
                 section.miss(key)
-                found[key] = shape.default
+                found[key] = entry.default
             else:
                 section.miss(key)
         if self.known:
@@ -90,7 +90,7 @@ class Group(Shape):
             "type": "object",
             "properties": {key: {"title": key.replace("_", " ")} | s.schema() for key, s in self.keys.items()} | about,
         }
-        needed = [key for key, shape in self.keys.items() if shape.default is REQUIRED]
+        needed = [key for key, entry in self.keys.items() if entry.default is REQUIRED]
         if needed:
             rules["required"] = needed
         if self.known:
@@ -107,18 +107,18 @@ class Group(Shape):
 
 
 @dataclass(frozen=True)
-class Entries(Shape):
-    """A mapping from names of one's own to values of one shape.
+class Entries(Entry):
+    """A mapping from names of one's own to values of one entry.
 
     Attributes:
-        of: the shape.
+        of: the entry.
         least: how many entries there must be.
         what: each entry is, in words.
         names: pattern that all names must fit, if any, and what that means.
     """
 
     _: KW_ONLY
-    of: Shape
+    of: Entry
     least: int = 0
     what: str = "entry"
     names: tuple[str, str] = ("", "")
@@ -153,12 +153,12 @@ class Entries(Shape):
 
 
 @dataclass(frozen=True)
-class Either(Shape):
-    """A mapping of one shape, or a value of another."""
+class Either(Entry):
+    """A mapping of one entry, or a value of another."""
 
     _: KW_ONLY
-    mapping: Shape
-    plain: Shape
+    mapping: Entry
+    plain: Entry
 
     def take(self, section: Section, key: str) -> Any:
         """Return what it is."""
@@ -170,7 +170,7 @@ class Either(Shape):
 
 
 @dataclass(frozen=True)
-class Variants(Shape):
+class Variants(Entry):
     """A mapping whose other keys follow from the text under one of them, `key`."""
 
     _: KW_ONLY

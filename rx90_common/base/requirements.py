@@ -19,10 +19,12 @@ class Source(NamedTuple):
 
 SOURCES = {
     "backports": Source("rosbags"),  # backports.zstd
+    "bokeh": Source("bokeh"),
     "distributed": Source("distributed"),
     "jinja2": Source("Jinja2", "python3-jinja2"),
     "llvmlite": Source("numba"),
     "lz4": Source("rosbags"),
+    "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),

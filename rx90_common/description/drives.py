@@ -10,9 +10,9 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Integer, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
-from rx90_common.base.shapes import Integer, Number, Numbers
 from rx90_common.description.wrist import coupled_inertia
 
 _six = partial(Numbers, count=6, low=0.0)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Number, Numbers
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import LEFT_OUT, Number, Numbers
 from rx90_common.description.urdf import UrdfFile, inertia_fault
 
 MOUNT_LINK = "tool0"

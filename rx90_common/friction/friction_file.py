@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.entries import LEFT_OUT
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import PROVENANCE, Section
-from rx90_common.base.shapes import LEFT_OUT
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.lugre import LuGreElement
 from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend

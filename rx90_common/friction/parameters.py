@@ -7,9 +7,9 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
-from rx90_common.base.shapes import REQUIRED, Number, Shape
 
 SIGNS = ("positive", "negative")
 """Of the velocity, in the order in which everything keeps them."""
@@ -64,7 +64,7 @@ class FrictionParameter:
             return "a number in [{:g}, {:g}]".format(*self.bounds)
         return f"a {'' if self.default == math.inf else 'finite '}number {'>' if self.positive else '>='} 0"
 
-    def shape(self) -> Shape:
+    def entry(self) -> Entry:
         """Return what may stand under its key in a file."""
         low, high, above = self.interval
         about = f"{self.meaning[0].upper()}{self.meaning[1:]}."
@@ -103,7 +103,7 @@ FRICTION_PARAMETERS = (
 
 ELEMENT = Group(
     "A LuGre friction element (equations 17 to 19), joint side.",
-    keys={parameter.name: parameter.shape() for parameter in FRICTION_PARAMETERS},
+    keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS},
 )
 """What stands in a file for one element."""
 

@@ -1,3 +1,3 @@
-"""What every HTML report of the suite shares: its page and the look of its plots."""
+"""What every HTML report of the suite shares: its page, and plots that are described once and drawn in one style."""
 
-__all__ = ["drawing", "page"]
+__all__ = ["page", "plot", "still"]

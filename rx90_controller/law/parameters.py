@@ -12,11 +12,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import Number, Numbers, Switch
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.parameters import ALPHA_BOUNDS

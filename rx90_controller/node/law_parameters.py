@@ -10,9 +10,9 @@ from typing import Any, Final
 from rclpy.node import Node
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Entry, Numbers
 from rx90_common.base.groups import Group
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import Numbers, Shape
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
@@ -22,13 +22,13 @@ _OF_JOINTS: Final = "; six values, one for each motor, seen from its joint"
 _CHANGEABLE: Final = ("servo", "feed_forward", "supervision")
 
 
-def _about(shape: Shape) -> str:
+def _about(shape: Entry) -> str:
     """Return what a value of the controller file means, as other parameters say it."""
     unit = f", {shape.unit}" if len(shape.unit) > 1 else ""
     return f"{shape.about[:-1]}{unit}{_OF_JOINTS if isinstance(shape, Numbers) else ''}"
 
 
-LAW_SHAPES: Final = {
+LAW_ENTRIES: Final = {
     f"{section}.{key}": shape
     for section, group in CONTROLLER.keys.items()
     if section in _CHANGEABLE and isinstance(group, Group)
@@ -39,7 +39,7 @@ LAW_SHAPES: Final = {
 
 def forget_law_parameters(node: Node) -> None:
     """Undeclare the parameters, if they are declared: another file has other values."""
-    for name in LAW_SHAPES:
+    for name in LAW_ENTRIES:
         if node.has_parameter(name):
             node.undeclare_parameter(name)
 
@@ -64,12 +64,12 @@ class LawParameters:
         root = load_yaml(path)
         read_controller(root)
         self._content = CONTROLLER.read(root)
-        given = {name: declare(node, name, self._of_file(name), _about(shape)) for name, shape in LAW_SHAPES.items()}
+        given = {name: declare(node, name, self._of_file(name), _about(shape)) for name, shape in LAW_ENTRIES.items()}
         self.parameters = self._read(given)
 
     def change_with(self, change: Callable[[Any, Effective], None]) -> None:
         """Let the parameters be set: `change` gets the constants, and what to call with the time of their effect."""
-        group = ChangeGroup(tuple(LAW_SHAPES), lambda values: self._record(self._read(values)), change)
+        group = ChangeGroup(tuple(LAW_ENTRIES), lambda values: self._record(self._read(values)), change)
         self._node.changes.allow(group)
 
     def _of_file(self, name: str) -> Any:

@@ -1,17 +1,25 @@
-"""Record, import, compare and summarise bags."""
+"""Record, compare, draw, export, import and summarise bags."""
 
 from __future__ import annotations
 
 import argparse
 
-from rx90_emulator.cli import bag_compare, bag_import, bag_record
+from rx90_emulator.cli import bag_compare, bag_export, bag_import, bag_plot, bag_record
+
+_VERBS = {
+    "record": bag_record,
+    "compare": bag_compare,
+    "plot": bag_plot,
+    "export": bag_export,
+    "import": bag_import,
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add a parser for each verb."""
     parser.set_defaults(ros_args=[])  # `ros2 run` and launch files append them
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
-    for name, verb in (("record", bag_record), ("import", bag_import), ("compare", bag_compare)):
+    for name, verb in _VERBS.items():
         one = verbs.add_parser(name, help=verb.HELP, description=verb.__doc__)
         verb.add_arguments(one)
         one.set_defaults(run=verb.main)

@@ -1,11 +1,20 @@
-"""Make a bag of joint states from a log in columns: CSV, or separated by blanks; a mapping file says what they hold."""
+"""Make a bag of joint states from a log in columns: CSV, or separated by blanks; a mapping file says what they hold.
+
+Of a folder that `rx90_bag export` has written it makes the bag again.
+"""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import plain
 from rx90_emulator.cli.options import new_folder
+
+if TYPE_CHECKING:
+    from rx90_common.bags.importing.mapping import LogMapping
 
 HELP = "make a bag from a CSV log; a file says what its columns hold"
 EPILOG = """\
@@ -25,9 +34,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class, parser.epilog = argparse.RawDescriptionHelpFormatter, EPILOG
     parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("logs", nargs="+", type=Path, metavar="LOG",
-                        help="log to read; of several the rows belong together, one by one")  # fmt: skip
+                        help="log to read, of several the rows belong together; or an exported folder")  # fmt: skip
     parser.add_argument("bag", type=new_folder, metavar="BAG", help="bag to make; must not exist")
-    parser.add_argument("--mapping", type=Path, required=True, metavar="FILE", help="what the columns hold (.yaml)")
+    parser.add_argument("--mapping", type=Path, metavar="FILE",
+                        help="what the columns hold (the file named as the log, with .yaml)")  # fmt: skip
     parser.add_argument("--skip-corrupt", action="store_true",
                         help="leave out damaged rows and say which; otherwise they are refused")  # fmt: skip
     parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
@@ -40,9 +50,40 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
+    from rx90_common.bags.importing.exact import exported_logs
     from rx90_common.bags.importing.importing import import_logs
     from rx90_common.bags.importing.mapping import LogMapping
 
-    mapping = LogMapping.load(args.mapping)
+    if len(args.logs) == 1 and args.logs[0].is_dir():
+        if args.mapping is not None:
+            raise ConfigError(f"--mapping {plain(args.mapping)}: a folder has its own; accepted: none of the two")
+        _import_exact(exported_logs(args.logs[0]), args)
+        return
+    mapping = LogMapping.load(_mapping_file(args))
+    if mapping.exact and len(args.logs) == 1:
+        _import_exact([(args.logs[0], mapping)], args)
+        return
     done = import_logs(args.logs, args.bag, mapping, skip_corrupt=args.skip_corrupt, storage=args.storage)
     print(f"{done.text}\nbag: {args.bag}")
+
+
+def _mapping_file(args: argparse.Namespace) -> Path:
+    if args.mapping is not None:
+        return Path(args.mapping)
+    beside = Path(args.logs[0]).with_suffix(".yaml")
+    if not beside.is_file():
+        raise ConfigError(
+            f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"
+        )
+    return beside
+
+
+def _import_exact(logs: list[tuple[Path, LogMapping]], args: argparse.Namespace) -> None:
+    from rx90_common.bags.importing.exact import import_exact
+    from rx90_emulator.cli.progress import progress_bar
+
+    with progress_bar("import") as progress:
+        series = import_exact(logs, args.bag, args.storage, progress)
+    for one in series:
+        print(f"{plain(one.topic)}: {len(one.names)} joints, {len(one.stamp_ns)} messages")
+    print(f"bag: {args.bag}")

@@ -72,7 +72,7 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     """
     if _is_of_nodes(content):
         return _node_file()
-    likeness = {kind.name: _likeness(kind.shape, content) for kind in KINDS}
+    likeness = {kind.name: _likeness(kind.entry, content) for kind in KINDS}
     best = max(likeness, key=lambda name: likeness[name])
     if likeness[best] <= _LIKE or list(likeness.values()).count(likeness[best]) > 1:
         raise ConfigError(
@@ -82,19 +82,19 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
     return kind_named(best)
 
 
-def _likeness(shape: object, content: Mapping[str, Any]) -> float:
-    known, every = _known_keys(shape, content)
+def _likeness(entry: object, content: Mapping[str, Any]) -> float:
+    known, every = _known_keys(entry, content)
     return known / every if every else 0.0
 
 
-def _known_keys(shape: object, content: Any) -> tuple[int, int]:
+def _known_keys(entry: object, content: Any) -> tuple[int, int]:
     """Return how many keys of groups are known, and how many there are, those of groups in a group weighing as much."""
     if not isinstance(content, dict):
         return 0, 0
     counts = [0, 0]
     for key, value in ((key, value) for key, value in content.items() if key not in ABOUT):
-        inner = shape.keys.get(key) if isinstance(shape, Group) else shape.of if isinstance(shape, Entries) else None
-        if isinstance(shape, Group):
+        inner = entry.keys.get(key) if isinstance(entry, Group) else entry.of if isinstance(entry, Entries) else None
+        if isinstance(entry, Group):
             counts[0] += inner is not None
             counts[1] += 1
         if isinstance(inner, Group | Entries):
@@ -133,7 +133,7 @@ def check_file(path: Path, kind: FileKind | None = None) -> CheckedFile:
     except ConfigError as error:
         return CheckedFile(path, "unreadable" if kind is None else kind.name, (_told(path, error, {}),))
     kind = kind or kind_of(path, root.content)
-    kind.shape.read(root)
+    kind.entry.read(root)
     found: list[Rx90Error] = list(faults) or _refused(lambda: kind.read(path))
     lines = yaml_lines(path) if found else {}
     return CheckedFile(path, kind.name, tuple(_told(path, error, lines) for error in found))

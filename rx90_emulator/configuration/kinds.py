@@ -11,9 +11,9 @@ from friction_bench.rig.rig_file import RIG, load_rig
 from rx90_common.bags.importing.mapping import MAPPING, LogMapping
 from rx90_common.bags.tolerance import TOLERANCES, load_rules
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import JsonSchema, Number, Switch
 from rx90_common.base.groups import DEFINITIONS, Entries, Group
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import JsonSchema, Number, Switch
 from rx90_common.description.drives import DRIVES, load_drives
 from rx90_common.description.tool import TOOL, load_tool
 from rx90_common.friction.friction_file import FRICTION, FrictionFile
@@ -47,7 +47,7 @@ _MOVEIT_LIMITS = Group(
 )
 
 
-class ReadableShape(Protocol):
+class ReadableEntry(Protocol):
     """What a whole file may hold."""
 
     def read(self, section: Section) -> dict[str, Any]:
@@ -63,12 +63,12 @@ class FileKind:
 
     Attributes:
         name: of the kind and of its schema.
-        shape: what the file may hold.
+        entry: what the file may hold.
         read: the reader of all who use the file; raises Rx90Error.
     """
 
     name: str
-    shape: ReadableShape
+    entry: ReadableEntry
     read: Callable[[Path], Any]
 
     def json_schema(self) -> JsonSchema:
@@ -76,7 +76,7 @@ class FileKind:
         return {
             "$schema": "https://json-schema.org/draft/2020-12/schema",
             "title": f"{self.name.replace('_', ' ')} file of rx90_emulator",
-            **self.shape.schema(),
+            **self.entry.schema(),
             "$defs": dict(DEFINITIONS),
         }
 

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Entry, JsonSchema
 from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.base.quoting import listed
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import JsonSchema, Shape
 from rx90_common.exchange.parameter_changes import OF_ROS
 from rx90_common.exchange.qos_overrides import PREFIX
 from rx90_emulator.configuration.kinds import FileKind
@@ -58,7 +58,7 @@ def sections_of(root: Section) -> Iterator[tuple[str, Section]]:
 
 
 @dataclass(frozen=True)
-class NodeFile(Shape):
+class NodeFile(Entry):
     """A parameter file: sections of this project's nodes are checked, those of others are left alone."""
 
     def read(self, root: Section) -> dict[str, dict[str, Any]]:
@@ -89,19 +89,19 @@ def _known(node: str, name: str) -> bool:
 
 
 def _check(node: str, section: Section, given: Mapping[str, Any]) -> None:
-    shapes = dict(usual_parameters(node).shapes)
-    chosen = {name: given[name] for name in _OF_ROBOT if name in given and name in shapes}
+    entries = dict(usual_parameters(node).entries)
+    chosen = {name: given[name] for name in _OF_ROBOT if name in given and name in entries}
     if chosen:
-        section.attempt(lambda: shapes.update(declared(node, chosen).shapes))
+        section.attempt(lambda: entries.update(declared(node, chosen).entries))
     names = Section(dict(given), section.file, section.path, [])
     fine = True
     for name in given:
         if name in OF_ROS or name.startswith(PREFIX):
             continue
         try:
-            if name not in shapes:
-                names.fault(name, f" is unknown to {node}; accepted: {listed(shapes)}")
-            shapes[name].take(names, name)
+            if name not in entries:
+                names.fault(name, f" is unknown to {node}; accepted: {listed(entries)}")
+            entries[name].take(names, name)
         except ConfigError as error:
             fine = False
             section.attempt(_refuse, error)
@@ -122,9 +122,9 @@ def _declare(node: str, section: Section, given: Mapping[str, Any]) -> None:
 
 
 def _node_schema(node: str) -> JsonSchema:
-    shapes = usual_parameters(node).shapes
+    entries = usual_parameters(node).entries
     of_ros: JsonSchema = {name: {"description": "Of every ROS node."} for name in OF_ROS}
-    parameters = _names_schema({name: shape.schema() for name, shape in shapes.items()})
+    parameters = _names_schema({name: entry.schema() for name, entry in entries.items()})
     parameters["properties"] |= of_ros
     parameters["patternProperties"] = {f"^({PREFIX[:-1]}|{_CONSTRAINTS})(\\.|$)": {}}
     return {
@@ -147,9 +147,9 @@ def _names_schema(schemas: Mapping[str, JsonSchema]) -> JsonSchema:
 
 
 def _read(path: Path) -> object:
-    return _SHAPE.read(load_yaml(path))
+    return _NODE_ENTRY.read(load_yaml(path))
 
 
-_SHAPE = NodeFile("Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.")
-NODE_FILE = FileKind("node_parameters", _SHAPE, _read)
+_NODE_ENTRY = NodeFile("Parameters of nodes: a section for each, NODE: {ros__parameters: {...}}, in any namespace.")
+NODE_FILE = FileKind("node_parameters", _NODE_ENTRY, _read)
 """The kind of parameter files."""

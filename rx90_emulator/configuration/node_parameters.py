@@ -9,10 +9,10 @@ from types import SimpleNamespace
 from typing import Any
 
 from friction_bench.node.bench_node import declare_bench_parameters
+from rx90_common.base.entries import Entry, Integer, Number, Numbers, Switch, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import Integer, Number, Numbers, Shape, Switch, Text
 from rx90_common.description.robot import load_robot
 from rx90_common.exchange.lifecycle import declare_autostart
 from rx90_common.exchange.node_tools import declare_rates, declare_robot_files
@@ -21,7 +21,7 @@ from rx90_common.exchange.qos_overrides import PREFIX
 from rx90_controller.node.control import FILE_PARAMETERS as CONTROLLER_FILES
 from rx90_controller.node.control import declare_decimation, declare_horizon
 from rx90_controller.node.goal_parameters import declare_goal_parameters
-from rx90_controller.node.law_parameters import LAW_SHAPES, LawParameters
+from rx90_controller.node.law_parameters import LAW_ENTRIES, LawParameters
 from rx90_sim.node.parameters import FILE_PARAMETERS as SIMULATION_FILES
 from rx90_sim.node.parameters import declare_step_ticks, read_parameters
 
@@ -35,12 +35,12 @@ class DeclaredParameters:
         given: values by name.
 
     Attributes:
-        shapes: of the parameters by name, their defaults among them.
+        entries: of the parameters by name, their defaults among them.
         values: by name.
     """
 
     def __init__(self, given: Mapping[str, Any] | None = None) -> None:
-        self.shapes: dict[str, Shape] = {}
+        self.entries: dict[str, Entry] = {}
         self.values: dict[str, Any] = {}
         self._parameter_overrides = {
             name: SimpleNamespace(name=name, value=value, type_=None) for name, value in (given or {}).items()
@@ -48,7 +48,7 @@ class DeclaredParameters:
 
     def has_parameter(self, name: str) -> bool:
         """Return whether a parameter is declared."""
-        return name in self.shapes
+        return name in self.entries
 
     def get_parameter(self, name: str) -> SimpleNamespace:
         """Return a parameter."""
@@ -56,9 +56,9 @@ class DeclaredParameters:
 
     def declare_parameter(self, name: str, default: Any, descriptor: Any) -> SimpleNamespace:
         """Declare a parameter; a given value that it cannot have is refused."""
-        shape = self.shapes[name] = _shape(default, descriptor)
+        entry = self.entries[name] = _entry(default, descriptor)
         override = self._parameter_overrides.get(name)
-        self.values[name] = value = default if override is None else _checked(name, shape, override.value)
+        self.values[name] = value = default if override is None else _checked(name, entry, override.value)
         return SimpleNamespace(value=value)
 
     def refuse_unknown(self, node: str) -> None:
@@ -68,11 +68,11 @@ class DeclaredParameters:
             ConfigError: naming the first one, and those that there are.
         """
         for name in self._parameter_overrides:
-            if name not in self.shapes and name not in OF_ROS and not name.startswith(PREFIX):
-                raise ConfigError(f"parameter {plain(name)} is unknown to {node}; accepted: {listed(self.shapes)}")
+            if name not in self.entries and name not in OF_ROS and not name.startswith(PREFIX):
+                raise ConfigError(f"parameter {plain(name)} is unknown to {node}; accepted: {listed(self.entries)}")
 
 
-def _shape(default: Any, descriptor: Any) -> Shape:
+def _entry(default: Any, descriptor: Any) -> Entry:
     about = f"{descriptor.description[:1].upper()}{descriptor.description[1:]}."
     if isinstance(default, bool):
         return Switch(about, default=default)
@@ -91,9 +91,9 @@ def _range(ranges: Any, low: float, high: float) -> tuple[float, float]:
     return (ranges[0].from_value, ranges[0].to_value) if ranges else (low, high)
 
 
-def _checked(name: str, shape: Shape, value: Any) -> Any:
+def _checked(name: str, entry: Entry, value: Any) -> Any:
     try:
-        taken = shape.take(Section({name: value}, Path("parameter")), name)
+        taken = entry.take(Section({name: value}, Path("parameter")), name)
     except ConfigError as error:
         raise ConfigError(str(error).replace("parameter: ", "parameter ", 1)) from error
     return list(taken) if isinstance(taken, tuple) else taken
@@ -113,8 +113,8 @@ def _controller(node: Any) -> None:
     declare_horizon(node)
     declare_decimation(node)
     LawParameters(node, files.controller, lambda _: None)
-    for name, shape in LAW_SHAPES.items():  # which say more than a descriptor: the range of each number
-        node.shapes[name] = replace(shape, default=node.shapes[name].default)
+    for name, entry in LAW_ENTRIES.items():  # which say more than a descriptor: the range of each number
+        node.entries[name] = replace(entry, default=node.entries[name].default)
     declare_goal_parameters(node, load_robot(files.urdf).joint_names, rates)
 
 

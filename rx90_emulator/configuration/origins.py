@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rx90_common.base.config import load_yaml, yaml_lines
+from rx90_common.base.entries import LEFT_OUT, Entry
 from rx90_common.base.groups import Either, Entries, Group
 from rx90_common.base.section import ABOUT
-from rx90_common.base.shapes import LEFT_OUT, Shape
 from rx90_common.base.share import config_path
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction.parameters import SIGNS
@@ -74,15 +74,15 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
     kind = kind_named(role)
     kind.read(path)
     root, lines = load_yaml(path), yaml_lines(path)
-    if not isinstance(kind.shape, Group):
+    if not isinstance(kind.entry, Group):
         return []
     found = []
     name = place_of(path)
-    for place, shape, value, about in _leaves(kind.shape, root.content, "", _About(None, None)):
+    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About(None, None)):
         line = lines.get(place)
         origin = OF_CODE if line is None else f"{name}:{line}"
         said = about if line is not None else _About(None, None)
-        one = ShownValue(f"{role}.{place}", value, shape.unit, origin, said.provenance or "", said.source or "")
+        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.provenance or "", said.source or "")
         found.append(_by_itself(one, root.content))
     return found
 
@@ -105,12 +105,12 @@ def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
     return one._replace(provenance=first["provenance"], source=source or one.source)
 
 
-def _leaves(shape: Shape, content: Any, path: str, about: _About) -> Iterator[tuple[str, Shape, Any, _About]]:
+def _leaves(entry: Entry, content: Any, path: str, about: _About) -> Iterator[tuple[str, Entry, Any, _About]]:
     """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
-    keys = shape.keys if isinstance(shape, Group) else {}
+    keys = entry.keys if isinstance(entry, Group) else {}
     names = [name for name in content if name not in ABOUT]
     for key in dict.fromkeys((*names, *keys)):
-        inner = shape.of if isinstance(shape, Entries) else keys.get(key)
+        inner = entry.of if isinstance(entry, Entries) else keys.get(key)
         if inner is None:
             continue  # for readers alone
         place = f"{path}{'.' * bool(path)}{key}"

@@ -9,9 +9,9 @@ from typing import Any
 
 from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Integer, ListOf, Number, Texts
 from rx90_common.base.errors import ConfigError, TrajectoryError
 from rx90_common.base.groups import Group
-from rx90_common.base.shapes import Integer, ListOf, Number, Texts
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import points_from_message
 

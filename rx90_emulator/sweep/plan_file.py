@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Entry, Integer, ListOf, Number, Numbers, Other, Switch, Text
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Entries, Group
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import LEFT_OUT, Integer, ListOf, Number, Numbers, Other, Shape, Switch, Text
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, MODEL_FILES, RobotFiles
 from rx90_emulator.loop.catalogue import Value
@@ -84,7 +84,7 @@ _DISTRIBUTION = Group(
 )
 
 
-def _swept(space: Shape, each: Shape) -> Group:
+def _swept(space: Entry, each: Entry) -> Group:
     path = Text("A path, such as friction.*.c0.")
     return Group(
         "A swept quantity; its name is the path that it sets, unless there are paths.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,12 +35,13 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_report_page_is_complete(measured: Path) -> None:
+def test_report_page_is_complete(measured: Path, check_report: Callable[[Path], None]) -> None:
     """The page holds plots for both loads, the overlay and the comparison, and the source's bands."""
     page = (measured / "report.html").read_text()
-    assert page.count("<svg") == 4
+    assert page.count('<figure class="plot">') == 4
     for text in ("no-load", "loaded", "multibody", "closed form", "± 10", "± 7", "± 2", "joint side"):
         assert text in page
+    check_report(measured / "report.html")
 
 
 def test_friction_file_is_one_that_the_simulation_reads(measured: Path) -> None:

@@ -25,12 +25,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from markdown_it import MarkdownIt
-from processes import TIMEOUT, Processes
+from processes import Processes
 
 from rx90_common.process.children import ChildProcess, executable
 from rx90_emulator.cli.frame import EXECUTABLES
 
 _STAND_IN = Path(__file__).with_name("ros2_stand_in.py")
+_TIMEOUT = 400.0  # s, of a command: generous, for a loaded machine with nothing compiled yet
 _FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
@@ -120,7 +121,7 @@ class PageSession:
             self._code = 0
             return
         assert self._code == 0, f"{where}: the command before it ended with {self._code}"
-        done = self._processes.run(*self._words(command), timeout=TIMEOUT)
+        done = self._processes.run(*self._words(command), timeout=_TIMEOUT)
         self._code = done.returncode
         seen = (done.stdout, done.stderr + done.stdout)  # a reader may be shown either alone
         assert any(same(expected, text) for text in seen), f"{where}: expected\n{expected}came\n{seen[1]}"
@@ -129,7 +130,7 @@ class PageSession:
         if command == "^C":
             process = self._terminals.pop(terminal)
             process.signal(signal.SIGINT)
-            assert process.wait() == 0, f"{where}: {process.output}"
+            assert process.wait(_TIMEOUT) == 0, f"{where}: {process.output}"
             assert not expected or same(f"...{expected}", process.output), f"{where}: {process.output}"
             return
         if command:
@@ -137,7 +138,7 @@ class PageSession:
             self._terminals[terminal] = self._processes.start(*self._words(command))
         process = self._terminals[terminal]
         for part in filter(None, (part.strip() for part in expected.split("..."))):
-            process.wait_for(re.escape(part))
+            process.wait_for(re.escape(part), _TIMEOUT)
 
     def _words(self, line: str) -> list[str]:
         """Return the command line to start for one of the page's, which bash reads as the reader's shell does."""

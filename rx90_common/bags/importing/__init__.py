@@ -1,3 +1,3 @@
 """Logs of others as CSV or in columns, with a file that says what their columns hold, as bags of joint states."""
 
-__all__ = ["importing", "mapping"]
+__all__ = ["exact", "importing", "mapping"]

@@ -11,7 +11,8 @@ topics:
 ```
 
 Columns are numbers from 1 on, or names in the log's header. Of several logs that were written together row by row,
-`file: 2` takes columns from the second. Position, velocity and effort may each be left out. `delimiter`, `decimal` and
+`file: 2` takes columns from the second. `exact: true`, as `rx90_bag export` writes it, takes numbers and times as they
+stand. Position, velocity and effort may each be left out. `delimiter`, `decimal` and
 `header` (lines of it) are found out, and may be given.
 """
 
@@ -26,10 +27,10 @@ from typing import Any, Final, TypeAlias
 
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.section import Section
-from rx90_common.base.shapes import LEFT_OUT, Integer, ListOf, Number, Other, Text, Texts
 
 Column: TypeAlias = int | str
 """Number of a column, from 1 on, or its name."""
@@ -41,7 +42,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "velocity": {
         "rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, f"{COUNTS}/s": 2.0 * math.pi,
     },
-    "effort": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3},
+    "effort": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0},
 }  # fmt: skip
 """What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
@@ -115,6 +116,7 @@ MAPPING = Group(
         "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
         "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
         "header": Integer("Lines of header; found out if left out.", low=0, high=1000, default=LEFT_OUT),
+        "exact": Switch("Numbers and times are taken as they stand: NaN, any order.", default=False),
     },
     one_of=("time", "rate"),
 )  # fmt: skip
@@ -162,6 +164,7 @@ class LogMapping:
         delimiter: between columns, as in DELIMITERS; None to find it out.
         decimal: "." or ","; None to find it out.
         header: how many lines of header there are; None to find it out.
+        exact: whether every number, also NaN and an infinity, and times in any order are taken as they stand.
     """
 
     file: Path
@@ -172,6 +175,7 @@ class LogMapping:
     delimiter: str | None
     decimal: str | None
     header: int | None
+    exact: bool = False
 
     @property
     def files(self) -> int:
@@ -199,7 +203,12 @@ class LogMapping:
             delimiter=content.get("delimiter"),
             decimal=content.get("decimal"),
             header=content.get("header"),
+            exact=content["exact"],
         )
+        if mapping.exact and (mapping.delimiter != "," or mapping.header is None or time is None or mapping.files > 1):
+            raise ConfigError(
+                f"{root.where('exact')} is true; accepted together with delimiter: ',', header, time, and one log"
+            )
         if (mapping.delimiter, mapping.decimal) == (",", ","):
             raise ConfigError(
                 f"{root.where('decimal')} is ',', and so is delimiter: a field could not be told from a decimal; "

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Number, Numbers
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import listed, quoted
-from rx90_common.base.shapes import Number, Numbers
 
 PAYLOADS = Entries(
     "What was fixed to the last link in each loaded run, by name or path of the bag.",

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rx90_common.base.config import load_yaml
+from rx90_common.base.entries import Numbers, Rows
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Group
-from rx90_common.base.shapes import Numbers, Rows
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 

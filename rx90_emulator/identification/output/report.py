@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.report.page import render_page
+from rx90_common.report.plot import Plot
 from rx90_emulator.identification.output.plots import (
     correlation_plots,
     curve_plots,
@@ -37,7 +38,7 @@ def check_page(checks: Sequence[Validation], friction_file: str, now: datetime |
     )
 
 
-def _drawn(checks: Sequence[Validation]) -> list[tuple[Validation, str, str]]:
+def _drawn(checks: Sequence[Validation]) -> list[tuple[Validation, str, Plot]]:
     return [(check, Path(check.source).name, validation_plot(check)) for check in checks]
 
 

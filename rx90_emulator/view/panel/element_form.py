@@ -38,7 +38,7 @@ class ElementForm:
 
     def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
         self._page, self._file, self._start_with = page, file, start_with
-        self._result = file
+        self._result, self._missing = file, ""
         names = list(file.elements)
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
@@ -72,8 +72,10 @@ class ElementForm:
 
     def follow(self, missing: str) -> None:
         """Take what the simulation cannot be started again without, if anything."""
-        if self._start.disabled != bool(missing):
-            self._start.disabled = bool(missing)
+        self._missing = missing
+        disabled = bool(missing) or self._write.disabled
+        if self._start.disabled != disabled:
+            self._start.disabled = disabled
 
     def _chosen(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
@@ -107,13 +109,13 @@ class ElementForm:
         self._page.later(lambda: self._show(name, file, *plots))
 
     def _refused(self, text: str) -> None:
-        self._result = self._file
         self._verdict.content = sentence(text, wrong=True)
-        self._write.disabled = True
+        self._write.disabled = self._start.disabled = True
 
     def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
         self._result = file
         self._write.disabled = False
+        self.follow(self._missing)
         self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}")
         self._curve.data, self._loop.data = curve, loop
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()

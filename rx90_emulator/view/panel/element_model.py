@@ -72,7 +72,7 @@ def changed(file: FrictionFile, name: str, values: Mapping[str, float]) -> Frict
     before = file.elements[name]
     element = replace(before, **values)
     edits = [
-        f"{name}.{key} {getattr(before, key):g} -> {getattr(element, key):g} {unit}"
+        f"{name}.{key} from {getattr(before, key):g} to {getattr(element, key):g} {unit}"
         for key, unit in FRICTION_UNITS.items()
         if getattr(element, key) != getattr(before, key)
     ]

@@ -15,7 +15,7 @@ _PATIENCE = 2.0  # s without a motion until a slider shows the arm again, instea
 _MOVED = 1e-6  # rad
 _ROUNDING = 1e-6  # steps: a limit of whole degrees is one of the ends
 _SHORTEST, _LONGER = 0.02, 1.15  # s; from one try to the next
-_SAMPLES = np.linspace(0.0, 1.0, 33)
+_SAMPLES = np.linspace(0.0, 1.0, 33)[:-1]  # the last one would be the rest behind the end
 
 
 def jog(position: Array, velocity: Array, target: Array, limits: JointLimits, gentle: Approach) -> TrajectoryPoints:
@@ -31,19 +31,22 @@ def jog(position: Array, velocity: Array, target: Array, limits: JointLimits, ge
         limits: the controller's.
         gentle: share of their speeds, and acceleration.
     """
-    top = gentle.speed * limits.velocity
-    most = np.minimum(gentle.acceleration, limits.acceleration)
     # Slower than it is, it cannot be at once.
-    top, rest = np.maximum(top, np.abs(velocity)), np.zeros((2, 6))
-    start, end = np.stack([position, target]), np.stack([velocity, rest[0]])
+    top = np.maximum(gentle.speed * limits.velocity, np.abs(velocity))
+    most = np.minimum(gentle.acceleration, limits.acceleration)
+    rest = np.zeros((1, 6))
+    positions, velocities = np.stack([position, target]), np.vstack([velocity, rest])
     duration = _SHORTEST
-    while True:
-        sampled = np.abs(interpolate(np.array([0.0, duration]), start, end, rest).sample(_SAMPLES * duration))
-        # The last sample is the rest behind the end.
-        if (sampled[:-1, 1] <= top * (1.0 + 1e-9)).all() and (sampled[:-1, 2] <= most).all():
-            break
+    while _exceeds(duration, positions, velocities, top, most):
         duration *= _LONGER
-    return TrajectoryPoints(np.array([round(duration, 3)]), target[None], rest[:1], rest[:1])
+    return TrajectoryPoints(np.array([round(duration, 3)]), target[None], rest, rest)
+
+
+def _exceeds(duration: float, positions: Array, velocities: Array, top: Array, most: Array) -> bool:
+    """Return whether a quintic between two positions and velocities, shape (2, 6) each, is too fast anywhere."""
+    times = np.array([0.0, duration])
+    sampled = np.abs(interpolate(times, positions, velocities, np.zeros((2, 6))).sample(_SAMPLES * duration))
+    return bool((sampled[:, 1] > top * (1.0 + _ROUNDING)).any() or (sampled[:, 2] > most).any())
 
 
 class JogTarget:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -25,7 +26,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory, shipped: Setup, task: rx.LineT
     return folder
 
 
-def test_the_verdict_is_the_exit_code(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verdict_is_the_exit_code(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], check_report: Callable[[Path], None]
+) -> None:
     """0 for the robot that ran, 1 for tolerances that it cannot keep; a page says so and is not replaced unasked."""
     page = tmp_path / "page.html"
     assert run("rx90_compare_measured", [str(bag), "--report", str(page)]) == DONE
@@ -36,11 +39,12 @@ def test_the_verdict_is_the_exit_code(bag: Path, tmp_path: Path, capsys: pytest.
     ]
     text = page.read_text(encoding="utf-8")
     assert "<b>agrees</b>" in text
-    assert text.count("<svg") == 2
+    assert text.count('<figure class="plot">') == 2
     assert run("rx90_compare_measured", [str(bag), "--report", str(page)]) == REFUSED
     assert "exists; accepted: another name, or --force" in capsys.readouterr().err
     assert run("rx90_compare_measured", [str(bag), "--position-tolerance", "1e-12"]) == VERDICT_NO
     assert "DOES NOT AGREE" in capsys.readouterr().out
+    check_report(page)
 
 
 def test_other_arms_are_told_where_to_go(

@@ -23,10 +23,10 @@ def test_declared_parameters_are_those_of_running_nodes(node: str) -> None:
     joints = [f"joint_{k}" for k in range(1, 7)]
     every = [(name.replace("<joint>", joint), *rest) for name, *rest in rows for joint in joints]
     parameters = declared(node)
-    assert {name for name, *_ in every} == set(parameters.shapes)
+    assert {name for name, *_ in every} == set(parameters.entries)
     for name, default, accepted in every:
         assert parameters.values[name] == yaml.safe_load(default), name
-        rules = parameters.shapes[name].rules()
+        rules = parameters.entries[name].rules()
         ends = re.fullmatch(r"([\d.,e-]+) to ([\d.,e+]+)", accepted.strip())
         if ends is not None:
             assert (rules["minimum"], rules["maximum"]) == tuple(float(end.replace(",", "")) for end in ends.groups())

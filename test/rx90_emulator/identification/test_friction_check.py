@@ -84,7 +84,7 @@ def test_the_report_is_written_where_it_is_asked_for(hinge: Hinge, capsys: pytes
     page = (hinge.folder / "page.html").read_text(encoding="utf-8")
     assert "f.yaml" in page
     assert "<b>confirmed</b>" in page
-    assert "<svg" in page
+    assert '<figure class="plot">' in page
     assert hinge.check(*words) == REFUSED
     assert "page.html exists; accepted: another name, or --force" in capsys.readouterr().err.splitlines()[-1]
 

@@ -57,7 +57,7 @@ def test_a_changed_element_is_marked_and_read_back(tmp_path: Path, shipped: Setu
     assert after.elements["joint_2"] == replace(file.elements["joint_2"], tau_s_negative=41.5)
     assert (after.provenance, after.identification) == ("assumed", None)
     assert str(after.source).startswith(
-        "changed by hand: joint_2.tau_s_negative 36 -> 41.5 Nm; the other values identified"
+        "changed by hand: joint_2.tau_s_negative from 36 to 41.5 Nm; the other values identified"
     )
     path = tmp_path / "friction.yaml"
     path.write_text(after.text(), encoding="utf-8")

@@ -50,15 +50,17 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         parts.close()
 
 
-def tips(setup: Setup, positions: np.ndarray) -> np.ndarray:
-    """Return where Pinocchio has the tool centre point, m, shape (n, 3), from the URDF's text."""
-    model = pin.buildModelFromXML(setup.robot.urdf)
-    data, frame = model.createData(), model.getFrameId(setup.robot.tcp_frame)
-    found = []
-    for position in positions:
-        pin.framesForwardKinematics(model, data, position)
-        found.append(np.array(data.oMf[frame].translation))
-    return np.array(found)
+class Tips:
+    """Where Pinocchio has the tool centre point, from the URDF's text."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._model = pin.buildModelFromXML(setup.robot.urdf)
+        self._data, self._frame = self._model.createData(), self._model.getFrameId(setup.robot.tcp_frame)
+
+    def at(self, position: Any) -> np.ndarray:
+        """Return it for joint positions, rad; m, shape (3,)."""
+        pin.framesForwardKinematics(self._model, self._data, np.array(position))
+        return np.array(self._data.oMf[self._frame].translation)
 
 
 def test_what_is_done_on_the_page_happens(panel: Any, open_page: Open, shipped: Setup) -> None:
@@ -87,25 +89,24 @@ def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]
     shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
     assert not send.is_enabled()
     fill(shown, "speed", f"{SPEED}")
-    shown.wait_until(send.is_enabled, "a line that can be sent")
     length = float(np.linalg.norm(END - START))
-    assert f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of" in shown.text()
+    said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
+    shown.wait_until(lambda: said in shown.text() and send.is_enabled(), "the line with its approach")
     client = Client()
-    heard = client.listen("joint_states")
+    heard = client.listen("joint_states", depth=20_000)  # nobody spins while the page is used
     client.spin_until(lambda: bool(heard), "the arm")
     press(shown, "Send the line")
     wait_until(lambda: bool(sent), "the line on its way")
-    position: list[Any] = []
+    kinematics = Tips(setup)
 
     def arrived() -> bool:
-        position[:] = [m.position for m in heard if list(m.name) == JOINTS]
-        tip = tips(setup, np.array(position[-1:]))[0]
-        return bool(np.linalg.norm(tip - END) < 1e-4)
+        return bool(np.linalg.norm(kinematics.at(heard[-1].position) - END) < 1e-4)
 
     client.spin_until(arrived, "the end of the line")
     client.close()
+    assert {tuple(m.name) for m in heard} == {tuple(JOINTS)}
     times = np.array([seconds(m) for m in heard])
-    path = tips(setup, np.array(position))
+    path = np.array([kinematics.at(m.position) for m in heard])
     along = (path - START) @ (END - START) / length
     beside = np.linalg.norm(path - START - along[:, None] * (END - START) / length, axis=1)
     begun = int(np.flatnonzero(along < 1e-4)[-1])
@@ -136,14 +137,16 @@ def _an_element_is_changed(shown: BrowserPage) -> None:
     fill(shown, "tau", "40")
     text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
     shown.wait_until(lambda: text in shown.text(), "the element's refusal")
+    shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
     fill(shown, "tau", "20 28")
-    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive 25 -> 20 Nm" in shown.text(), "the change")
+    shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
+    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 28.0}" in shown.text(), "the YAML")
+    shown.wait_until(lambda: not np.equal(*shown.plots()[title]["data"][1:]).all(), "the other curve")
     velocity, before, after = map(np.array, shown.plots()[title]["data"])
     # Half a radian per second is ten Stribeck velocities: what is left is Coulomb and viscous friction.
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
         assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
-    assert "tau_c: {positive: 20.0, negative: 28.0}" in shown.text()
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
 
@@ -157,4 +160,4 @@ def fill(shown: BrowserPage, label: str, text: str) -> None:
 def press(shown: BrowserPage, name: str) -> None:
     """Press a button or a tab, wherever it is on the page."""
     wanted = shown.page.get_by_role("button", name=name).or_(shown.page.get_by_role("tab", name=name))
-    wanted.first.dispatch_event("click")
+    wanted.first.click()

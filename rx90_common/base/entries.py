@@ -1,6 +1,6 @@
 """What files may hold, as tables: readers check with them, and the JSON schemas for editors are written from them.
 
-A file is a `Group` (base/groups.py) of keys, each with its shape; its `read` returns plain data, or refuses by file,
+A file is a `Group` (base/groups.py) of keys, each with its `Entry`; its `read` returns plain data, or refuses by file,
 key, value and what is accepted. Rules that tie several values together are left to the readers.
 """
 
@@ -23,7 +23,7 @@ LEFT_OUT: Final = object()
 
 
 @dataclass(frozen=True)
-class Shape:
+class Entry:
     """What may stand under a key.
 
     Attributes:
@@ -57,7 +57,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Number(Shape):
+class Number(Entry):
     """A finite number in [low, high], or in (low, high] with `above`; with `nonzero` not 0."""
 
     _: KW_ONLY
@@ -103,7 +103,7 @@ class Numbers(Number):
 
 
 @dataclass(frozen=True)
-class Rows(Shape):
+class Rows(Entry):
     """A list, not an empty one, of rows of so many finite numbers."""
 
     _: KW_ONLY
@@ -119,7 +119,7 @@ class Rows(Shape):
 
 
 @dataclass(frozen=True)
-class Integer(Shape):
+class Integer(Entry):
     """An integer in [low, high]."""
 
     _: KW_ONLY
@@ -136,7 +136,7 @@ class Integer(Shape):
 
 
 @dataclass(frozen=True)
-class Switch(Shape):
+class Switch(Entry):
     """True or false."""
 
     def take(self, section: Section, key: str) -> bool:
@@ -149,7 +149,7 @@ class Switch(Shape):
 
 
 @dataclass(frozen=True)
-class Text(Shape):
+class Text(Entry):
     """A text, one of `choices` where there are any."""
 
     _: KW_ONLY
@@ -165,7 +165,7 @@ class Text(Shape):
 
 
 @dataclass(frozen=True)
-class Texts(Shape):
+class Texts(Entry):
     """A list of texts; with `once` not an empty one, and each text once."""
 
     _: KW_ONLY
@@ -185,7 +185,7 @@ class Texts(Shape):
 
 
 @dataclass(frozen=True)
-class Other(Shape):
+class Other(Entry):
     """A value with a test of its own.
 
     Attributes:
@@ -212,11 +212,11 @@ class Other(Shape):
 
 
 @dataclass(frozen=True)
-class ListOf(Shape):
-    """A list, of `least` items or more, that all have one shape; `accepted` says so in words."""
+class ListOf(Entry):
+    """A list, of `least` items or more, that all have one entry; `accepted` says so in words."""
 
     _: KW_ONLY
-    item: Shape
+    item: Entry
     accepted: str
     least: int = 0
 

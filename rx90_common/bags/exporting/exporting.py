@@ -1,0 +1,133 @@
+"""Write the joint states of a bag as tables, block by block."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rx90_common.bags.exporting.blocks import read_blocks
+from rx90_common.bags.exporting.tables import FORMATS, TableFile
+from rx90_common.bags.reading import picked
+from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.base.errors import BagError, write_error
+from rx90_common.base.quoting import listed, plain
+
+_ONE_TOPIC = (".csv", ".parquet")
+_LONGEST_PREFIX = 100  # characters of a name
+
+
+@dataclass(frozen=True)
+class ExportedBag:
+    """What an export has done.
+
+    Attributes:
+        files: that were written.
+        topics: names and numbers of messages.
+        left_out: topics that hold no joint states, or no messages.
+    """
+
+    files: tuple[Path, ...]
+    topics: tuple[tuple[str, int], ...]
+    left_out: tuple[str, ...]
+
+
+def export_bag(
+    path: Path,
+    output: Path,
+    *,
+    topics: Sequence[str] | None = None,
+    kind: str = ".csv",
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> ExportedBag:
+    """Write JointState topics of a bag as tables. Who interrupts it leaves nothing behind.
+
+    Args:
+        path: a bag.
+        output: file, whose suffix says the format, or a folder, which gets a file for each topic; new.
+        topics: topic names; by default all that hold messages.
+        kind: suffix of the files in a folder.
+        progress: called with the numbers of messages that are written and that there are.
+
+    Raises:
+        BagError: if the bag cannot be read, has no such topic, or a topic that no table can hold.
+        Rx90Error: if the files cannot be written.
+    """
+    single = output.suffix.lower() in FORMATS
+    if single:
+        kind = output.suffix.lower()
+    with BagReader(path) as bag:
+        chosen, left_out = _choose(bag, topics)
+        counts = {topic.name: topic.count for topic in chosen}
+        if not single:
+            plan = {f"{_file_name(name)}{kind}": [name] for name in counts}
+        elif kind in _ONE_TOPIC and len(chosen) > 1:
+            what = f"{plain(output)} would hold {len(chosen)} topics, {listed(counts)}"
+            raise BagError(f"{what}; accepted: one, with --topic, or the name of a folder")
+        else:
+            plan = {output.name: list(counts)}
+        with _beside(output, single=single) as folder:
+            _write(bag, chosen, {folder / name: held for name, held in plan.items()}, progress)
+            names = sorted(file.name for file in folder.iterdir())
+    place = output.parent if single else output
+    return ExportedBag(tuple(place / name for name in names), tuple(counts.items()), left_out)
+
+
+def _file_name(topic: str) -> str:
+    return topic.removeprefix("/").replace("/", ".")
+
+
+def _write(
+    bag: BagReader, topics: Sequence[BagTopic], plan: Mapping[Path, Sequence[str]], progress: Callable[[int, int], None]
+) -> None:
+    counts = {topic.name: topic.count for topic in topics}
+    total, done = sum(counts.values()), 0
+    with ExitStack() as open_files:
+        files: dict[str, TableFile] = {}
+        for path, held in plan.items():
+            file = FORMATS[path.suffix.lower()](path, counts)
+            open_files.callback(file.close)
+            files |= dict.fromkeys(held, file)
+        for series in read_blocks(bag, topics):
+            files[series.topic].add(series)
+            done += len(series.stamp_ns)
+            progress(done, total)
+
+
+def _choose(bag: BagReader, topics: Sequence[str] | None) -> tuple[list[BagTopic], tuple[str, ...]]:
+    if topics is not None:
+        chosen = picked(bag.path, bag.topics, topics)
+        for topic in chosen:
+            if not topic.count:
+                raise BagError(f"{plain(bag.path)}: no messages in {plain(topic.name)}")
+        return chosen, ()
+    chosen = [topic for topic in bag.topics if topic.is_joint_state and topic.count]
+    if not chosen:
+        raise BagError(
+            f"{plain(bag.path)}: holds no joint states, only {listed(t.name for t in bag.topics) or 'nothing'}"
+        )
+    return chosen, tuple(topic.name for topic in bag.topics if topic not in chosen)
+
+
+@contextmanager
+def _beside(output: Path, *, single: bool) -> Iterator[Path]:
+    """Yield a new folder beside the output; at the end it gets the output's name, or its files go where that stands."""
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        hidden = Path(tempfile.mkdtemp(prefix=f".{output.name[:_LONGEST_PREFIX]}.", dir=output.parent))
+        try:
+            folder = hidden / "files"
+            folder.mkdir()
+            yield folder
+            if not single:
+                folder.rename(output)
+            else:
+                for file in folder.iterdir():
+                    file.rename(output.parent / file.name)
+        finally:
+            shutil.rmtree(hidden, ignore_errors=True)
+    except OSError as error:
+        raise write_error(output, error) from error

@@ -1,0 +1,246 @@
+"""What a plot shows: curves, points and bands in panels. It is drawn as a picture (`still`) and to be zoomed (`live`).
+
+Arrays are float64 of shape (n,); NaN leaves a gap. Labels carry the units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+from matplotlib.path import Path
+from matplotlib.scale import SymmetricalLogTransform
+
+from rx90_common.base.arrays import Array
+
+# Colour-blind safe (Okabe and Ito), one for each of seven friction elements.
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
+INK: Final = "#222222"
+GREY: Final = "#888888"
+Dash: TypeAlias = Literal["solid", "dashed", "dotted", "dashdot"]
+Scale: TypeAlias = Literal["linear", "log", "symlog"]
+
+_MARGIN = 0.03  # of the data's range, on either side
+_CANVAS = 4000.0, 2000.0  # dots of a panel that is zoomed in a few times
+MOST_POINTS: Final = 4000
+"""Of a curve that is drawn."""
+_FEWEST_POINTS = 100
+_LINEAR_PART = 0.3  # decades that the linear part of a symlog axis is wide, on either side
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A line through points; with `dots` these are marked."""
+
+    x: Array
+    y: Array
+    label: str = ""
+    colour: str = COLOURS[0]
+    width: float = 1.0
+    dash: Dash = "solid"
+    dots: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Points alone, with bars of `error` above and below where it is given."""
+
+    x: Array
+    y: Array
+    label: str = ""
+    colour: str = COLOURS[0]
+    error: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What lies between two curves."""
+
+    x: Array
+    low: Array
+    high: Array
+    label: str = ""
+    colour: str = GREY
+
+
+@dataclass(frozen=True)
+class Level:
+    """A straight line through the whole panel, at y or, with `upright`, at x."""
+
+    at: float
+    label: str = ""
+    colour: str = INK
+    dash: Dash = "solid"
+    upright: bool = False
+
+
+Mark: TypeAlias = Curve | Dots | Band | Level
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Axes with what is drawn in them.
+
+    Attributes:
+        marks: from back to front; equal labels have one entry in the legend.
+        title: one line.
+        x_label: with unit; "" where the panel below says it.
+        y_label: with unit.
+        x_scale: symlog is logarithmic on either side of 0.
+        y_scale: linear or log.
+        from_zero: whether the y axis begins at 0.
+        smallest: on a symlog axis, the size at which the logarithmic part begins.
+    """
+
+    marks: Sequence[Mark]
+    title: str = ""
+    x_label: str = ""
+    y_label: str = ""
+    x_scale: Scale = "linear"
+    y_scale: Scale = "linear"
+    from_zero: bool = False
+    smallest: float = 1.0
+
+    @property
+    def x_range(self) -> tuple[float, float]:
+        """Return what the x axis shows."""
+        values = [mark.x for mark in self.marks if not isinstance(mark, Level)]
+        values += [np.array([mark.at]) for mark in self.marks if isinstance(mark, Level) and mark.upright]
+        if self.x_scale == "symlog":
+            low, high = _range([symlog(x, self.smallest) for x in values], "linear")
+            ends = symlog_transform(self.smallest).inverted().transform(np.array([low, high]))
+            return float(ends[0]), float(ends[1])
+        return _range(values, self.x_scale)
+
+    @property
+    def y_range(self) -> tuple[float, float]:
+        """Return what the y axis shows."""
+        values = []
+        for mark in self.marks:
+            if isinstance(mark, Band):
+                values += [mark.low, mark.high]
+            elif isinstance(mark, Level):
+                values += [] if mark.upright else [np.array([mark.at])]
+            else:
+                error = mark.error if isinstance(mark, Dots) and mark.error is not None else 0.0
+                values += [mark.y - error, mark.y + error]
+        low, high = _range(values, self.y_scale)
+        return (0.0 if self.from_zero else low), high
+
+
+@dataclass(frozen=True, eq=False)
+class Heat:
+    """Correlations from -1 to 1 as colours, of shape (k, k), NaN where there is none; a panel of its own."""
+
+    names: Sequence[str]
+    values: Array
+    title: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """Panels row by row.
+
+    Attributes:
+        panels: one at least.
+        columns: in which they stand; on a narrow screen below each other.
+        height: of a panel, inches.
+        share_x: whether all panels show the same range of x.
+    """
+
+    panels: Sequence[Panel | Heat]
+    columns: int = 1
+    height: float = 2.4
+    share_x: bool = False
+
+    @property
+    def x_range(self) -> tuple[float, float]:
+        """Return the range that all panels show where they share it."""
+        ranges = [panel.x_range for panel in self.panels if isinstance(panel, Panel)]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+
+def symlog_transform(smallest: float) -> SymmetricalLogTransform:
+    """Return the transform of a symlog axis, for `smallest` as in Panel."""
+    return SymmetricalLogTransform(10.0, smallest, _LINEAR_PART)
+
+
+def symlog(values: Array, smallest: float) -> Array:
+    """Return where values lie on a symlog axis, in decades."""
+    return np.asarray(symlog_transform(smallest).transform(values), dtype=np.float64)
+
+
+def symlog_ticks(low: float, high: float, smallest: float) -> list[float]:
+    """Return the decades from `smallest` on, either side, and 0, as far as they lie within the range."""
+    largest = max(abs(low), abs(high))
+    decades = 10.0 ** np.arange(np.ceil(np.log10(smallest) - 1e-9), np.floor(np.log10(largest)) + 1.0)
+    ticks = [*(-decades[::-1]).tolist(), 0.0, *decades.tolist()]
+    return [tick for tick in ticks if low <= tick <= high]
+
+
+def simplified(
+    panel: Panel, curve: Curve, most: int = MOST_POINTS, canvas: tuple[float, float] = _CANVAS
+) -> tuple[Array, Array]:
+    """Return fewer points of a curve, up to `most`, that look the same in this panel.
+
+    The line through them is right to a dot on a canvas of so many dots, or on the largest on which they are enough.
+    """
+    values = [
+        np.where(v > 0.0, np.log10(np.where(v > 0.0, v, 1.0)), np.nan) if scale == "log" else v
+        for v, scale in ((curve.x, panel.x_scale), (curve.y, panel.y_scale))
+    ]
+    width, height = canvas
+    points = _simplified(values, width, height)
+    while len(points) > max(most, _FEWEST_POINTS):
+        width, height = 0.7 * width, 0.7 * height
+        points = _simplified(values, width, height)
+    x, y = (
+        10.0**v if scale == "log" else v for v, scale in ((points[:, 0], panel.x_scale), (points[:, 1], panel.y_scale))
+    )
+    return x, y
+
+
+def points_for_each(plots: Sequence[Plot], together: int) -> int:
+    """Return how many points each curve of several plots may have, so that all have so many together at most.
+
+    Who needs fewer leaves the rest to the others.
+    """
+    panels = [panel for plot in plots for panel in plot.panels if isinstance(panel, Panel)]
+    curves = [(panel, mark) for panel in panels for mark in panel.marks if isinstance(mark, Curve)]
+    sizes = sorted(len(simplified(panel, curve)[0]) for panel, curve in curves)
+    for k, size in enumerate(sizes):
+        share = together // (len(sizes) - k)
+        if size > share:
+            return share
+        together -= size
+    return MOST_POINTS
+
+
+def _simplified(values: Sequence[Array], width: float, height: float) -> Array:
+    """Return the points, shape (k, 2), with NaN where the curve has a gap."""
+    ends = [(float(np.nanmin(v)), float(np.nanmax(v))) if np.isfinite(v).any() else (0.0, 0.0) for v in values]
+    low = np.array([first for first, _ in ends])
+    scale = np.array([s / (b - a) if b > a else 1.0 for (a, b), s in zip(ends, (width, height), strict=True)])
+    path = Path((np.column_stack(values) - low) * scale)
+    path.simplify_threshold = 0.5
+    clean = path.cleaned(simplify=True, remove_nans=True)
+    codes = np.asarray(clean.codes)
+    points = np.asarray(clean.vertices)[codes != Path.STOP]
+    starts = np.flatnonzero(codes[codes != Path.STOP] == Path.MOVETO)[1:]
+    return np.asarray(np.insert(points, starts, np.nan, axis=0) / scale + low)
+
+
+def _range(values: Sequence[Array], scale: Scale) -> tuple[float, float]:
+    """Return the range of finite values, of positive ones on a logarithmic axis, with a margin on either side."""
+    every = np.concatenate([np.ravel(one) for one in values]) if values else np.empty(0)
+    every = every[np.isfinite(every) & ((every > 0.0) | (scale != "log"))]
+    if not len(every):
+        return (0.1, 1.0) if scale == "log" else (0.0, 1.0)
+    low, high = float(every.min()), float(every.max())
+    if scale == "log":
+        factor = (high / low) ** _MARGIN if high > low else 2.0
+        return low / factor, high * factor
+    margin = _MARGIN * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin

@@ -1,0 +1,56 @@
+"""Draw the joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+
+The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction and
+tracking error, as far as the bag has them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rx90_common.base.errors import ConfigError, write_text
+from rx90_common.base.quoting import plain
+from rx90_emulator.cli.options import place
+
+HELP = "draw one bag, or two and their difference, as a page or a picture"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
+    parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
+    parser.add_argument("-o", "--output", type=place, metavar="FILE",
+                        help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
+    parser.add_argument("--force", action="store_true", help="replace a file that exists")
+    parser.add_argument("--topic", nargs="+", dest="topics", metavar="TOPIC",
+                        help="JointState topics (joint_states; on a page friction, tracking error, too)")  # fmt: skip
+    parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
+    parser.add_argument("--align", default="0", metavar="start|trajectory|S",
+                        help="moves the stamps of BAG2, as in compare (%(default)s)")  # fmt: skip
+
+
+def main(args: argparse.Namespace) -> None:
+    """Write the page or picture and say where it is.
+
+    Raises:
+        Rx90Error: if it cannot be done.
+    """
+    # Here, because --help must not wait for them.
+    from rx90_common.bags.plotting.plotting import bag_page, check_suffix, joined, picture_title, plot_bags
+    from rx90_common.report.still import write_picture
+    from rx90_emulator.cli.bag_compare import alignment
+
+    output: Path = args.output or place(f"{args.bag.resolve().name}.html")
+    is_page = check_suffix(output)
+    if output.exists() and not args.force:
+        raise ConfigError(f"{plain(output)} exists; accepted: another name, or --force")
+    paths = [args.bag] if args.second is None else [args.bag, args.second]
+    plots = plot_bags(
+        paths, topics=args.topics, joints=args.joints, align=alignment(args.align), most=3 if is_page else 1
+    )
+    if is_page:
+        write_text(output, bag_page(paths, plots))
+    else:
+        write_picture(joined(plots), output, picture_title(paths, plots))
+    print(f"{'page' if is_page else 'picture'}: {plain(output.resolve())}")

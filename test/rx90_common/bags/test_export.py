@@ -1,0 +1,213 @@
+"""`rx90_bag export` and `import` of what it wrote: names, units, every bit, memory, interrupts, refusals."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet
+import pytest
+import scipy.io
+from bag_making import joint_state, write_ros2
+
+from rx90_common.bags.comparison import Verdict, compare_bags
+from rx90_common.bags.exporting import blocks
+from rx90_common.bags.exporting.exporting import export_bag
+from rx90_common.bags.importing import exact
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import read_bag
+from rx90_common.bags.writing import write_joint_states
+from rx90_common.base.errors import BagError
+from rx90_emulator.cli.frame import run
+
+NAMES = ("joint_1", "joint_2")
+RNG = np.random.default_rng(12)
+TIMES = np.sort(RNG.choice(10**12, 300, replace=False)) + 1_790_000_000 * 10**9  # ns of the wall clock
+
+
+def odd_numbers(count: int) -> np.ndarray:
+    """Return numbers of all sizes: any bits that are no NaN, both zeros, both infinities, both usual NaN."""
+    found = RNG.integers(0, 2**64, (count, len(NAMES)), dtype=np.uint64).view(np.float64)
+    found[~np.isfinite(found)] = 5e-324
+    found[:3] = [[-0.0, np.inf], [np.nan, -np.inf], [np.copysign(np.nan, -1.0), 0.1 + 0.2]]
+    return found
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag with three topics, the last of them of a current."""
+    folder = tmp_path_factory.mktemp("bag") / "run"
+    values = [odd_numbers(len(TIMES)) for _ in range(5)]
+    series = [
+        JointSeries("/joint_states", NAMES, TIMES, *values[:3]),
+        JointSeries("/friction_states", NAMES, TIMES[::2].copy(), position=values[3][::2].copy()),
+        JointSeries("/rx90_controller/motor_current", NAMES, TIMES, effort=values[4]),
+    ]
+    write_joint_states(folder, series)
+    return folder
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make blocks so small that the bag has several."""
+    monkeypatch.setattr(blocks, "_BLOCK", 64)
+    monkeypatch.setattr(exact, "_BLOCK", 50)
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_a_bag_comes_back_from_csv_to_the_last_bit(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exported and imported again it is the same bag, with stamps of the wall clock, any number, in several blocks."""
+    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
+    assert run("rx90_bag", ["import", str(tmp_path / "out"), str(tmp_path / "again")]) == 0
+    said = capsys.readouterr().out
+    assert "/friction_states: 150 messages" in said
+    assert "/joint_states: 2 joints, 300 messages" in said
+    comparison = compare_bags(bag, tmp_path / "again")
+    assert comparison.verdict is Verdict.SAME
+    assert [topic.pairs for topic in comparison.topics] == [150, 300, 300]
+    one = tmp_path / "one.csv"
+    assert run("rx90_bag", ["export", str(bag), "--output", str(one), "--topic", "joint_states"]) == 0
+    assert run("rx90_bag", ["import", str(one), str(tmp_path / "from_one")]) == 0
+    assert compare_bags(bag, tmp_path / "from_one").topics[1].verdict is Verdict.SAME
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_tables_are_what_others_read(bag: Path, tmp_path: Path) -> None:
+    """CSV by pandas and Parquet by pyarrow and pandas have the bag's numbers, under names with units."""
+    series = read_bag(bag)["friction_states"]
+    names = [f"{name} bristle deflection [rad]" for name in NAMES]
+    export_bag(bag, tmp_path / "f.csv", topics=["friction_states"])
+    with (tmp_path / "f.csv").open(encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["time [s]", *names]
+    assert [int(row[0].replace(".", "")) for row in rows[1:]] == series.stamp_ns.tolist()
+    table = np.array([[float(text) for text in row[1:]] for row in rows[1:]])
+    assert list(pd.read_csv(tmp_path / "f.csv")) == rows[0]
+    assert series.position is not None
+    assert np.array_equal(table, series.position, equal_nan=True)
+    export_bag(bag, tmp_path / "f.parquet", topics=["friction_states"])
+    frame = pd.read_parquet(tmp_path / "f.parquet")
+    assert list(frame) == ["stamp [ns]", "time [s]", *names]
+    assert frame["stamp [ns]"].tolist() == series.stamp_ns.tolist()
+    assert frame[names].to_numpy().tobytes() == series.position.tobytes()
+    schema = pyarrow.parquet.read_schema(tmp_path / "f.parquet")
+    assert schema.metadata[b"topic"] == b"/friction_states"
+    assert schema.field(names[1]).metadata == {b"unit": b"rad", b"joint": b"joint_2", b"field": b"position"}
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_npz_arrays_go_to_matlab_and_back(bag: Path, tmp_path: Path) -> None:
+    """All topics stand in one NPZ file under names that MATLAB takes; savemat and loadmat give the bag's numbers."""
+    export_bag(bag, tmp_path / "all.npz")
+    with np.load(tmp_path / "all.npz") as arrays:
+        content = dict(arrays)
+    assert set(content) == {
+        *(f"joint_states_{what}" for what in ("stamp_ns", "time_s", "names")),
+        *(f"joint_states_{what}" for what in ("position_rad", "velocity_rad_s", "effort_Nm")),
+        *(f"friction_states_{what}" for what in ("stamp_ns", "time_s", "names", "bristle_deflection_rad")),
+        *(f"rx90_controller_motor_current_{what}" for what in ("stamp_ns", "time_s", "names", "current_A")),
+    }  # fmt: skip
+    scipy.io.savemat(tmp_path / "all.mat", content)
+    loaded = scipy.io.loadmat(tmp_path / "all.mat")
+    found = read_bag(bag)["joint_states"]
+    assert found.velocity is not None
+    assert loaded["joint_states_velocity_rad_s"].tobytes(order="C") == found.velocity.tobytes()
+    assert loaded["joint_states_stamp_ns"].ravel().tolist() == found.stamp_ns.tolist()
+    assert [str(name).strip() for name in loaded["joint_states_names"]] == list(NAMES)
+    assert len(loaded["friction_states_time_s"].ravel()) == 150
+
+
+@pytest.mark.parametrize("name", ["out", "all.npz", "one.csv"])
+def test_who_interrupts_leaves_nothing(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Ctrl-C in the middle of an export ends with 130, and no file stands there."""
+    one = JointSeries("/joint_states", NAMES, TIMES, position=odd_numbers(300))
+
+    def interrupted(*_: object) -> object:
+        yield one
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rx90_common.bags.exporting.exporting.read_blocks", interrupted)
+    words = ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"]
+    assert run("rx90_bag", words) == 130
+    assert "interrupted; nothing was written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["{bag}", "--output", "x.csv"], "x.csv would hold 3 topics, /friction_states, /joint_states, /rx90_con"),
+        (["{bag}", "--output", "x.npz", "--topic", "joints"], "no topic /joints; JointState topics: "),
+        (["{bag}", "--output", "there"], "there exists; accepted: a new name"),
+        (["{bag}/none", "--output", "x.csv"], "none: no such bag"),
+    ],
+)
+def test_what_cannot_be_exported_is_one_line(
+    bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    text: str,
+) -> None:
+    """Too many topics for a file, unknown topics, files that exist and bags that do not: 2, and what is accepted."""
+    monkeypatch.chdir(tmp_path)
+    Path("there").mkdir()
+    assert run("rx90_bag", ["export", *(word.format(bag=bag) for word in words)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert text in line
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+
+
+def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
+    """A topic whose joints change their order is one table; one with other joints in other messages is refused."""
+    first = joint_state(10, ["a", "b"], [1.0, 2.0])
+    turned = joint_state(20, ["b", "a"], [3.0, 4.0])
+    turning = write_ros2(tmp_path / "turning", [("/joints", 10, first), ("/joints", 20, turned)])
+    export_bag(turning, tmp_path / "turned.csv")
+    assert (tmp_path / "turned.csv").read_text().splitlines()[1:] == ["0.000000010,1.0,2.0", "0.000000020,4.0,3.0"]
+    other = joint_state(30, ["c"], [5.0])
+    changing = write_ros2(tmp_path / "changing", [("/joints", 10, first), ("/joints", 30, other)])
+    with pytest.raises(BagError, match="several sets of joints: a, b; c"):
+        export_bag(changing, tmp_path / "changed.csv")
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        ("0.5,1.0,x,3.0,4.0", "one.csv:3: '0.5,1.0,x,3.0,4.0'; accepted: a number in each column"),
+        ("0.5,1.0", "one.csv:3: '0.5,1.0'; accepted: a number in each column"),
+        ("soon,1.0,2.0,3.0,4.0", "one.csv:3: 'soon'; accepted: a time"),
+        ("-1.0,1.0,2.0,3.0,4.0", "one.csv:3: '-1.0'; accepted: a time"),
+    ],
+)
+def test_a_line_that_was_damaged_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, text: str
+) -> None:
+    """A line of an exported file that holds other than a time and numbers is refused with its number."""
+    series = JointSeries("/joint_states", NAMES, np.array([1, 2]), np.ones((2, 2)), np.ones((2, 2)))
+    write_joint_states(tmp_path / "bag", [series])
+    export_bag(tmp_path / "bag", tmp_path / "one.csv")
+    lines = (tmp_path / "one.csv").read_text().splitlines()
+    (tmp_path / "one.csv").write_text("\n".join([*lines[:2], line]))
+    assert run("rx90_bag", ["import", str(tmp_path / "one.csv"), str(tmp_path / "again")]) == 2
+    assert text in capsys.readouterr().err
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_long_bag_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No more than a block of each topic is held at a time, however many messages the bag has."""
+    monkeypatch.setattr(blocks, "_BLOCK", 100)
+    count = 1050
+    series = JointSeries("/joint_states", NAMES, np.arange(count), position=odd_numbers(count))
+    write_joint_states(tmp_path / "bag", [series])
+    told: list[tuple[int, int]] = []
+    export_bag(tmp_path / "bag", tmp_path / "out", progress=lambda done, total: told.append((done, total)))
+    assert told == [(done, count) for done in itertools.chain(range(100, 1001, 100), [count])]

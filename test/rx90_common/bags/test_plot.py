@@ -1,0 +1,141 @@
+"""`rx90_bag plot`: what is drawn without options, of chosen topics and joints, and of two bags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.plotting.plotting import TopicPlot, plot_bags
+from rx90_common.bags.writing import write_joint_states
+from rx90_common.report.plot import Curve, Panel
+from rx90_emulator.cli.frame import run
+
+NAMES = ("joint_1", "joint_2")
+STAMPS = np.arange(0, 400_000_000, 1_000_000)
+TIME = STAMPS / 1e9
+POSITION = np.column_stack([np.sin(20.0 * TIME), np.cos(20.0 * TIME)])
+
+
+def series(topic: str, shift: float = 0.0, start: int = 0) -> JointSeries:
+    """Return positions and torques of two joints; those of the second are `shift` higher."""
+    return JointSeries(topic, NAMES, STAMPS + start, position=POSITION + np.array([0.0, shift]), effort=30.0 * POSITION)
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Return bags by name: `first`, `second` in which joint_2 is 0.25 rad off, `later`, `walls` of a wall clock."""
+    folder = tmp_path_factory.mktemp("bags")
+    content = {
+        "first": [series("/joint_states"), series("/friction_states"), series("/extra")],
+        "second": [series("/joint_states", 0.25), series("/friction_states")],
+        "later": [series("/joint_states", start=10**12)],
+        "walls": [series("/joint_states", start=1_790_000_000 * 10**9)],
+    }
+    for name, what in content.items():
+        write_joint_states(folder / name, what)
+    return {name: folder / name for name in content}
+
+
+def curves(plot: TopicPlot, panel: int) -> list[Curve]:
+    """Return the curves of a panel."""
+    found = plot.plot.panels[panel]
+    assert isinstance(found, Panel)
+    return [mark for mark in found.marks if isinstance(mark, Curve)]
+
+
+def test_without_options_the_usual_topics_are_drawn(bags: dict[str, Path]) -> None:
+    """Joint states come first, then friction, by the names of what they hold, with units; other topics are left out."""
+    joints, friction = plot_bags([bags["first"]])
+    assert (joints.topic, friction.topic) == ("/joint_states", "/friction_states")
+    panels = [panel for panel in (*joints.plot.panels, *friction.plot.panels) if isinstance(panel, Panel)]
+    assert [panel.y_label for panel in panels] == [
+        "position, rad", "effort, Nm", "bristle deflection, rad", "friction torque, Nm",
+    ]  # fmt: skip
+    assert panels[1].x_label == "time, s"
+    assert [curve.label for curve in curves(joints, 0)] == list(NAMES)
+    assert np.array_equal(curves(joints, 1)[1].y, 30.0 * POSITION[:, 1])
+    assert np.array_equal(curves(joints, 1)[1].x, TIME)
+
+
+def test_topics_and_joints_are_chosen(bags: dict[str, Path]) -> None:
+    """What is asked for is drawn alone."""
+    (extra,) = plot_bags([bags["first"]], topics=["extra"], joints=["joint_2"])
+    assert extra.topic == "/extra"
+    assert [curve.label for curve in curves(extra, 0)] == ["joint_2"]
+
+
+def test_stamps_of_a_wall_clock_are_told_from_the_first(bags: dict[str, Path]) -> None:
+    """The axis begins at 0, and says when that was."""
+    (plot,) = plot_bags([bags["walls"]])
+    assert np.array_equal(curves(plot, 0)[0].x, TIME)
+    (*_, last) = plot.plot.panels
+    assert isinstance(last, Panel)
+    assert last.x_label == "time since 2026-09-21 14:13:20 and 0 ns UTC, s"
+
+
+def test_two_bags_are_drawn_with_their_difference(bags: dict[str, Path]) -> None:
+    """Both lie over each other, below is the second less the first; the table has largest and RMS difference."""
+    plot = plot_bags([bags["first"], bags["second"]])[0]
+    assert [curve.label for curve in curves(plot, 0)] == [
+        "joint_1, first", "joint_2, first", "joint_1, second", "joint_2, second",
+    ]  # fmt: skip
+    first, second = curves(plot, 1)
+    assert not first.y.any()
+    assert np.allclose(second.y, 0.25)
+    assert plot.differences[1][:3] == ("position [rad]", "joint_2", pytest.approx(0.25))
+    assert plot.differences[1][4:] == (pytest.approx(0.25), 400)
+    moved = plot_bags([bags["first"], bags["later"]], align="start")[0]
+    assert not curves(moved, 1)[1].y.any()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (
+            ["first", "--topic", "joints"],
+            "no topic /joints; JointState topics: /extra, /friction_states, /joint_states",
+        ),
+        (["first", "--joint", "elbow"], "/joint_states: no joint 'elbow'; there are joint_1, joint_2"),
+        (["first", "--output", "a.gif"], "a.gif: the suffix says what it is; accepted: .html, .png, .svg, .pdf"),
+        (["first", "--output", "mine.html"], "mine.html exists; accepted: another name, or --force"),
+        (["first", "later"], "/joint_states: no stamp is in both bags, t = 0 to 0.399 s and 1000 to 1000.399 s; accep"),
+        (["first", "second", "--align", "x"], "--align is 'x'; accepted: start, trajectory, or a time in s"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    bags: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    text: str,
+) -> None:
+    """Unknown topics and joints, other suffixes, files that exist, bags of other times: 2, and what is accepted."""
+    monkeypatch.chdir(tmp_path)
+    Path("mine.html").write_text("mine")
+    assert run("rx90_bag", ["plot", *(str(bags.get(word, word)) for word in words)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert text in line
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.html"]
+    assert Path("mine.html").read_text() == "mine"
+
+
+def test_one_command_makes_a_page_or_a_picture(
+    bags: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    check_report: Callable[[Path], None],
+) -> None:
+    """Without an option a page of the bag's name; a picture by the suffix; the page is as every report must be."""
+    monkeypatch.chdir(tmp_path)
+    assert run("rx90_bag", ["plot", str(bags["first"]), str(bags["second"])]) == 0
+    assert capsys.readouterr().out == f"page: {tmp_path / 'first.html'}\n"
+    assert "second against first" in (tmp_path / "first.html").read_text(encoding="utf-8")
+    assert run("rx90_bag", ["plot", str(bags["first"]), "--output", "one.png", "--joint", "joint_1"]) == 0
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+    check_report(tmp_path / "first.html")

@@ -1,0 +1,103 @@
+"""Plots: what is drawn of curves, and how."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import interp1d
+
+from rx90_common.report.live import plot_json
+from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot, simplified
+from rx90_common.report.still import as_svg, write_picture
+
+TIME = np.linspace(0.0, 8.0, 8001)
+NOISE = np.random.default_rng(5).normal(size=len(TIME))
+
+
+def panel(*marks: Curve | Dots | Band | Level, **options: object) -> Panel:
+    """Return a panel with labels."""
+    return Panel(marks, "a title", "time, s", "torque, Nm", **options)  # type: ignore[arg-type]
+
+
+def test_a_simplified_curve_is_the_curve() -> None:
+    """A smooth curve needs few points; every sample lies within a dot of the line through them, on 4000 x 2000."""
+    curve = Curve(TIME, np.sin(2.0 * TIME) * np.exp(-0.1 * TIME))
+    scale = np.array([4000.0, 2000.0]) / (8.0, np.ptp(curve.y))
+    kept = np.column_stack(simplified(panel(curve), curve)) * scale
+    assert len(kept) < 500
+    samples, steps = np.column_stack([curve.x, curve.y])[::10] * scale, np.diff(kept, axis=0)
+    lengths = np.maximum((steps**2).sum(axis=1), 1e-12)
+    offset = samples[:, None] - kept[:-1]
+    share = np.clip((offset * steps).sum(axis=2) / lengths, 0.0, 1.0)
+    assert np.linalg.norm(offset - share[..., None] * steps, axis=2).min(axis=1).max() < 1.0
+
+
+def test_noise_and_gaps_stay() -> None:
+    """Of a noisy curve as many points are kept as are allowed, the extremes among them; a gap of NaN stays one."""
+    values = np.where(np.abs(TIME - 4.0) < 0.5, np.nan, NOISE)
+    curve = Curve(TIME, values)
+    x, y = simplified(panel(curve), curve, 2000)
+    assert 500 < len(x) <= 2000
+    assert (np.nanmax(y), np.nanmin(y)) == pytest.approx((np.nanmax(values), np.nanmin(values)), rel=2e-3)
+    (gap,) = np.flatnonzero(np.isnan(y))
+    assert (x[gap - 1], x[gap + 1]) == pytest.approx((3.5, 4.5), abs=5e-3)
+
+
+def test_on_logarithmic_axes_small_values_count_as_large_ones_do() -> None:
+    """A curve over six decades keeps its shape in each of them; what is not positive is a gap."""
+    x = np.logspace(-3.0, 3.0, 5000)
+    curve = Curve(np.append(x, -1.0), np.append(x**-2.0 * (1.0 + 0.5 * np.sin(10.0 * np.log(x))), 1.0))
+    found = np.log(simplified(panel(curve, x_scale="log", y_scale="log"), curve))
+    assert len(found[0]) < 2000
+    assert np.abs(interp1d(*found)(np.log(x)) - np.log(curve.y[:-1])).max() < 0.02
+
+
+def test_numbers_in_the_page_keep_their_precision_far_from_zero() -> None:
+    """What is zoomed is right to 1e-7 of its range, also a small motion about a large angle."""
+    small = 1.5 + 1e-6 * NOISE[:100]
+    content = json.loads(plot_json(Plot([panel(Dots(TIME[:100], small))])))
+    stored = content["panels"][0]["marks"][0]["y"]
+    found = np.frombuffer(base64.b64decode(stored["data"]), "<f4").astype(np.float64) + stored["middle"]
+    assert np.abs(found - small).max() < 1e-7 * np.ptp(small)
+
+
+def test_ranges_hold_all_that_is_drawn() -> None:
+    """Axes show curves, error bars, bands and levels with a margin, shared ones those of all panels."""
+    marks = (
+        Curve(np.array([1.0, 2.0]), np.array([0.0, 1.0])),
+        Dots(np.array([3.0]), np.array([1.0]), error=np.array([4.0])),
+        Band(np.array([0.0, 1.0]), np.array([-2.0, -9.0]), np.array([0.0, 1.0])),
+        Level(7.0),
+        Level(-1.0, upright=True),
+    )
+    one = panel(*marks)
+    low, high = one.y_range
+    assert -10.0 < low < -9.0
+    assert 7.0 < high < 8.0
+    assert one.x_range == pytest.approx((-1.12, 3.12))
+    other = panel(Curve(np.array([0.0, 50.0]), np.array([0.0, 1.0])), from_zero=True)
+    assert other.y_range[0] == 0.0
+    assert Plot([one, other]).x_range == pytest.approx((-1.5, 51.5))
+    assert panel(Curve(np.array([np.nan]), np.array([np.nan]))).x_range == (0.0, 1.0)
+
+
+def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
+    """Pictures of each format and the data to be zoomed hold no date, chance or counter."""
+
+    def plot() -> Plot:
+        x = np.array([-2.0, -0.1, 0.1, 1.0])
+        return Plot([panel(Curve(x, x**2, "square"), Dots(x, x, "line", error=x**2), x_scale="symlog", smallest=0.1)])
+
+    assert as_svg(plot()) == as_svg(plot())
+    assert plot_json(plot()) == plot_json(plot())
+    for suffix, start in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")):
+        pictures = [tmp_path / f"{k}{suffix}" for k in range(2)]
+        for picture in pictures:
+            write_picture(plot(), picture, "a title")
+        first, second = (picture.read_bytes() for picture in pictures)
+        assert first.startswith(start)
+        assert first == second
