@@ -19,7 +19,6 @@ MADE = {
     "friction": "joint_3.png",
 }
 """What pages leave in the reader's folder besides, by their names."""
-FASTER = {"rx90_cell": ("-p", "rx90_sim:real_time_factor:=3.0")}
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.ros] * (page.stem == "own_motion"))
     for page in sorted([*(DOCS / "tutorials").glob("*.md"), *(DOCS / "start").glob("*.md")])
@@ -35,7 +34,7 @@ def test_a_page_does_what_it_says(
     folder.mkdir()
     monkeypatch.chdir(folder)
     mpl.use("Agg")
-    PageSession(page, processes, FASTER).run()
+    PageSession(page, processes).run()
     for made in MADE.get(page.stem, "").split():
         assert (folder / made).stat().st_size > 200, made
 

@@ -20,7 +20,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -76,11 +76,10 @@ class PageSession:
     Args:
         page: the page.
         processes: starts and ends what the reader starts.
-        faster: arguments that are added to a command, by its name.
     """
 
-    def __init__(self, page: Path, processes: Processes, faster: Mapping[str, Sequence[str]]) -> None:
-        self._page, self._processes, self._faster = page, processes, faster
+    def __init__(self, page: Path, processes: Processes) -> None:
+        self._page, self._processes = page, processes
         self._terminals: dict[str, ChildProcess] = {}
         self._names: dict[str, object] = {}
         self._printed = ""
@@ -150,4 +149,4 @@ class PageSession:
         words = subprocess.run(expanded, capture_output=True, text=True, check=True).stdout.split("\0")[:-1]
         if first == "ros2":
             return [sys.executable, str(_STAND_IN), *words[1:]]
-        return executable(words[0], *words[1:], *self._faster.get(first, ()))
+        return executable(words[0], *words[1:])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 from rx90_common.base.rates import NANOSECONDS
-from rx90_emulator.view.bags.curves import Curve, CurvesPlot
+from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
 from rx90_emulator.view.bags.track import Track
@@ -103,7 +103,7 @@ def _legend(recordings: Sequence[Recording]) -> str:
     return f'<div style="padding:0.4em 0.8em 0;font-size:0.8em">{text}</div>'
 
 
-def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[Curve]]]:
+def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[RecordedCurve]]]:
     arms = [recording.arm for recording in recordings]
     frictions = [recording.friction for recording in recordings if recording.friction is not None]
     return [
@@ -114,10 +114,10 @@ def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[Curve]]]:
     ]
 
 
-def _curves(tracks: Sequence[Track], field: str, scale: float = 1.0) -> list[Curve]:
+def _curves(tracks: Sequence[Track], field: str, scale: float = 1.0) -> list[RecordedCurve]:
     """Return the columns of tracks; those of the second are dashed."""
     return [
-        Curve(name, track, field, column, scale, _color(track, column), dashed=number > 0)
+        RecordedCurve(name, track, field, column, scale, _color(track, column), dashed=number > 0)
         for number, track in enumerate(tracks)
         if field in track.values
         for column, name in enumerate(track.names)

@@ -18,7 +18,7 @@ _CURSOR = "#888888"
 _MOST_PARTS = 8  # of a curve with gaps
 
 
-class Curve(NamedTuple):
+class RecordedCurve(NamedTuple):
     """One column of a field of a track.
 
     Attributes:
@@ -51,7 +51,9 @@ class CurvesPlot:
         height: pixels.
     """
 
-    def __init__(self, page: Page, title: str, curves: Sequence[Curve], origin_ns: int, height: int = 170) -> None:
+    def __init__(
+        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 170
+    ) -> None:
         self._curves, self._origin = tuple(curves), origin_ns
         self._chosen = [True] * len(self._curves)
         self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))

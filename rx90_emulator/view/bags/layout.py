@@ -17,11 +17,12 @@ from rx90_common.description.robot import RobotModel
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.description.urdf import JOINT_COUNT
 from rx90_common.description.wrist import coupling_matrix
-from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES
+from rx90_common.exchange.topics import MOTOR_NAMES, MOTOR_STATES, SAMPLED
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.measured.options import MeasuredLayout
 
 _JOINT_STATES = "joint_states"
+_ONCE_MORE = f"/{SAMPLED}/{_JOINT_STATES}"
 _SIZES = dict.fromkeys(("names", "gear", "torque_constant", "zero"), JOINT_COUNT) | {"coupling": JOINT_COUNT**2}
 
 
@@ -67,6 +68,8 @@ def _topic(bag: BagReader, wanted: str | None) -> BagTopic:
         fitting = [topic for topic in held if topic.name == absolute(wanted)]
     else:
         fitting = [topic for topic in held if topic.name.rpartition("/")[2] == _JOINT_STATES]
+        # Of those recorded with what the simulation publishes once more for who looks on.
+        fitting = [topic for topic in fitting if not topic.name.endswith(_ONCE_MORE)] or fitting
         fitting = fitting or [topic for topic in held if topic.name.rpartition("/")[2] == MOTOR_STATES]
     if len(fitting) == 1:
         return fitting[0]

@@ -64,6 +64,7 @@ def test_joint_states_of_others(tmp_path: Path, shipped: Setup) -> None:
     for k in range(20):
         messages.append(("/cell/joint_states", k * STEP, joint_state(k * STEP, order, [*values[k, ::-1], 7.0])))
         messages.append(("/cell/joint_states", k * STEP, joint_state(k * STEP, ["finger"], [0.1])))
+        messages.append(("/cell/sampled/joint_states", k * STEP, joint_state(k * STEP, JOINTS, [0.0] * 6)))
     recording = opened(write_ros2(tmp_path / "bag", messages), shipped)
     np.testing.assert_array_equal(recording.arm.values["position"], values)
     assert recording.lacking == ("velocity", "drive torque", "friction", "set-points")
