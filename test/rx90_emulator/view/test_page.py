@@ -41,15 +41,14 @@ def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: 
     """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
     arms = [(setup, ArmScene(page, f"/{setup.robot.model.name}", setup.robot)) for setup in (shipped, tx40)]
     shown = open_page(page.address)
-    for setup, arm in arms:
-        np.testing.assert_allclose(shown.pose(arm.tip), tip(setup, np.zeros(6)), atol=PIXEL)
-        page.later(lambda arm=arm: arm.show(POSE))  # type: ignore[misc]
-    for setup, arm in arms:
-        expected = tip(setup, POSE)
-        there = partial(
-            lambda arm, expected: bool(np.allclose(shown.pose(arm.tip), expected, atol=PIXEL)), arm, expected
-        )
-        shown.wait_until(there, "the new pose")
+
+    def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
+        return bool(np.allclose(shown.pose(arm.tip), tip(setup, position), atol=PIXEL))
+
+    for position in (np.zeros(6), POSE):
+        page.later(lambda position=position: [arm.show(position) for _, arm in arms])  # type: ignore[misc]
+        for setup, arm in arms:
+            shown.wait_until(partial(at, setup, arm, position), "the tip where it is by Pinocchio")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
@@ -70,6 +69,7 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
 
     shown = open_page(page.address)
     page.later(feed)
+    shown.wait_until(lambda: {"speed [rad/s]", "loop"} <= set(shown.plots()), "both plots")
     shown.wait_until(lambda: len(shown.plots()["speed [rad/s]"]["data"][0]) > 2, "samples")
     times, first, second = shown.plots()["speed [rad/s]"]["data"]
     np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
