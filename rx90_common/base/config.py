@@ -19,6 +19,7 @@ _MOST_BYTES = 16 << 20
 _MOST_VALUES = 1_000_000  # counted as often as aliases repeat them; some 40,000 are read in a second
 _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
+_IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
@@ -142,10 +143,11 @@ def load_yaml(
         data = next(yaml.load_all(text, _Loader), None) if first else yaml.load(text, _Loader)
     except (yaml.YAMLError, ValueError, LookupError, TypeError, OverflowError, RecursionError) as error:
         # All but the first: PyYAML on a tag or an escape that its text does not fit, and on deep nesting.
-        reason = plain(" ".join(str(error).replace('in "<file>", ', "").split()), _LONGEST_REASON)
+        reason = plain(_IN_FILE.sub(", ", " ".join(str(error).split())), _LONGEST_REASON)
         raise ConfigError(f"{plain(path)}: not valid YAML ({reason})") from error
     if not isinstance(data, dict):
-        raise ConfigError(f"{plain(path)}: holds {type(data).__name__}; accepted: {accepted}")
+        held = "nothing" if data is None else "a list" if isinstance(data, list) else "a single value"
+        raise ConfigError(f"{plain(path)}: holds {held}; accepted: {accepted}")
     return Section(data, path, faults=faults)
 
 

@@ -104,14 +104,17 @@ def check_place(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file.
+    """Write a file; where that fails a new one does not stay.
 
     Raises:
         Rx90Error: if that fails, as `write_error` says.
     """
+    is_new = not path.exists()
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
+        if is_new:
+            path.unlink(missing_ok=True)
         raise write_error(path, error) from error
 
 

@@ -61,17 +61,20 @@ def as_svg(plot: Plot, most: int = MOST_POINTS) -> str:
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
-    """Write the plot with a title as the file's suffix says, one of PICTURES.
+    """Write the plot with a title as the file's suffix says, one of PICTURES; if that fails a new file does not stay.
 
     Raises:
         Rx90Error: if it cannot be written.
     """
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
+    is_new = not path.exists()
     with mpl.rc_context(_STYLE):
         figure = _drawn(plot, MOST_POINTS, title)
         try:
             figure.savefig(path, dpi=_DPI, metadata=None if date is None else {date: None})
         except OSError as error:
+            if is_new:
+                path.unlink(missing_ok=True)
             raise write_error(path, error) from error
 
 

@@ -70,7 +70,10 @@ def main(args: argparse.Namespace) -> None:
 def _mapping_file(args: argparse.Namespace) -> Path:
     if args.mapping is not None:
         return Path(args.mapping)
-    beside = Path(args.logs[0]).with_suffix(".yaml")
+    log = Path(args.logs[0])
+    if log.suffix in {".parquet", ".npz"}:
+        raise ConfigError(f"{plain(log)} is no text in columns; accepted: CSV, as rx90_bag export makes it, too")
+    beside = log.with_suffix(".yaml")
     if not beside.is_file():
         raise ConfigError(
             f"--mapping is missing, and there is no {plain(beside)}; accepted: a file that says what the columns hold"

@@ -78,13 +78,20 @@ def _check(options: argparse.Namespace) -> int:
     from rx90_emulator.configuration.check import check_path, kind_named
 
     kind = None if options.kind is None else kind_named(options.kind)
-    checked = [one for path in options.files for one in check_path(path, kind)]
-    for one in checked:
-        if not one.problems:
-            print(one_line(f"{one.path}: {one.kind}, no problem"))
-        for problem in one.problems:
-            print(problem)
-    return VERDICT_NO if any(one.problems for one in checked) else DONE
+    problems = 0
+    refused: list[str] = []
+    for path in options.files:
+        try:
+            checked = check_path(path, kind)
+        except ConfigError as error:  # the files behind it are checked first
+            refused.append(str(error))
+            continue
+        for one in checked:
+            problems += len(one.problems)
+            print("\n".join(one.problems) or one_line(f"{one.path}: {one.kind}, no problem"))
+    if refused:
+        raise ConfigError("; ".join(refused))
+    return VERDICT_NO if problems else DONE
 
 
 def _completion(options: argparse.Namespace) -> int:

@@ -150,7 +150,7 @@ def _refused(read: Callable[[], object]) -> list[Rx90Error]:
 def _told(path: Path, error: Rx90Error, lines: Mapping[str, int]) -> str:
     """Return a refusal with the line of the key that it begins with, or that it names."""
     text = str(error).removeprefix(f"{plain(path)}: ")
-    places = [place for place in lines if re.match(rf"{re.escape(place)}(?![\w*])", text)]
+    places = [place for place in lines if re.match(rf"{re.escape(plain(place))}(?![\w*])", text)]
     line = lines[max(places, key=len)] if places else None
     if line is None and (named := _LINE.search(text)):
         line = int(named[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -142,6 +143,8 @@ class NpzFile:
             raise BagError(f"two topics would be arrays {name}; accepted: one of them, with --topic")
         file = self._parts / f"{name}.npy"
         self._arrays[name] = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
+        with file.open("rb+") as place:  # a full disk is an error here; in mapped memory it would end the process
+            os.posix_fallocate(place.fileno(), 0, file.stat().st_size)
         return self._arrays[name]
 
     def close(self) -> None:

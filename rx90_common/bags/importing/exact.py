@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal, DecimalException
 from itertools import islice
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.bags.importing.mapping import Column, LogMapping
+from rx90_common.bags.importing.mapping import SECONDS, UNITS, Column, LogMapping
 from rx90_common.bags.importing.table import fields_of
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import absolute
@@ -32,7 +32,9 @@ def exported_logs(folder: Path) -> list[tuple[Path, LogMapping]]:
     """
     logs = sorted(folder.glob("*.csv"))
     if not logs:
-        raise BagError(f"{plain(folder)}: no CSV file in it; accepted: a folder that rx90_bag export has written")
+        raise BagError(
+            f"{plain(folder)}: no CSV file in it; accepted: a folder that rx90_bag export has written, as CSV"
+        )
     for log in logs:
         if not log.with_suffix(".yaml").is_file():
             raise BagError(
@@ -92,7 +94,7 @@ def read_exact(path: Path, mapping: LogMapping, progress: Callable[[int], None])
         BagError: naming the line that cannot be read.
     """
     try:
-        with path.open(encoding="utf-8") as file:
+        with path.open(encoding="utf-8-sig") as file:
             heads = list(islice(file, mapping.header))
             plan = _Plan(path, mapping, fields_of(heads[-1], ",") if heads else [])
             stamps: list[Any] = []
@@ -120,6 +122,8 @@ class _Plan:
         fields = [field for topic in mapping.topics.values() for field in topic.fields.values()]
         self._columns = [self._place(column) for field in fields for column in field.columns]
         self._factor = np.array([factor for field in fields for factor in field.factor])
+        self._width = 0  # columns of the first line
+        self._compare_units()
 
     def stamps(self, lines: Sequence[str], first: int) -> Any:
         """Return the stamps of lines, ns; `first` is the number of the first one."""
@@ -141,10 +145,13 @@ class _Plan:
         rows = []
         for k, line in enumerate(lines):
             fields = line.split(",")
+            self._width = self._width or len(fields)
+            if len(fields) != self._width:
+                raise self._refusal(first + k, f"{len(fields)} columns", f"{self._width}, as in the first row")
             try:
                 rows.append([float(fields[column]) for column in self._columns])
             except (ValueError, IndexError):
-                raise self._refusal(first + k, line.strip(), "a number in each column") from None
+                raise self._no_number(first + k, fields) from None
         # Where the factor is 1 the product is the number, bit for bit.
         return np.array(rows, dtype=np.float64) * self._factor
 
@@ -165,6 +172,35 @@ class _Plan:
             return self._names.index(column)
         there = listed(self._names) or "no names"
         raise BagError(f"{plain(self._path)}: {self._names.count(column)} columns {quoted(column)}; there are {there}")
+
+    def _compare_units(self) -> None:
+        """Refuse a header whose units, as in `joint_1 velocity [deg/s]`, are not those of the mapping."""
+        assert self._mapping.time is not None
+        unit_of_time = next(name for name, size in SECONDS.items() if size == self._mapping.seconds)
+        self._compare(self._time, SECONDS, unit_of_time)
+        for topic in self._mapping.topics.values():
+            for name, field in topic.fields.items():
+                for column in field.columns:
+                    self._compare(self._place(column), UNITS[name], field.unit)
+
+    def _compare(self, place: int, known: Mapping[str, Any], mapped: str) -> None:
+        heading = self._names[place] if place < len(self._names) else ""
+        unit = heading.rpartition("[")[2].rstrip("]") if heading.endswith("]") else ""
+        if unit in known and unit != mapped:
+            raise BagError(
+                f"{plain(self._path)}:{self._mapping.header}: {quoted(heading)}, but {mapped} in "
+                f"{plain(self._mapping.file)}; accepted: the same unit in both"
+            )
+
+    def _no_number(self, line: int, fields: Sequence[str]) -> BagError:
+        for column in self._columns:
+            if column >= len(fields):
+                return self._refusal(line, f"{len(fields)} columns", f"{column + 1} or more, by the mapping")
+            try:
+                float(fields[column])
+            except ValueError:
+                break
+        return self._refusal(line, fields[column].strip(), f"a number in column {column + 1}")
 
     def _refusal(self, line: int, text: str, accepted: str) -> BagError:
         return BagError(f"{plain(self._path)}:{line}: {quoted(text, 60)}; accepted: {accepted}")

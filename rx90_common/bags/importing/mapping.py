@@ -130,11 +130,13 @@ class FieldMapping:
     Attributes:
         file: number of the log, from 1 on.
         columns: of each joint.
+        unit: of the log's numbers, a key of UNITS.
         factor: that turns the log's numbers of each joint into SI units.
     """
 
     file: int
     columns: tuple[Column, ...]
+    unit: str
     factor: tuple[float, ...]
 
 
@@ -232,7 +234,7 @@ def _field(section: Section, name: str, content: dict[str, Any], count: int) -> 
     factor = _each(section, "factor", count) if "factor" in section else (1.0,) * count
     turn = _each(section, "counts_per_turn", count) if unit.startswith(COUNTS) else (1.0,) * count
     scale = UNITS[name][unit]
-    return FieldMapping(content["file"], columns, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
+    return FieldMapping(content["file"], columns, unit, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
 
 
 def _each(section: Section, key: str, count: int) -> tuple[float, ...]:

@@ -68,7 +68,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         "not a bag",
     ),
     "metadata no YAML": (lambda bag: (bag / "metadata.yaml").write_text("{]"), "metadata.yaml: not valid YAML"),
-    "metadata empty": (lambda bag: (bag / "metadata.yaml").write_text(""), "metadata.yaml: holds NoneType"),
+    "metadata empty": (lambda bag: (bag / "metadata.yaml").write_text(""), "metadata.yaml: holds nothing"),
     "metadata binary": (lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe"), "metadata.yaml: cannot be read"),
     "metadata of aliases": (
         lambda bag: (bag / "metadata.yaml").write_text(ALIASES),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +19,8 @@ from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.exporting import blocks
 from rx90_common.bags.exporting.exporting import export_bag
 from rx90_common.bags.importing import exact
+from rx90_common.bags.importing.exact import read_exact
+from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_bag
 from rx90_common.bags.writing import write_joint_states
@@ -140,6 +144,21 @@ def test_who_interrupts_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_full_disk_is_told_before_memory_is_mapped_to_it(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The room of an NPZ file is taken before its numbers come: 3, one line, nothing left, and no bus error."""
+
+    def no_room(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", no_room)
+    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "all.npz")]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "all.npz: cannot be written (No space left on device)" in line
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -182,8 +201,9 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "text"),
     [
-        ("0.5,1.0,x,3.0,4.0", "one.csv:3: '0.5,1.0,x,3.0,4.0'; accepted: a number in each column"),
-        ("0.5,1.0", "one.csv:3: '0.5,1.0'; accepted: a number in each column"),
+        ("0.5,1.0,x,3.0,4.0", "one.csv:3: 'x'; accepted: a number in column 3"),
+        ("0.5,1.0", "one.csv:3: '2 columns'; accepted: 5, as in the first row"),
+        ("0.5,1.0,2.0,3.0,4.0,5.0", "one.csv:3: '6 columns'; accepted: 5, as in the first row"),
         ("soon,1.0,2.0,3.0,4.0", "one.csv:3: 'soon'; accepted: a time"),
         ("-1.0,1.0,2.0,3.0,4.0", "one.csv:3: '-1.0'; accepted: a time"),
     ],
@@ -200,6 +220,19 @@ def test_a_line_that_was_damaged_is_named(
     assert run("rx90_bag", ["import", str(tmp_path / "one.csv"), str(tmp_path / "again")]) == 2
     assert text in capsys.readouterr().err
     assert not (tmp_path / "again").exists()
+
+
+def test_a_header_with_another_unit_than_the_mapping_is_refused(bag: Path, tmp_path: Path) -> None:
+    """Who changes the unit in the header of an exported file, or in its mapping, is told that the two differ."""
+    export_bag(bag, tmp_path / "one.csv", topics=["joint_states"])
+    mapping, log = tmp_path / "one.yaml", tmp_path / "one.csv"
+    text = log.read_text()
+    log.write_text(text.replace("position [rad]", "position [deg]"))
+    with pytest.raises(BagError, match=r"one\.csv:1: '.* position \[deg\]', but rad in .*one\.yaml"):
+        read_exact(log, LogMapping.load(mapping), lambda _: None)
+    log.write_text("\ufeff" + text.replace("time [s]", "time [ms]"))
+    with pytest.raises(BagError, match=r"one\.csv:1: 'time \[ms\]', but s in "):
+        read_exact(log, LogMapping.load(mapping), lambda _: None)
 
 
 def test_a_long_bag_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

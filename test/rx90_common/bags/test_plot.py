@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting.plotting import TopicPlot, plot_bags
 from rx90_common.bags.writing import write_joint_states
-from rx90_common.report.plot import Curve, Panel
+from rx90_common.base.errors import Rx90Error, write_text
+from rx90_common.report.plot import Curve, Panel, Plot
+from rx90_common.report.still import write_picture
 from rx90_emulator.cli.frame import run
 
 NAMES = ("joint_1", "joint_2")
@@ -139,3 +142,19 @@ def test_one_command_makes_a_page_or_a_picture(
     assert run("rx90_bag", ["plot", str(bags["first"]), "--output", "one.png", "--joint", "joint_1"]) == 0
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     check_report(tmp_path / "first.html")
+
+
+def test_a_full_disk_leaves_no_half_page_or_picture(tmp_path: Path) -> None:
+    """What cannot be written to its end, here by a limit of the size of files, does not stay."""
+    plot = Plot((Panel((Curve(np.arange(9.0), np.arange(9.0)),)),))
+    write_picture(plot, tmp_path / "good.png")  # with what matplotlib keeps on the disk
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        with pytest.raises(Rx90Error, match=r"page\.html: cannot be written"):
+            write_text(tmp_path / "page.html", "x" * 20_000)
+        with pytest.raises(Rx90Error, match=r"picture\.png: cannot be written"):
+            write_picture(plot, tmp_path / "picture.png")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]

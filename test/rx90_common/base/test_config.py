@@ -45,9 +45,9 @@ def refusal(call: Callable[[], Any], path: Path) -> str:
 BOMB = "a0: &a0 [" + "1," * 10 + "]\n" + "".join(f"a{i}: &a{i} [{f'*a{i - 1},' * 10}]\n" for i in range(1, 10))
 
 BROKEN: list[tuple[str | bytes, str]] = [
-    ("", "holds NoneType; accepted: a mapping"),
-    ("- 1\n- 2\n", "holds list; accepted: a mapping"),
-    ("just words", "holds str"),
+    ("", "holds nothing; accepted: a mapping"),
+    ("- 1\n- 2\n", "holds a list; accepted: a mapping"),
+    ("just words", "holds a single value"),
     ("a: [1, 2\nb: 3", "not valid YAML"),
     ("a: 1\na: 2", "the key 'a' stands twice"),
     ("a: {b: 1, b: 2}", "the key 'b' stands twice"),
@@ -189,7 +189,7 @@ def test_the_first_of_several_documents(write: Write) -> None:
     assert load_yaml(write("a: 1\n---\nb: 2\n---\n"), first=True).content == {"a": 1}
     path = write("")
     assert refusal(lambda: load_yaml(path, "a trajectory", first=True), path).endswith(
-        "NoneType; accepted: a trajectory"
+        "holds nothing; accepted: a trajectory"
     )
 
 

@@ -89,6 +89,16 @@ def test_what_only_the_reader_sees_is_told_too(arm: Path, capsys: Captured) -> N
     assert re.match(rf"{re.escape(str(task))}:\d+: not valid YAML", second)
 
 
+def test_a_file_that_is_not_there_hides_no_problem_of_others(arm: Path, capsys: Captured) -> None:
+    """Files behind one that is refused are checked, too; the exit code is that of the refusal."""
+    edited(arm / "tool.yaml", ("tcp:", "\u202ecolour: red\ntcp:"))
+    line = line_of(arm / "tool.yaml", "colour:")
+    assert run("rx90_config", ["check", "nowhere.yaml", str(arm / "tool.yaml")]) == 2
+    said = capsys.readouterr()
+    assert said.out.startswith(f"{arm / 'tool.yaml'}:{line}: \\u202ecolour is not a known key")
+    assert "nowhere.yaml: no such file" in said.err
+
+
 def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captured) -> None:
     """Every good file is taken for what it is whatever it is called; what cannot be told is refused unless named."""
     for kind, path in shipped() + written(tmp_path):
