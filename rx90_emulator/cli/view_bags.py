@@ -41,8 +41,10 @@ def wanted(options: argparse.Namespace) -> bool:
     given = [name for name in _OF_BAGS if getattr(options, name)]
     if given and not count:
         raise BagError(f"--{given[0].replace('_', '-')} without a bag; accepted: with one, to be played")
-    if count and options.demo:
-        raise BagError(f"--demo with the bag {plain(options.bags[0])}; accepted: one of them")
+    asked = {"demo": options.demo, "node": options.node is not None, "nice": options.nice is not None}
+    of_nodes = [name for name, there in asked.items() if there]
+    if count and of_nodes:
+        raise BagError(f"--{of_nodes[0]} with the bag {plain(options.bags[0])}; accepted: one of them")
     return count > 0
 
 

@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from rx90_emulator.view.live.tour import Tour
 
 _NICENESS = 10
+_CONTROLLER = "rx90_controller"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the live view."""
     live = parser.add_argument_group("running nodes")
-    live.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
+    live.add_argument("--node", metavar="NAME", help=f"controller node ({_CONTROLLER})")
     live.add_argument("--nice", type=int, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})")
     live.add_argument(
         "--demo", action="store_true",
@@ -49,9 +50,10 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.view.panel.panel import DoPanel
 
     files = RobotFiles.of_options(options)
+    controller = _CONTROLLER if options.node is None else options.node
     robot = load_robot(files.urdf, files.tool)
     line = None if files.task is None else load_task(files.task)
-    tour = _tour(options, files) if options.demo else None
+    tour = _tour(options, files, controller) if options.demo else None
     page = Page("rx90_view", options.host, options.port)
     panel: DoPanel | None = None
     try:
@@ -59,8 +61,8 @@ def main(options: argparse.Namespace) -> None:
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            view = LiveView(page, LiveSource(client, robot, options.node), robot, line)
-            nodes = NodeNames.beside(options.node, options.ros_args)
+            view = LiveView(page, LiveSource(client, robot, controller), robot, line)
+            nodes = NodeNames.beside(controller, options.ros_args)
             panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
             page.announce(browser=not options.no_browser)
             if tour is not None:
@@ -76,7 +78,7 @@ def main(options: argparse.Namespace) -> None:
             tour.end()
 
 
-def _tour(options: argparse.Namespace, files: RobotFiles) -> Tour:
+def _tour(options: argparse.Namespace, files: RobotFiles, controller: str) -> Tour:
     from rx90_emulator.view.live.tour import Tour
 
-    return Tour(DEFAULT_ROBOT if options.robot is None else options.robot, files, options.node)
+    return Tour(DEFAULT_ROBOT if options.robot is None else options.robot, files, controller)

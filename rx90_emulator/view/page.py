@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import ipaddress
 import itertools
 import os
 import queue
@@ -26,6 +27,8 @@ _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
 _FIELD = 0.75  # rad, upright
+_NARROW = 0.9  # width over height below which the arm is seen from farther away
+_SHARE_BELOW = 0.125  # by how much of its distance a narrow page looks below the arm
 _PLOT_WIDTH = 370  # pixels
 _PANEL_WIDTH = 310
 
@@ -54,6 +57,7 @@ class Page:
             self.server.stop()
             raise _taken(host, port, "taken a moment ago")
         self.gui, self.scene = self.server.gui, self.server.scene
+        self._open_to_others = reached_by_others(host)
         shown = f"[{host}]" if ":" in host else host
         self.address = f"http://{shown}:{self.server.get_port()}"
         # The button would ask another machine for a tunnel.
@@ -79,12 +83,24 @@ class Page:
         return self._plots.add_tab(label)
 
     def look_at_arm(self, robot: RobotModel) -> None:
-        """Place the camera of pages that are opened from now on, so that the whole arm is seen."""
+        """Place the camera of pages that are opened from now on, so that the whole arm is seen.
+
+        On a narrow page the panels lie over the lower half: the arm is in the upper one.
+        """
         reach = float(np.linalg.norm(robot.chain.origin, axis=1).sum())
         camera = self.server.initial_camera
         center = np.array([0.25, 0.0, 0.4]) * reach
         camera.position, camera.look_at = center + _FROM * reach, center
         camera.fov = _FIELD
+
+        def step_back(client: viser.ClientHandle) -> None:
+            if client.camera.aspect < _NARROW:
+                away = _NARROW / client.camera.aspect * _FROM
+                below = center - [0.0, 0.0, _SHARE_BELOW * float(np.linalg.norm(away)) * reach]
+                with client.atomic():
+                    client.camera.position, client.camera.look_at = below + away * reach, below
+
+        self.server.on_client_connect(step_back)
 
     def every(self, period: float, function: Callable[[float], None]) -> None:
         """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out."""
@@ -98,6 +114,8 @@ class Page:
         """Print the address, and open it in a browser if there is a screen; say when it is open."""
         self.server.on_client_connect(lambda _: self.later(self._say_opened))
         print(f"page: {self.address} (Ctrl-C ends it)", flush=True)
+        if self._open_to_others:
+            print("other machines can open it, too, and do with it what you can", flush=True)
         if browser and any(os.environ.get(name) for name in _SCREENS):
             webbrowser.open(self.address)
 
@@ -142,6 +160,12 @@ class Page:
             self._handed_over.get(timeout=wait)()
 
 
+def reached_by_others(host: str) -> bool:
+    """Return whether a server on this address, a name or a number, is open to other machines."""
+    place = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]
+    return not ipaddress.ip_address(str(place).partition("%")[0]).is_loopback
+
+
 def _furnish(scene: viser.SceneApi) -> None:
     """Lay the floor, and light the scene."""
     scene.set_up_direction("+z")
@@ -168,4 +192,6 @@ def _check_free(host: str, port: int) -> None:
 
 
 def _taken(host: str, port: int, reason: str) -> ConfigError:
-    return ConfigError(f"{host} port {port}: {reason}; accepted: --port with a free one, or 0 for any")
+    return ConfigError(
+        f"{host} port {port}: {reason}; accepted: --port with a free one, or 0 for any, and an address of this machine"
+    )

@@ -35,6 +35,7 @@ class LiveSource:
         self.watch = ArmWatch(client.node, controller, robot.joint_names, element_names(robot.joint_names))
         self._elements: ElementState | None = None
         self._heard: float | None = None
+        self._time = 0.0  # simulated, of the newest state
         self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
 
     def take(self, now: float) -> ArmState | None:
@@ -47,6 +48,9 @@ class LiveSource:
         if self._heard is not None and now - self._heard > _STALE:
             self._elements = None  # of a simulation that has gone
         self._heard = now
+        if joints.time < self._time:  # another simulation, or reset: nothing that was accepted before is followed
+            self.watch.trajectory = None
+        self._time = joints.time
         if self._times and joints.time < self._times[-1][1]:
             self._times.clear()
         self._times.append((now, joints.time))

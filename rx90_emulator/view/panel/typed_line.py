@@ -21,6 +21,7 @@ from rx90_controller.trajectory import JointLimits
 from rx90_controller.trajectory.spline import interpolate
 
 _DRAWN = 60  # points of the approach
+_LARGEST = 1e6  # of what is typed, in its unit; far beyond any arm, and far from what overflows
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,10 @@ def _numbers(what: str, text: str, count: int, unit: str) -> tuple[float, ...]:
         values = tuple(float(word) for word in words)
     except ValueError:
         values = ()
-    if len(values) != count or not all(map(math.isfinite, values)):
-        accepted = "a number" if count == 1 else f"{count} numbers"
+    accepted = "a number" if count == 1 else f"{count} numbers"
+    finite = len(values) == count and all(map(math.isfinite, values))
+    if finite and max(map(abs, values)) > _LARGEST:
+        raise LineError(f"{what} is {quoted(text)}; accepted: {accepted} up to {_LARGEST:g}, {unit}")
+    if not finite:
         raise LineError(f"{what} is {quoted(text)}; accepted: {accepted}, {unit}")
     return values

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import signal
 import time
+import weakref
 from collections.abc import Callable
 from importlib.machinery import ExtensionFileLoader
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -66,9 +69,20 @@ def _load_extension() -> None:
     _Extension("name", "path").exec_module(ModuleType("name"))
 
 
-@pytest.mark.parametrize("interrupted", [_destruct, _load_extension])
+def _forget_lock() -> None:
+    # As the import system has it in a function of its own: the lock of a module is gone once the module is imported.
+    space: dict[str, Any] = {"signal": signal}
+    source = "def cb(ref): signal.raise_signal(signal.SIGINT)"
+    exec(compile(source, importlib._bootstrap._get_module_lock.__code__.co_filename, "exec"), space)  # type: ignore[attr-defined]
+    lock = _Extension("name", "path")
+    reference = weakref.ref(lock, space["cb"])
+    del lock
+    assert reference() is None
+
+
+@pytest.mark.parametrize("interrupted", [_destruct, _load_extension, _forget_lock])
 def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[[], None]) -> None:
-    """Exceptions of destructors are swallowed, those of extensions changed; the interrupt is raised in what follows."""
+    """Exceptions of destructors and callbacks get lost, those of extensions change; it is raised in what follows."""
     before = signal.getsignal(signal.SIGINT)
     raise_where_heard()
 

@@ -34,6 +34,7 @@ CALLS = {
     "rx90_line": (["--from-file", "robots/rx90b/task.yaml"], "yaml numba"),
     "rx90_run": ([], "yaml numba pinocchio"),
     "rx90_sweep": (["info", "out.parquet"], "pyarrow"),
+    "rx90_view": (["--port", "0", "--no-browser"], "viser numba"),
 }
 """A call of each executable that begins its work, and packages without which that cannot be done."""
 

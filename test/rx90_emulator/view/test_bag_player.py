@@ -139,6 +139,8 @@ def test_scrubbing_shows_what_was_recorded(
         (["first", "first", "--align", "noon"], "--align is 'noon'; accepted: start, trajectory, or a time"),
         (["--record-time"], "--record-time without a bag"),
         (["first", "--demo"], "--demo with the bag first"),
+        (["first", "--node", "/cell/rx90_controller"], "--node with the bag first"),
+        (["first", "--nice", "0"], "--nice with the bag first"),
         (["nothing"], "nothing: no such bag"),
         (["first", "--robot", "tx40"], "recorded of the robot 'rx90b', not of"),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -13,8 +14,10 @@ from browser import BrowserPage
 from processes import Processes
 from short_task import SHORT_TASK
 
+from rx90_common.exchange.arm_watch import JointSample, Span
 from rx90_common.process.children import ChildProcess
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.live import source
 
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
@@ -88,3 +91,23 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
     shown.wait_until(lambda: "mm, on the way" in shown.text(), "the path error")
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
+
+
+def test_what_was_accepted_before_time_began_again_is_forgotten(
+    shipped: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a simulation that was reset, or started again, no trajectory is shown that would begin minutes later."""
+    times = iter([300.0, 300.1, 0.2, 0.3])
+    zeros = np.zeros(6)
+    watch = SimpleNamespace(
+        elements=lambda: None,
+        joints=lambda: JointSample(next(times), zeros, zeros, zeros),
+        trajectory=Span(299.0, 305.0),
+    )
+    monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
+    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    seen = []
+    for now in range(4):
+        live.take(float(now))
+        seen.append(watch.trajectory is None)
+    assert seen == [False, False, True, True]

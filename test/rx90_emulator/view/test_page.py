@@ -5,16 +5,18 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
+from processes import wait_until
 
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.arm import ArmScene
-from rx90_emulator.view.page import Page
+from rx90_emulator.view.page import Page, reached_by_others
 from rx90_emulator.view.plots import LoopPlot, RollingPlot
 
 Open = Callable[..., BrowserPage]
@@ -41,15 +43,14 @@ def test_arms_are_drawn_where_pinocchio_says(shipped: Setup, tx40: Setup, page: 
     """The tips' poses in the browser's own scene are those of the forward kinematics, and follow them."""
     arms = [(setup, ArmScene(page, f"/{setup.robot.model.name}", setup.robot)) for setup in (shipped, tx40)]
     shown = open_page(page.address)
-    for setup, arm in arms:
-        np.testing.assert_allclose(shown.pose(arm.tip), tip(setup, np.zeros(6)), atol=PIXEL)
-        page.later(lambda arm=arm: arm.show(POSE))  # type: ignore[misc]
-    for setup, arm in arms:
-        expected = tip(setup, POSE)
-        there = partial(
-            lambda arm, expected: bool(np.allclose(shown.pose(arm.tip), expected, atol=PIXEL)), arm, expected
-        )
-        shown.wait_until(there, "the new pose")
+
+    def at(setup: Setup, arm: ArmScene, position: np.ndarray) -> bool:
+        return bool(np.allclose(shown.pose(arm.tip), tip(setup, position), atol=PIXEL))
+
+    for position in (np.zeros(6), POSE):
+        page.later(lambda position=position: [arm.show(position) for _, arm in arms])  # type: ignore[misc]
+        for setup, arm in arms:
+            shown.wait_until(partial(at, setup, arm, position), "the tip where it is by Pinocchio")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
@@ -70,6 +71,7 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
 
     shown = open_page(page.address)
     page.later(feed)
+    shown.wait_until(lambda: {"speed [rad/s]", "loop"} <= set(shown.plots()), "both plots")
     shown.wait_until(lambda: len(shown.plots()["speed [rad/s]"]["data"][0]) > 2, "samples")
     times, first, second = shown.plots()["speed [rad/s]"]["data"]
     np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
@@ -91,3 +93,31 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = other.getsockname()[1]
         with pytest.raises(ConfigError, match=rf"127\.0\.0\.1 port {port}: .*; accepted: --port with a free one"):
             Page("test", port=port)
+
+
+@pytest.mark.parametrize(
+    ("host", "open_to_others"),
+    [("127.0.0.1", False), ("localhost", False), ("::1", False), ("0.0.0.0", True), ("::", True), ("192.0.2.1", True)],
+)
+def test_a_page_that_others_can_open_is_told(host: str, open_to_others: bool) -> None:
+    """Addresses of this machine alone are told from those that others reach."""
+    assert reached_by_others(host) is open_to_others
+
+
+def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, open_page: Open) -> None:
+    """In an upright window the camera is farther away and looks below the arm; in a wide one it is where it was."""
+    page.look_at_arm(shipped.robot)
+    first = page.server.initial_camera
+    length = float(np.linalg.norm(first.position - first.look_at))
+    seen: list[Any] = []
+    page.server.on_client_connect(seen.append)
+    for size, away, lower in (((390, 844), 0.9 * 844 / 390, True), ((900, 600), 1.0, False)):
+        open_page(page.address, size)
+
+        def looks(away: float, lower: bool) -> bool:
+            camera = seen[-1].camera
+            distance = float(np.linalg.norm(camera.position - camera.look_at))
+            return abs(distance / length / away - 1.0) < 0.02 and bool(camera.look_at[2] < 0.0) is lower
+
+        count = 1 if lower else 2
+        wait_until(partial(lambda *of: len(seen) == of[0] and looks(*of[1:]), count, away, lower), "the page's camera")

@@ -16,6 +16,7 @@ from foreign_arms import Curve, drive_torque, urdf_text, write
 import rx90_emulator as rx
 from benchmarks.excitation_runs import Disturbances
 from rx90_common.base.errors import REFUSED, ConfigError, IdentificationError
+from rx90_common.report import page
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation import instruments
 from rx90_emulator.identification.excitation.closed_loop import check_closed_loop, remark
@@ -25,7 +26,6 @@ from rx90_emulator.identification.excitation.identify import identify_excitation
 from rx90_emulator.identification.excitation.payload import payloads_of, read_payloads
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.result import base_parameters
-from rx90_emulator.identification.output.excitation import report
 from rx90_emulator.identification.output.excitation.robot import torque_constants
 
 RATE = 100.0
@@ -88,8 +88,8 @@ def test_gains_are_told_by_a_known_payload(
     monkeypatch.setattr(instruments, "_ROUNDS", 0)
     monkeypatch.setattr("rx90_emulator.identification.excitation_job.identify_excitation", kept)
     folder = tmp_path / "arm"
-    for plot in ("curve_plots", "spectra_plot", "speed_plot", "time_plot", "torque_plot", "correlation_plot"):
-        monkeypatch.setattr(report, plot, lambda *_: "")
+    for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
+        monkeypatch.setattr(page, drawn, lambda *_: "")
     assert scales.identify("--payload", scales.folder / "payload.yaml", "--output", folder) == 0
     found = yaml.safe_load((folder / "parameters.yaml").read_text(encoding="utf-8"))
     for name, factor, curve in zip(NAMES, FACTOR, CURVES, strict=True):

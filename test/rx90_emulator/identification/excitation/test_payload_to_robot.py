@@ -14,9 +14,9 @@ import rx90_emulator as rx
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE
 from rx90_common.description.rigid_torque import rigid_torque
+from rx90_common.report import page
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation import filtering, identify, instruments
-from rx90_emulator.identification.output.excitation import report
 from rx90_emulator.loop.setup import Setup
 
 RATE = 80.0
@@ -61,8 +61,8 @@ def test_a_payload_makes_a_robot_with_true_torques(
     monkeypatch.setattr(filtering, "_MOST_ROWS", 2000)
     monkeypatch.setattr(identify, "WITHOUT_BRISTLES", ())
     monkeypatch.setattr(instruments, "_ROUNDS", 0)
-    for plot in ("curve_plots", "spectra_plot", "speed_plot", "time_plot", "torque_plot", "correlation_plot"):
-        monkeypatch.setattr(report, plot, lambda *_: "")
+    for drawn in ("as_svg", "plot_json"):  # the plots are looked at in test_identify_excitation.py
+        monkeypatch.setattr(page, drawn, lambda *_: "")
     turns = tx40.drives.gear[:, None] * np.eye(6)
     turns[5, 4] = tx40.drives.gear[5]
     names = [f"motor_{k}" for k in range(1, 7)]

@@ -87,7 +87,7 @@ def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]
     fill(shown, "acceleration", "2")
     fill(shown, "speed", "0.25 fast")
     shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
-    assert not send.is_enabled()
+    shown.wait_until(lambda: not send.is_enabled(), "no line to send")
     fill(shown, "speed", f"{SPEED}")
     length = float(np.linalg.norm(END - START))
     said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
