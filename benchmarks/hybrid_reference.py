@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from rx90_common.description.wrist import to_joint_torque
 from rx90_common.friction.bristle import one_element
-from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints

@@ -11,8 +11,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
-from rx90_common.friction.lugre import element_arrays, elements_dtype
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.base_parameters import base_parameters
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
@@ -118,7 +118,7 @@ def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
     """
     data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
-    brakes = element_arrays([LuGreElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
+    brakes = element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]
