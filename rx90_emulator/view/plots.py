@@ -13,7 +13,10 @@ from rx90_emulator.view.page import Page
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 """Of the joints, and of the coupled wrist's element; those of the reports."""
+TIME_AXIS = uplot.Axis(label="time [s]", size=30, labelSize=18)
 _LEAST = 2  # samples that make a plot
+_NOTHING = np.array([0.0, 1.0]), np.array([np.nan, np.nan])
+"""Abscissa and ordinate of a plot that is empty."""
 
 
 class RollingPlot:
@@ -39,7 +42,7 @@ class RollingPlot:
         *,
         window: float = 10.0,
         capacity: int = 400,
-        height: int = 150,
+        height: int = 165,
         legend: bool = True,
     ) -> None:
         self._names, self._window = tuple(names), window
@@ -47,11 +50,11 @@ class RollingPlot:
         self._count = 0
         self._shown = frozenset(range(len(self._names)))
         self._plot = page.gui.add_uplot(
-            tuple(np.array([0.0, 0.0]) for _ in range(1 + len(self._names))),
+            (_NOTHING[0], *[_NOTHING[1]] * len(self._names)),
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
-            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            axes=(TIME_AXIS, uplot.Axis(size=56)),
             legend=uplot.Legend(show=legend, live=False),
             padding=(0, 12, 0, 0),
             height=height,
@@ -104,7 +107,7 @@ class LoopPlot:
         self._samples = np.zeros((0, 2))
         self._capacity = capacity
         self._plot = page.gui.add_uplot(
-            (np.array([0.0, 1.0]), np.array([0.0, 0.0])),
+            _NOTHING,
             (uplot.Series(label=x), uplot.Series(label=y, stroke=COLOURS[0], width=1.5)),
             title=title,
             scales={"x": uplot.Scale(time=False)},
@@ -120,8 +123,9 @@ class LoopPlot:
         self._samples = np.concatenate([self._samples[-self._capacity + 1 :], [[x, y]]])
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Forget all samples, and show none."""
         self._samples = self._samples[:0]
+        self._plot.data = _NOTHING
 
     def draw(self) -> None:
         """Send what is to be seen."""

@@ -12,6 +12,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import TIME_AXIS
 
 _BUCKETS = 300  # about one for each pixel of a plot
 _CURSOR = "#888888"
@@ -52,7 +53,7 @@ class CurvesPlot:
     """
 
     def __init__(
-        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 170
+        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 185
     ) -> None:
         self._curves, self._origin = tuple(curves), origin_ns
         self._chosen = [True] * len(self._curves)
@@ -64,7 +65,7 @@ class CurvesPlot:
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
-            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            axes=(TIME_AXIS, uplot.Axis(size=56)),
             legend=uplot.Legend(show=False),
             padding=(0, 12, 0, 0),
             height=height,

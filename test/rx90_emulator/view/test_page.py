@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import socket
+import threading
+import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -70,8 +73,10 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
         loop.draw()
 
     shown = open_page(page.address)
-    page.later(feed)
     shown.wait_until(lambda: {"speed [rad/s]", "loop"} <= set(shown.plots()), "both plots")
+    assert [plot["axes"][0] for plot in shown.plots().values()] == ["time [s]", "x [rad]"]
+    assert not np.isfinite([column for plot in empty(shown) for column in plot]).any()  # no line at 0
+    page.later(feed)
     shown.wait_until(lambda: len(shown.plots()["speed [rad/s]"]["data"][0]) > 2, "samples")
     times, first, second = shown.plots()["speed [rad/s]"]["data"]
     np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
@@ -85,6 +90,13 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
         (round(a, 9), round(b, 9)) for a, b in zip(x, y, strict=True)
     }
     assert np.hypot(np.diff(x), np.diff(y)).max() < 1.01 * 2.0 * np.sin(2.0 * np.pi / 99)
+    page.later(loop.clear)
+    shown.wait_until(lambda: not np.isfinite(np.array(shown.plots()["loop"]["data"][1], float)).any(), "an empty loop")
+
+
+def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
+    """Return the ordinates of all plots."""
+    return [[np.array(column, float) for column in plot["data"][1:]] for plot in shown.plots().values()]
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
@@ -93,6 +105,42 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = other.getsockname()[1]
         with pytest.raises(ConfigError, match=rf"127\.0\.0\.1 port {port}: .*; accepted: --port with a free one"):
             Page("test", port=port)
+
+
+def test_a_connection_that_is_closed_early_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who connects and leaves before anything is asked for is not told of, also as the first of all."""
+    monkeypatch.setattr(logging.getLogger("websockets.server"), "filters", [])  # those of other pages
+    with served(Page("test", port=0)) as page:
+        place = page.address.removeprefix("http://").split(":")
+        for words in (b"", b"GET / HTTP/1.1\r\n"):
+            with socket.create_connection((place[0], int(place[1]))) as early:
+                early.sendall(words)
+                early.shutdown(socket.SHUT_WR)
+                early.settimeout(10.0)
+                while early.recv(4096):  # until the server has let it go, and said what it has to say
+                    pass
+    assert caplog.records == []
+
+
+def test_a_browser_that_is_waited_for_does_not_hold_the_page(
+    page: Page, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page goes on while a browser is opened, which some commands for it do until it is closed."""
+    asked, closed = threading.Event(), threading.Event()
+
+    def open_(_address: str) -> None:
+        asked.set()
+        closed.wait(60.0)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", open_)
+    page.announce(browser=True)
+    assert asked.wait(60.0)
+    assert not closed.is_set()
+    closed.set()
+    assert f"page: {page.address}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
