@@ -8,7 +8,6 @@ from scipy.interpolate import interp1d
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_emulator.view.bags.playback import Playback
-from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.bags.track import Track
 
 STEP = 1_000_000
@@ -100,20 +99,3 @@ def test_time_of_a_playback() -> None:
     play.advance(2.3)
     assert play.time == pytest.approx(3.0)
     assert play.playing
-
-
-def test_time_runs_at_the_speed_that_is_chosen() -> None:
-    """Playing takes recorded seconds times the speed, ends at the end or begins again, and stands while paused."""
-    playback = Playback(2.0)
-    playback.advance(1.0)
-    assert playback.time == 0.0
-    playback.play()
-    playback.speed = 0.5
-    playback.advance(1.0)
-    assert playback.time == pytest.approx(0.5)
-    playback.speed, playback.loop = 10.0, True
-    playback.advance(0.2)  # 0.5 s beyond the end
-    assert (playback.time, playback.playing) == (pytest.approx(0.5), True)
-    playback.loop = False
-    playback.advance(1.0)
-    assert (playback.time, playback.playing) == (2.0, False)

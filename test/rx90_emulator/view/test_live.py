@@ -115,9 +115,7 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
     assert seen == [False, False, True, True]
 
 
-def test_what_the_nodes_publish_is_what_the_plots_show(
-    shipped: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each quantity of each joint stands in its own plot, with its sign and in its unit, and the loop has both axes."""
     count = len(shipped.friction.names)
     weights, elements = np.arange(1.0, 7.0), np.arange(1.0, count + 1.0)

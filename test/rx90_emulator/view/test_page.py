@@ -123,7 +123,9 @@ def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.Monk
     """Magnified, the trace is so many times as far from the line as it was, from blue to red; off it, grey and there."""
     made = {}
     add = page.scene.add_line_segments
-    monkeypatch.setattr(page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k)))
+    monkeypatch.setattr(
+        page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k))
+    )
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
     line = LineScene(page, "/line", start, end)
     tips = [[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]]
