@@ -120,7 +120,7 @@ def test_the_largest_path_error_is_that_of_the_way_along_the_line(page: Page) ->
 
 
 def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Magnified, the trace is so many times as far from the line as it was, from blue to red; off it, grey and there."""
+    """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
     made = {}
     add = page.scene.add_line_segments
     monkeypatch.setattr(
