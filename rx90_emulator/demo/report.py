@@ -9,8 +9,8 @@ import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
 from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import write_text
 from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
+from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field

@@ -16,8 +16,8 @@ from bag_making import joint_state, write_ros2
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.exporting import blocks
 from rx90_common.bags.exporting.exporting import export_bag
-from rx90_common.bags.importing import exact
-from rx90_common.bags.importing.exact import read_exact
+from rx90_common.bags.importing import exact, spool
+from rx90_common.bags.importing.exact import import_exact
 from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_bag
@@ -56,7 +56,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make blocks so small that the bag has several."""
     monkeypatch.setattr(blocks, "_BLOCK", 64)
-    monkeypatch.setattr(exact, "_BLOCK", 50)
+    monkeypatch.setattr(exact, "BLOCK", 50)
+    monkeypatch.setattr(spool, "BLOCK", 40)
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -203,8 +204,8 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
     ("line", "text"),
     [
         ("0.5,1.0,x,3.0,4.0", "one.csv:3: 'x'; accepted: a number in column 3"),
-        ("0.5,1.0", "one.csv:3: '2 columns'; accepted: 5, as in the first row"),
-        ("0.5,1.0,2.0,3.0,4.0,5.0", "one.csv:3: '6 columns'; accepted: 5, as in the first row"),
+        ("0.5,1.0", "one.csv:3: '2 columns'; accepted: 5, as in other rows"),
+        ("0.5,1.0,2.0,3.0,4.0,5.0", "one.csv:3: '6 columns'; accepted: 5, as in other rows"),
         ("soon,1.0,2.0,3.0,4.0", "one.csv:3: 'soon'; accepted: a time"),
         ("-1.0,1.0,2.0,3.0,4.0", "one.csv:3: '-1.0'; accepted: a time"),
     ],
@@ -230,10 +231,10 @@ def test_a_header_with_another_unit_than_the_mapping_is_refused(bag: Path, tmp_p
     text = log.read_text()
     log.write_text(text.replace("position [rad]", "position [deg]"))
     with pytest.raises(BagError, match=r"one\.csv:1: '.* position \[deg\]', but rad in .*one\.yaml"):
-        read_exact(log, LogMapping.load(mapping), lambda _: None)
+        import_exact([(log, LogMapping.load(mapping))], tmp_path / "again")
     log.write_text("\ufeff" + text.replace("time [s]", "time [ms]"))
     with pytest.raises(BagError, match=r"one\.csv:1: 'time \[ms\]', but s in "):
-        read_exact(log, LogMapping.load(mapping), lambda _: None)
+        import_exact([(log, LogMapping.load(mapping))], tmp_path / "again")
 
 
 def test_a_long_bag_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
