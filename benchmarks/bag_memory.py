@@ -8,10 +8,11 @@ merges the ratios into out/bench.json.
 
 from __future__ import annotations
 
-import os
+import re
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,8 @@ ROWS = 40_000
 TIMES = 10
 RATE = 4000  # Hz
 JOINTS = 6
+_PERIOD = 0.005  # s
+_ANONYMOUS = re.compile(r"^RssAnon:\s+(\d+) kB", re.MULTILINE)
 MAPPING = "time: {{column: 1, unit: s}}\ndelimiter: ','\nheader: 1\nexact: {exact}\ntopics:\n  joint_states:\n"
 
 
@@ -45,17 +48,20 @@ def write_log(folder: Path, rows: int, *, exact: bool) -> Path:
 
 
 def peak(*words: str | Path) -> int:
-    """Return the largest memory of a command, bytes.
+    """Return the largest memory of a command, bytes: without the bag's pages, which the system may drop at any time.
 
     Raises:
         RuntimeError: if it fails.
     """
     child = subprocess.Popen(executable("rx90_bag", *words), cwd=ROOT, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
+    status, largest = Path(f"/proc/{child.pid}/status"), 0
+    while child.poll() is None:
+        found = _ANONYMOUS.search(status.read_text(encoding="ascii"))
+        largest = max(largest, 1024 * int(found[1]) if found else 0)
+        time.sleep(_PERIOD)
     if child.returncode:
         raise RuntimeError(f"rx90_bag {words[0]} ended with {child.returncode}")
-    return usage.ru_maxrss * 1024
+    return largest
 
 
 def peaks(rows: int) -> dict[str, int]:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_emulator.loop.setup import Setup
 
 
-def negligible_element() -> LuGreElement:
+def negligible_element() -> FrictionElement:
     """Return friction so small that it does not show."""
-    return LuGreElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
+    return FrictionElement(1e-12, 1e-12, 1e-12, 1e-12, 1.0, 1.0, 1e-9, 0.0, 0.0)
 
 
-def decoupled_setup(shipped: Setup, elements: Sequence[LuGreElement], inertia: float) -> Setup:
+def decoupled_setup(shipped: Setup, elements: Sequence[FrictionElement], inertia: float) -> Setup:
     """Return six unit-gear rotors: joints 1 to 4 carry the given elements, one each.
 
     The links weigh nothing, there is neither gravity nor spring, the torques are not limited. What is left of

@@ -33,7 +33,7 @@ from friction_bench.rig.plant import JointFriction
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.errors import Rx90Error
 from rx90_common.base.share import config_path
-from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.element import FrictionElement
 
 KINDS = ("Coulomb-viscous", "LuGre")
 HEAVIEST = 0.11
@@ -73,11 +73,11 @@ def random_rig(seed: int, number: int, kind: str) -> Rig:
     rise = min(rng.uniform(1.05, 1.6), (HEAVIEST - own) * torque / coulomb)
     bristle, damping = between(2e-4, 1e-3), between(3e-4, 3e-3)
     stribeck, exponent = between(0.02, 0.2), rng.uniform(0.7, 2.0)
-    joint: JointFriction | LuGreElement = JointFriction(coulomb, slope)
+    joint: JointFriction | FrictionElement = JointFriction(coulomb, slope)
     if kind == "LuGre":
         static, stiffness = coulomb * max(rise, 1.0), coulomb / bristle
         torques = coulomb, coulomb, static, static
-        joint = LuGreElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
+        joint = FrictionElement(*torques, stribeck, exponent, stiffness, damping * stiffness, slope, 1.0)
     plant = replace(
         rig.plant,
         coulomb=own,
@@ -108,7 +108,7 @@ def truth_of(rig: Rig, loaded: bool) -> Array:
     assert rig.plant is not None
     shaft = rig.plant.shaft(loaded)
     values = np.array([shaft.coulomb, shaft.viscous, shaft.inertia])
-    if loaded and isinstance(rig.plant.joint, LuGreElement):
+    if loaded and isinstance(rig.plant.joint, FrictionElement):
         torque = rig.gear_ratio * rig.gear_efficiency
         values += rig.plant.joint.tau_c_positive / torque, rig.plant.joint.c2 / (torque * rig.gear_ratio), 0.0
     return values

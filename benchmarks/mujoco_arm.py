@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.description.drives import DriveParameters
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def _add_motors(spec: Any, joints: Any, drives: DriveParameters) -> None:
         motor.gear[0] = gear
 
 
-def _add_friction(actuator: Any, element: LuGreElement) -> None:
+def _add_friction(actuator: Any, element: FrictionElement) -> None:
     lugre = [element.c0, element.c1, element.tau_c_positive, element.tau_s_positive, element.omega_s]
     actuator.set_to_dcmotor(
         motorconst=_NO_MOTOR, resistance=1.0, lugre=lugre, ctrlspec=mujoco.mjtCtrlInput.mjINPUT_NONE

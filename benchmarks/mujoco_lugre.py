@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from benchmarks.decoupled import decoupled_setup
 from benchmarks.hybrid_reference import StiffPlant
 from benchmarks.report import print_table
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ SCENARIOS = (
 )
 
 
-def element_of(setup: Setup) -> LuGreElement:
+def element_of(setup: Setup) -> FrictionElement:
     """Return the friction of joint 1 as far as MuJoCo can express it."""
     first = setup.friction.elements[0]
     return dataclasses.replace(
@@ -95,7 +95,7 @@ def run_solver(setup: Setup, torques: Array) -> States:
 
 
 def mujoco_joint(
-    element: LuGreElement, period: float, integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
+    element: FrictionElement, period: float, integrator: mujoco.mjtIntegrator = mujoco.mjtIntegrator.mjINT_EULER
 ) -> mujoco.MjModel:
     """Return a rotor with MuJoCo's LuGre friction."""
     spec = mujoco.MjSpec()
@@ -115,7 +115,7 @@ def mujoco_joint(
 
 
 def run_mujoco(
-    element: LuGreElement,
+    element: FrictionElement,
     period: float,
     torques: Array,
     substeps: int = 1,

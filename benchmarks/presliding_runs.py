@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.synthetic_sweeps import STEADY_TORQUE, WRIST, Noise
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.experiments.plan import Kind, PlanOptions, make_plan
 from rx90_emulator.identification.model.estimates import PRESLIDING, SLIDING, ElementEstimate
 from rx90_emulator.identification.records.record import JointRecord
@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
         return self.error == self.error
 
 
-def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[LuGreElement]) -> list[Outcome]:
+def outcomes(estimates: Sequence[ElementEstimate], truth: Sequence[FrictionElement]) -> list[Outcome]:
     """Return what became of c0 and c1 of every element."""
     found = []
     for estimate, element in zip(estimates, truth, strict=True):
@@ -107,14 +107,14 @@ def recorded(setup: Setup, run: Run, rng: np.random.Generator, noise: Noise) -> 
     return JointRecord(setup.robot.joint_names, run.time, joints, velocity, noisy @ WRIST, Path(run.name), run.name)
 
 
-def sliding_covariance(element: LuGreElement) -> Array:
+def sliding_covariance(element: FrictionElement) -> Array:
     """Return the covariance of a sliding regime as it is identified, in the order of SLIDING, shape (7, 7)."""
     names = [name.removesuffix("_positive").removesuffix("_negative") for name in SLIDING]
     deviation = [_SLIDING_ERROR[name] * getattr(element, full) for name, full in zip(names, SLIDING, strict=True)]
     return np.diag(np.square(deviation))
 
 
-def measured_sliding(elements: Sequence[LuGreElement], rng: np.random.Generator) -> list[LuGreElement]:
+def measured_sliding(elements: Sequence[FrictionElement], rng: np.random.Generator) -> list[FrictionElement]:
     """Return the sliding regime as it is identified: with errors."""
     found = []
     for element in elements:

@@ -16,7 +16,7 @@ from friction_bench.experiment.ramp import Guard
 from friction_bench.experiment.record import RampRecord
 from friction_bench.rig.plant import PlantParameters, Shaft, turn, turn_with_joint
 from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Rig
-from rx90_common.friction.lugre import LuGreElement, element_arrays
+from rx90_common.friction.element import FrictionElement, element_arrays
 from rx90_common.kernels.compiled import kernel
 
 SLICES = 20
@@ -72,7 +72,7 @@ class QuickRig:
         command = rig.torque(1) * ((128 + ticks * step) // RAMP_FRACTION)
         noise = plant.torque_noise * self._rng.standard_normal((ticks.size, SLICES))
         joint = plant.joint
-        element = joint if isinstance(joint, LuGreElement) else LuGreElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
+        element = joint if isinstance(joint, FrictionElement) else FrictionElement(1, 1, 1, 1, 1, 1, 1, 0, 0)
         angle, motor = _ramp(
             self.gain * command,
             noise,
@@ -80,7 +80,7 @@ class QuickRig:
             plant.shaft(loaded),
             (plant.gear_ratio, plant.gear_efficiency),
             element_arrays((element,)),
-            loaded and isinstance(joint, LuGreElement),
+            loaded and isinstance(joint, FrictionElement),
         )
         scale = rig.counts_per_revolution / math.tau
         counts = np.floor(angle * scale + self._rng.random())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.setup import Setup
 
@@ -145,7 +145,7 @@ def random_friction(base: FrictionSet, rng: np.random.Generator) -> FrictionSet:
             down = up  # the difference is a constant torque that joints 5 and 6 may as well have
         rise = rng.uniform(0.2, 0.5, 2)
         elements.append(
-            LuGreElement(
+            FrictionElement(
                 tau_c_positive=up,
                 tau_c_negative=down,
                 tau_s_positive=up * (1 + rise[0]),

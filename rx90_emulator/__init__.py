@@ -17,7 +17,7 @@ Comparison      compare_bags, compare_series, comparison_text, BagComparison, To
                 Verdict
 Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
                 MeasuredTolerances
-Friction        FrictionFile, FrictionSet, LuGreElement
+Friction        FrictionFile, FrictionSet, FrictionElement
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from rx90_common.base.errors import Rx90Error
     from rx90_common.base.rates import Rates
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_common.friction import FrictionSet, LuGreElement
+    from rx90_common.friction import FrictionElement, FrictionSet
     from rx90_common.friction.friction_file import FrictionFile
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
@@ -101,6 +101,7 @@ __all__ = [
     "ExcitationIdentification",
     "ExcitationTolerances",
     "Experiment",
+    "FrictionElement",
     "FrictionFile",
     "FrictionIdentification",
     "FrictionSet",
@@ -110,7 +111,6 @@ __all__ = [
     "LineRun",
     "LineTask",
     "LogUniform",
-    "LuGreElement",
     "MeasuredComparison",
     "MeasuredLayout",
     "MeasuredTolerances",
@@ -181,7 +181,7 @@ _HOMES = {
     "rx90_common.base.errors": "Rx90Error",
     "rx90_common.base.rates": "Rates",
     "rx90_common.description.robot_files": "RobotFiles",
-    "rx90_common.friction": "FrictionSet LuGreElement",
+    "rx90_common.friction": "FrictionSet FrictionElement",
     "rx90_common.friction.friction_file": "FrictionFile",
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",

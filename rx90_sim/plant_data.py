@@ -11,11 +11,10 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
-from rx90_common.friction import ELEMENT_COUNT, FrictionSet, LuGreElement
-from rx90_common.friction.lugre import element_arrays, elements_dtype
+from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.kernels.elementary_arrays import exponential_of
-from rx90_sim.base_parameters import base_parameters
-from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
@@ -85,7 +84,7 @@ def plant_record(
         )
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
-    _fill_arm(plant["arm"], robot, drives)
+    plant["arm"] = manipulator_record(robot.chain, drives)[0]
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
@@ -101,24 +100,13 @@ def plant_record(
     return record
 
 
-def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
-    parameters = base_parameters(robot.chain)
-    arm["frame"] = parameters.frame.transpose(2, 1, 0)
-    for name in ("next_origin", "first_moment", "second_moment"):
-        arm[name] = getattr(parameters, name).T
-    arm["first_origin"] = parameters.first_origin
-    arm["base_acceleration"] = -robot.chain.gravity
-    arm["rotor"] = drives.rotor_matrix
-    arm["spring_torque"] = drives.spring_torque
-
-
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:
     """Write the brakes, bristle elements with the inputs of the friction elements.
 
     Motor 6 turns with joints 5 and 6 together, so its brake is the seventh; on joint 6 alone there is none.
     """
     data = zip(drives.brake_torque, drives.brake_stiffness, drives.brake_damping, strict=True)
-    brakes = element_arrays([LuGreElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
+    brakes = element_arrays([FrictionElement(tau, tau, tau, tau, 1.0, 1.0, c0, c1, 0.0) for tau, c0, c1 in data])
     brake["tau_c"] = brake["tau_s"] = brake["alpha"] = 1.0
     for name in brakes.dtype.names or ():
         brake[name][..., [0, 1, 2, 3, 4, 6]] = brakes[name][0]

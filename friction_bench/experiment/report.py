@@ -12,7 +12,7 @@ from friction_bench.experiment.plots import comparison_plot, load_plot, velocity
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
@@ -101,7 +101,7 @@ def _interval(estimate: IntervalEstimate) -> dict[str, Any]:
     }
 
 
-def _lugre(coulomb: float, viscous: float, assumed: LuGreElement) -> LuGreElement:
+def _lugre(coulomb: float, viscous: float, assumed: FrictionElement) -> FrictionElement:
     """Return a LuGre element of which tau_c and c2 are measured.
 
     Assumed are c0 and c1, a presliding of 0.1 mrad with critical-like damping, and tau_s, as much above tau_c as in the
@@ -112,7 +112,7 @@ def _lugre(coulomb: float, viscous: float, assumed: LuGreElement) -> LuGreElemen
     tau_c, tau_s, c0, c1, c2 = (
         float(f"{value:.6g}") for value in (coulomb, static, stiffness, 1e-3 * stiffness, max(viscous, 0.0))
     )
-    return LuGreElement(tau_c, tau_c, max(tau_s, tau_c), max(tau_s, tau_c), 0.05, 1.0, c0, c1, c2, 1.0)
+    return FrictionElement(tau_c, tau_c, max(tau_s, tau_c), max(tau_s, tau_c), 0.05, 1.0, c0, c1, c2, 1.0)
 
 
 def write_yaml(path: Path, result: RampTestResult, element: str, base: FrictionFile) -> None:

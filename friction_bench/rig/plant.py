@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.friction.bristle import bristle_step, one_element
-from rx90_common.friction.lugre import LuGreElement, element_arrays
+from rx90_common.friction.element import FrictionElement, element_arrays
 from rx90_common.kernels.compiled import kernel
 
 
@@ -63,7 +63,7 @@ class PlantParameters:
     joint_inertia: float
     coulomb: float
     viscous: float
-    joint: JointFriction | LuGreElement
+    joint: JointFriction | FrictionElement
 
     def shaft(self, loaded: bool) -> Shaft:
         """Return what turns at the motor, sliding forward; without the friction of a LuGre joint."""
@@ -71,7 +71,7 @@ class PlantParameters:
         load = self.load_inertia + (self.joint_inertia if loaded else 0.0)
         inertia = self.rotor_inertia + load / (self.gear_ratio**2 * self.gear_efficiency)
         joint = self.joint
-        if not loaded or isinstance(joint, LuGreElement):
+        if not loaded or isinstance(joint, FrictionElement):
             return Shaft(inertia, self.coulomb, self.viscous)
         viscous = self.viscous + joint.viscous / (scale * self.gear_ratio)
         return Shaft(inertia, self.coulomb + joint.coulomb / scale, viscous)
@@ -146,7 +146,7 @@ class RigPlant:
         self.parameters = parameters
         self.angle = self.torque = 0.0
         self.load(False)
-        self._element = element_arrays((parameters.joint,)) if isinstance(parameters.joint, LuGreElement) else None
+        self._element = element_arrays((parameters.joint,)) if isinstance(parameters.joint, FrictionElement) else None
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()

@@ -15,8 +15,8 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers
 from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import read_element
-from rx90_common.friction.lugre import LuGreElement
 from rx90_common.friction.parameters import ELEMENT
 
 CODES = 255
@@ -219,7 +219,7 @@ class Rig:
                 raise RigInputError(f"{self.file}: {name} is {expected}, the rig's firmware has {firmware}")
 
 
-def _friction(section: Section, content: dict[str, Any]) -> JointFriction | LuGreElement:
+def _friction(section: Section, content: dict[str, Any]) -> JointFriction | FrictionElement:
     if content["model"] == "lugre":
         return read_element(section.section("lugre"))
     return JointFriction(content["coulomb"], content["viscous"])

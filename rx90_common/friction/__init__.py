@@ -3,19 +3,19 @@
 It lies on the ground because the robot's plant, the rig's and whoever compensates friction share it.
 """
 
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import load_friction
 from rx90_common.friction.friction_set import ELEMENT_COUNT, FrictionSet
-from rx90_common.friction.lugre import LuGreElement
 
 __all__ = [
     "ELEMENT_COUNT",
+    "FrictionElement",
     "FrictionSet",
-    "LuGreElement",
     "bristle",
+    "element",
     "friction_file",
     "friction_set",
     "load_friction",
-    "lugre",
     "parameters",
     "tracing",
 ]

@@ -13,8 +13,8 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import PROVENANCE, Section
+from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_set import FrictionSet, element_names
-from rx90_common.friction.lugre import LuGreElement
 from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend
 
 FRICTION = Group(
@@ -42,7 +42,7 @@ class FrictionFile:
         path: where it was read, if it was.
     """
 
-    elements: Mapping[str, LuGreElement]
+    elements: Mapping[str, FrictionElement]
     provenance: str | None = None
     source: str | None = None
     identification: Mapping[str, Any] | None = None
@@ -66,7 +66,7 @@ class FrictionFile:
         elements = {name: read_element(section.section(name)) for name in section}
         return cls(elements, root.provenance, root.source, content.get("identification"), path)
 
-    def select(self, names: Sequence[str]) -> tuple[LuGreElement, ...]:
+    def select(self, names: Sequence[str]) -> tuple[FrictionElement, ...]:
         """Return the elements of these names.
 
         Raises:
@@ -111,7 +111,7 @@ def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
     return FrictionSet(names, elements, path)
 
 
-def read_element(section: Section) -> LuGreElement:
+def read_element(section: Section) -> FrictionElement:
     """Read one element.
 
     Raises:
@@ -124,12 +124,12 @@ def read_element(section: Section) -> LuGreElement:
         numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
         values |= zip(parameter.attributes, numbers, strict=True)
     try:
-        return LuGreElement(**values)
+        return FrictionElement(**values)
     except ConfigError as error:
         raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
 
 
-def _values(element: LuGreElement) -> dict[str, Any]:
+def _values(element: FrictionElement) -> dict[str, Any]:
     """Return an element as `read_element` takes it."""
     values: dict[str, Any] = {}
     for parameter in FRICTION_PARAMETERS:

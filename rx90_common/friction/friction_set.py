@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
-from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.element import FrictionElement
 
 ELEMENT_COUNT = 7
 
@@ -28,7 +28,7 @@ class FrictionSet:
     """
 
     names: tuple[str, ...]
-    elements: tuple[LuGreElement, ...]
+    elements: tuple[FrictionElement, ...]
     file: Path | None = None
 
     def __post_init__(self) -> None:
@@ -38,7 +38,7 @@ class FrictionSet:
                 f"accepted: {ELEMENT_COUNT} of each"
             )
 
-    def __getitem__(self, name: str) -> LuGreElement:
+    def __getitem__(self, name: str) -> FrictionElement:
         """Return the element of this name.
 
         Raises:

@@ -49,7 +49,7 @@ class FrictionParameter:
 
     @cached_property
     def attributes(self) -> tuple[str, ...]:
-        """Return the attributes of LuGreElement that hold it: one, or one for each of SIGNS."""
+        """Return the attributes of FrictionElement that hold it: one, or one for each of SIGNS."""
         return tuple(f"{self.name}_{sign}" for sign in SIGNS) if self.signed else (self.name,)
 
     @property
@@ -108,7 +108,7 @@ ELEMENT = Group(
 """What stands in a file for one element."""
 
 FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for name in parameter.attributes}
-"""Units of the attributes of LuGreElement."""
+"""Units of the attributes of FrictionElement."""
 
 
 def legend() -> str:

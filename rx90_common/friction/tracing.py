@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction.bristle import bristle_step, one_element
-from rx90_common.friction.lugre import LuGreElement, element_arrays
+from rx90_common.friction.element import FrictionElement, element_arrays
 from rx90_common.kernels.compiled import kernel
 
 
-def prescribed_torque(elements: Sequence[LuGreElement], velocity: Array, steps: Array) -> Array:
+def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, steps: Array) -> Array:
     """Return the friction torque of each element, the mean over each step, from undeflected bristles on, Nm.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rx90_common.base.arrays import Record
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
-from rx90_common.friction.lugre import element_arrays, elements_dtype
+from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_controller.law.parameters import CONTROLLER_DTYPE
 
 FEW, MANY = 4, 16

@@ -23,7 +23,7 @@ from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.share import config_path
-from rx90_common.friction.lugre import LuGreElement
+from rx90_common.friction.element import FrictionElement
 
 
 def quiet(rig: Rig) -> Rig:
@@ -100,7 +100,7 @@ def test_wide_stribeck_effect_does_not_bias_coulomb_friction() -> None:
     """A release that lasts until the shaft turns at tens of rad/s, without noise: f_c and f_v within 0.5 %."""
     rig = quiet(load_rig(config_path("rig/gm8224_lugre.yaml")))
     assert rig.plant is not None
-    assert isinstance(rig.plant.joint, LuGreElement)
+    assert isinstance(rig.plant.joint, FrictionElement)
     wide = replace(rig.plant.joint, tau_s_positive=1.35, tau_s_negative=1.35, omega_s=0.2)
     rig = replace(rig, plant=replace(rig.plant, joint=wide))
     quick = QuickRig(rig, 3)

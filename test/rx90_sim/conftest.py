@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from benchmarks.decoupled import decoupled_setup, negligible_element
 from rx90_common.base.rates import Rates
 from rx90_common.description.rigid_torque import rigid_torque
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
@@ -87,7 +87,7 @@ def frictionless() -> FrictionSet:
 def masses(shipped: Setup) -> Callable[..., Plant]:
     """Return a maker of plants of independent masses: `masses(elements, inertia, base_hz)`."""
 
-    def make(elements: Sequence[LuGreElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
+    def make(elements: Sequence[FrictionElement], inertia: float = 1.0, base_hz: int = 4000) -> Plant:
         setup = dataclasses.replace(decoupled_setup(shipped, elements, inertia), rates=Rates(base_hz, base_hz // 4))
         return setup.plant()
 

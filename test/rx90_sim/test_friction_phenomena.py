@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.loop.setup import Setup
@@ -68,7 +68,7 @@ def mass_with_friction(oracle: Any, force: Callable[[float, float], float]) -> C
 
 
 def test_break_away_falls_as_the_force_rate_rises(
-    masses: Masses, paper_element: LuGreElement, lugre_oracle: type
+    masses: Masses, paper_element: FrictionElement, lugre_oracle: type
 ) -> None:
     """The break-away force falls with the rate of the force, from tau_s on, and equals a stiff solver's."""
     rates = np.array([0.2, 1.0, 5.0, 25.0])
@@ -97,7 +97,7 @@ def test_break_away_falls_as_the_force_rate_rises(
 
 
 def test_stick_slip_of_a_mass_pulled_by_a_spring(
-    masses: Masses, paper_element: LuGreElement, lugre_oracle: type
+    masses: Masses, paper_element: FrictionElement, lugre_oracle: type
 ) -> None:
     """A mass pulled by a soft spring sticks and slips with the period and stroke of a stiff solver."""
     stiffness, speed, end = 2.0, 0.1, 30.0
@@ -132,10 +132,10 @@ def presliding_loop(record: Any, amplitude: float, frequency: float, cycles: int
 
 
 def test_presliding_hysteresis_is_closed_and_independent_of_rate(
-    record: Callable[[LuGreElement], Any],
+    record: Callable[[FrictionElement], Any],
 ) -> None:
     """Cyclic micro-motion gives the same closed loop at rates that differ a hundredfold."""
-    element = LuGreElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0)
+    element = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0)
     amplitude = 2.5e-4  # 0.8 of the break-away deflection
     slow, fast = (presliding_loop(record(element), amplitude, f, cycles=30, steps=800) for f in (0.001, 0.1))
     torque = slow[..., 1]
@@ -153,7 +153,7 @@ def test_presliding_hysteresis_is_closed_and_independent_of_rate(
 
 
 def test_a_mass_under_constant_load_does_not_creep_in_an_hour(
-    masses: Masses, shipped: Setup, paper_element: LuGreElement
+    masses: Masses, shipped: Setup, paper_element: FrictionElement
 ) -> None:
     """Below break-away a mass moves by its bristle, then keeps every bit of its position for an hour.
 
@@ -181,7 +181,7 @@ def test_a_free_mass_slows_down_as_its_viscous_exponent_says(masses: Masses) -> 
     """With dv/dt = -c v^a a mass has v^(1 - a) = v_0^(1 - a) - (1 - a) c t; for a < 1 it stops after a finite way."""
     exponents, c, start = np.array([0.4, 0.6, 0.8, 1.5]), 0.5, 2.0
     tiny = 1e-9
-    elements = [LuGreElement(tiny, tiny, tiny, tiny, 1.0, 1.0, tiny, 0.0, c, alpha=a) for a in exponents]
+    elements = [FrictionElement(tiny, tiny, tiny, tiny, 1.0, 1.0, tiny, 0.0, c, alpha=a) for a in exponents]
     plant = masses(elements)
     plant.state["v"][0, :4] = start
     force = np.zeros(6)
@@ -210,7 +210,9 @@ def test_the_arm_does_not_creep_under_constant_motor_torques(shipped: Setup, arm
     assert np.array_equal(plant.joint_states()[0], settled)
 
 
-def test_lugre_drifts_under_an_oscillating_load_below_break_away(masses: Masses, paper_element: LuGreElement) -> None:
+def test_lugre_drifts_under_an_oscillating_load_below_break_away(
+    masses: Masses, paper_element: FrictionElement
+) -> None:
     """A load of 0.25 +- 0.125 of break-away moves a sticking mass, each cycle by what equation 17 integrates to.
 
     Slowly, c0 z is the load. Equation 17 over the way x gives dx = dz / (1 - z/z_s) on the way up and dz / (1 + z/z_s)

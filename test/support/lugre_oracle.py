@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import one_element
-from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.element import element_arrays
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 class LuGreOracle:
     """Equations 17 to 19, written down from the paper for n elements, for a stiff solver."""
 
-    elements: Sequence[LuGreElement]
+    elements: Sequence[FrictionElement]
 
     def _values(self, name: str) -> Array:
         return np.array([getattr(element, name) for element in self.elements])
@@ -54,16 +54,16 @@ def lugre_oracle() -> type[LuGreOracle]:
 
 
 @pytest.fixture(scope="session")
-def paper_element() -> LuGreElement:
+def paper_element() -> FrictionElement:
     """Return the values of Canudas de Wit, Olsson, Astrom, Lischinsky (1995), table 1: N, m, kg, s."""
-    return LuGreElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
+    return FrictionElement(1.0, 1.0, 1.5, 1.5, 0.001, 2.0, 1e5, math.sqrt(1e5), 0.4)
 
 
 @pytest.fixture
-def record() -> Callable[[LuGreElement], Any]:
+def record() -> Callable[[FrictionElement], Any]:
     """Return what makes one element as compiled code has it."""
 
-    def make(element: LuGreElement) -> Any:
+    def make(element: FrictionElement) -> Any:
         return one_element(element_arrays((element,))[0], 0)
 
     return make

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -173,7 +174,7 @@ class _Plan:
         for k, line in enumerate(lines):
             text = line.text.split(",", self._time + 1)[self._time :][:1]
             try:
-                stamp = round(Decimal(text[0].strip()) * seconds)
+                stamp = round(Decimal(_plain_number(text[0])) * seconds)
             except (DecimalException, OverflowError, ValueError, IndexError):
                 stamp = -1
             if not 0 <= stamp < LAST_NS:
@@ -190,9 +191,13 @@ class _Plan:
             if len(fields) != self._fields:
                 raise self._refusal(line.number, f"{len(fields)} columns", f"{self._fields}, as in other rows")
             try:
-                rows.append([float(fields[column]) for column in self._columns])
+                row = [float(fields[column]) for column in self._columns]
             except (ValueError, IndexError):
                 raise self._no_number(line.number, fields) from None
+            if "_" in line.text or math.inf in map(abs, row):  # as 1_0 and 1e999, which Python takes for 10 and inf
+                for column in self._columns:
+                    self._check_number(line.number, fields[column])
+            rows.append(row)
         # Where the factor is 1 the product is the number, bit for bit.
         return np.array(rows, dtype=np.float64) * self._factor
 
@@ -235,6 +240,11 @@ class _Plan:
                 f"{plain(self._mapping.file)}; accepted: the same unit in both"
             )
 
+    def _check_number(self, line: int, text: str) -> None:
+        """Refuse what Python reads as another number than stands there."""
+        if "_" in text or (math.isinf(float(text)) and any(map(str.isdigit, text))):
+            raise self._refusal(line, text.strip(), "a number of double precision")
+
     def _no_number(self, line: int, fields: Sequence[str]) -> BagError:
         for column in self._columns:
             if column >= len(fields):
@@ -246,4 +256,9 @@ class _Plan:
         return self._refusal(line, fields[column].strip(), f"a number in column {column + 1}")
 
     def _refusal(self, line: int, text: str, accepted: str) -> BagError:
-        return BagError(f"{plain(self._path)}:{line}: {quoted(text, 60)}; accepted: {accepted}")
+        return BagError(f"{plain(self._path)}:{line}: {quoted(text.strip(), 60)}; accepted: {accepted}")
+
+
+def _plain_number(text: str) -> str:
+    """Return the text of a number without blanks around it; none that Python alone takes for one."""
+    return "" if "_" in text else text.strip()

@@ -39,6 +39,7 @@ class LogTable:
         delimiter: between columns, as in DELIMITERS.
         decimal: "." or ",".
         header: names of the columns; empty without a header.
+        head: lines before the first row, blank ones and comments aside.
         width: columns of a whole row.
         blocks: the rows, once; each block but the last has BLOCK of them. Raises BagError where the log cannot be read.
     """
@@ -47,6 +48,7 @@ class LogTable:
     delimiter: str
     decimal: str
     header: tuple[str, ...]
+    head: int
     width: int
     blocks: Iterator[RowBlock]
 
@@ -78,12 +80,13 @@ class LogTable:
             names = [names for names in said if len(names) == width]
         header = tuple(name.strip() for name in names[0]) if names else ()
         blocks = _blocks(chain(first[head:], numbered), delimiter)
-        return cls(path, delimiter, decimal, header, width, blocks)
+        return cls(path, delimiter, decimal, header, head, width, blocks)
 
     @property
     def told(self) -> str:
         """Return how it was read, for the user."""
         named = f"header {listed(self.header)}" if self.header else "no header"
+        named += f" in {self.head} lines before the first row" if self.head > 1 else ""
         return f"{self.width} columns, delimiter {self.delimiter!r}, decimal {self.decimal!r}, {named}"
 
     def place(self, column: Column) -> int:

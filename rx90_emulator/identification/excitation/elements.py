@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.result.identification import IdentifiedElement
 
@@ -18,7 +18,7 @@ _STRIBECK = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
 
 
 def simulated_elements(
-    estimates: Sequence[ElementEstimate], fallback: Sequence[LuGreElement] | None
+    estimates: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -26,7 +26,7 @@ def simulated_elements(
     still, come from the fallback, else from the presliding distance of large joints; both are assumptions.
 
     Args:
-        estimates: by the names of LuGreElement.
+        estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
 
     Raises:
@@ -43,7 +43,7 @@ def simulated_elements(
     )
 
 
-def _element(name: str, known: Mapping[str, ParameterEstimate], other: LuGreElement | None) -> LuGreElement:
+def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:
     found = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
@@ -64,4 +64,4 @@ def _element(name: str, known: Mapping[str, ParameterEstimate], other: LuGreElem
     if "c1" not in found:
         found["c1"] = found["c0"] * _RELAXATION if other is None else other.c1
         found["omega_d"] = _FADES if other is None else other.omega_d
-    return LuGreElement(**found)
+    return FrictionElement(**found)

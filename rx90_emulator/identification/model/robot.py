@@ -15,7 +15,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -42,7 +42,7 @@ class RecordedRobot:
     arm: RigidArm
     setup: Setup | None
     own_layout: BagLayout | None
-    fallback: tuple[LuGreElement, ...] | None
+    fallback: tuple[FrictionElement, ...] | None
     fallback_name: str | None
     torque_delay: float = 0.0
     record_time: bool = False
@@ -138,7 +138,7 @@ def _other(options: RobotOptions, urdf: Path, *, massless: bool) -> RecordedRobo
     return RecordedRobot(arm, None, layout, *fallback, options.torque_delay, options.record_time)
 
 
-def _fallback(name: str, arm: RigidArm) -> tuple[tuple[LuGreElement, ...] | None, str | None]:
+def _fallback(name: str, arm: RigidArm) -> tuple[tuple[FrictionElement, ...] | None, str | None]:
     if name == "none":
         return None, None
     return FrictionFile.read(resolve_config(name)).select(arm.element_names), name

@@ -11,7 +11,7 @@ from typing import Any
 from rx90_common.base.config import check_numbers
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import plain
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_emulator.identification.model.estimates import LARGEST, PARAMETERS, ParameterEstimate
@@ -148,5 +148,5 @@ def _rounded(value: float) -> float:
     return float(f"{value:.6g}")
 
 
-def _rounded_element(element: LuGreElement) -> LuGreElement:
+def _rounded_element(element: FrictionElement) -> FrictionElement:
     return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})

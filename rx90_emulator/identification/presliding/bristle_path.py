@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import damping, decay, one_element, sliding_torque
-from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.element import element_arrays
 from rx90_common.kernels.compiled import kernel
 from rx90_emulator.identification.presliding.band import block_means
 
@@ -33,7 +33,7 @@ class BristlePath:
     step: float
 
     @classmethod
-    def of(cls, element: LuGreElement, speed: Array, step: float) -> BristlePath:
+    def of(cls, element: FrictionElement, speed: Array, step: float) -> BristlePath:
         """Return the path of an element, of which c0 and c1 are not used.
 
         Args:

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.model.estimates import PRESLIDING, ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.band import block_means
@@ -61,7 +61,7 @@ class PreslidingFit:
 def identify_presliding(
     records: Sequence[JointRecord],
     arm: RigidArm,
-    sliding: Sequence[LuGreElement],
+    sliding: Sequence[FrictionElement],
     torque_delay: float = 0.0,
     sliding_covariances: Sequence[Array] | None = None,
     plant_period: float | None = None,
@@ -117,7 +117,7 @@ def identify_presliding(
 
 
 def _chosen(
-    motions: Sequence[MicroMotion], group: JointGroup, sliding: Sequence[LuGreElement], plant_period: float | None
+    motions: Sequence[MicroMotion], group: JointGroup, sliding: Sequence[FrictionElement], plant_period: float | None
 ) -> list[MicroMotion]:
     """Return the motions to fit: those in which no element nearly slides, if there are any.
 

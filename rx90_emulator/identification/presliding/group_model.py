@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.bristle_path import BristlePath
 
@@ -124,7 +124,7 @@ class GroupFriction:
 
     parameters: ParameterVector
     inputs: Array
-    sliding: tuple[LuGreElement, ...]
+    sliding: tuple[FrictionElement, ...]
     speeds: tuple[Array, ...]
     step: tuple[float, ...]
     _last: dict[tuple[int, int], tuple[tuple[float, float], tuple[Array, Array]]] = field(
@@ -139,7 +139,7 @@ class GroupFriction:
             for speed, step in zip(self.speeds, self.step, strict=True)
         ]
 
-    def with_element(self, n: int, element: LuGreElement) -> GroupFriction:
+    def with_element(self, n: int, element: FrictionElement) -> GroupFriction:
         """Return the same motions with another sliding regime of one element."""
         return replace(self, sliding=(*self.sliding[:n], element, *self.sliding[n + 1 :]))
 

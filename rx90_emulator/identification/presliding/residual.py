@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.presliding.band import BLOCK, band_spectrum, block_means
 from rx90_emulator.identification.presliding.group_model import GroupFriction, ParameterVector
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
@@ -69,7 +69,7 @@ class GroupResidual:
     scale: Array
 
     @classmethod
-    def of(cls, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> GroupResidual:
+    def of(cls, motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> GroupResidual:
         """Return the residuals with a first guess of the noise: a tenth of the Coulomb torque."""
         first = motions[0]
         parameters = ParameterVector(len(sliding), first.joints, len(first.inertia), len(motions))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_emulator.identification.presliding.band import band_spectrum, block_means
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
@@ -46,7 +46,7 @@ class GroupSolution:
 def fit_group(
     motions: Sequence[MicroMotion],
     inputs: Array,
-    sliding: Sequence[LuGreElement],
+    sliding: Sequence[FrictionElement],
     sliding_covariance: Array | None = None,
     plant_period: float | None = None,
 ) -> GroupSolution:
@@ -95,7 +95,7 @@ def _minimise(residual: GroupResidual, start: Array, tolerance: float) -> Array:
     return np.asarray(result.x)
 
 
-def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[LuGreElement]) -> Array:
+def first_guess(motions: Sequence[MicroMotion], inputs: Array, sliding: Sequence[FrictionElement]) -> Array:
     """Return c0 and c1 by linear regression of the torque on deflection and velocity, shape (e, 2).
 
     A bristle's stiffness falls with its deflection, so this c0 is low; it is where the fit begins.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.identification.model.estimates import (
     PARAMETERS,
     PRESLIDING,
@@ -35,7 +35,7 @@ class IdentifiedElement:
         sources: the bags each parameter rests on.
     """
 
-    element: LuGreElement
+    element: FrictionElement
     estimates: dict[str, ParameterEstimate]
     sources: dict[str, tuple[BagSource, ...]]
 
@@ -63,7 +63,7 @@ class FrictionIdentification:
     validations: tuple[Validation, ...] = ()
 
     @property
-    def lugre(self) -> tuple[LuGreElement, ...]:
+    def lugre(self) -> tuple[FrictionElement, ...]:
         """Return the elements to simulate with."""
         return tuple(one.element for one in self.elements)
 
@@ -132,9 +132,9 @@ def identify_records(
 def _merged(
     sliding: ElementEstimate,
     presliding: Mapping[str, ParameterEstimate],
-    fallback: LuGreElement | None,
+    fallback: FrictionElement | None,
     given: Mapping[str, float],
-) -> LuGreElement:
+) -> FrictionElement:
     """Return the element; parameters that are not identifiable come from `given`, else from the fallback."""
     estimates = {**sliding.parameters, **presliding}
     values = dict(given)
@@ -157,4 +157,4 @@ def _merged(
         values[f"tau_s_{sign}"] = max(values[f"tau_s_{sign}"], values[f"tau_c_{sign}"])
     if fallback is not None:
         values["omega_d"] = fallback.omega_d
-    return LuGreElement(**values)
+    return FrictionElement(**values)

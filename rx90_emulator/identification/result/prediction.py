@@ -13,7 +13,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.kinematics import forward
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
@@ -45,7 +45,7 @@ class TorquePrediction(NamedTuple):
     compared: Array
 
 
-def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time: Array, position: Array) -> Array:
+def friction_along(element_matrix: Array, lugre: tuple[FrictionElement, ...], time: Array, position: Array) -> Array:
     """Return the friction torque at the joints along a motion, Nm, shape (m, n).
 
     Args:
@@ -61,7 +61,7 @@ def friction_along(element_matrix: Array, lugre: tuple[LuGreElement, ...], time:
 
 
 def predict_torque(
-    arm: RigidArm, lugre: tuple[LuGreElement, ...], sliding: SlidingFit | None, record: JointRecord
+    arm: RigidArm, lugre: tuple[FrictionElement, ...], sliding: SlidingFit | None, record: JointRecord
 ) -> TorquePrediction:
     """Predict the drives' torques along a recorded motion.
 
@@ -114,7 +114,7 @@ def _error_of_weights(arm: RigidArm, sliding: SlidingFit, position: Array, recor
 
 
 def tip_difference(
-    setup: Setup, lugre: tuple[LuGreElement, ...], record: JointRecord, reference: JointSeries
+    setup: Setup, lugre: tuple[FrictionElement, ...], record: JointRecord, reference: JointSeries
 ) -> tuple[Array, Array]:
     """Return time and distance of the tip of the closed loop, run along the recorded set-points, from the recorded one.
 

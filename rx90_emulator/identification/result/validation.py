@@ -9,7 +9,7 @@ import numpy as np
 from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.topics import absolute
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.model.options import ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.model.zeros import ZeroCheck
@@ -90,7 +90,7 @@ class Validation:
 
 def validate(
     robot: RecordedRobot,
-    lugre: tuple[LuGreElement, ...],
+    lugre: tuple[FrictionElement, ...],
     sliding: SlidingFit | None,
     record: JointRecord,
     tolerances: ValidationTolerances,

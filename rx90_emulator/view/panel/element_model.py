@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_UNITS
 from rx90_common.friction.tracing import prescribed_torque
@@ -34,14 +34,14 @@ class PreslidingLoop(NamedTuple):
     back: Array
 
 
-def stribeck_curve(element: LuGreElement, top: float) -> StribeckCurve:
+def stribeck_curve(element: FrictionElement, top: float) -> StribeckCurve:
     """Return the steady torque up to a velocity of either sign, rad/s, with more points where it is small."""
     speed = top * np.linspace(0.0, 1.0, _CURVE + 1)[1:] ** 3
     velocity = np.concatenate([-speed[::-1], [0.0], speed])
     return StribeckCurve(velocity, element.steady_torque(velocity))
 
 
-def presliding_loop(element: LuGreElement, amplitude: float) -> PreslidingLoop:
+def presliding_loop(element: FrictionElement, amplitude: float) -> PreslidingLoop:
     """Return the closed loop of torque and displacement between two reversals, by the steps of the simulation.
 
     Args:
@@ -58,7 +58,7 @@ def presliding_loop(element: LuGreElement, amplitude: float) -> PreslidingLoop:
     return PreslidingLoop(middle, forth, back[::-1])
 
 
-def break_away(element: LuGreElement) -> float:
+def break_away(element: FrictionElement) -> float:
     """Return the displacement at which the linear bristle has the static torque, rad."""
     return max(element.tau_s_positive, element.tau_s_negative) / element.c0
 

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.parameters import FRICTION_PARAMETERS
 
 
-def typed_values(element: LuGreElement, factor: float = 1.0) -> tuple[str, ...]:
+def typed_values(element: FrictionElement, factor: float = 1.0) -> tuple[str, ...]:
     """Return what one would type for an element whose values are times a factor, in the order of the table."""
     texts = []
     for parameter in FRICTION_PARAMETERS:
@@ -20,7 +20,7 @@ def typed_values(element: LuGreElement, factor: float = 1.0) -> tuple[str, ...]:
 
 
 def read_values(texts: Sequence[str]) -> dict[str, float]:
-    """Return the attributes of LuGreElement that the fields say, in the order of the table.
+    """Return the attributes of FrictionElement that the fields say, in the order of the table.
 
     Raises:
         ConfigError: for what is no number, naming parameter, text and what is accepted.

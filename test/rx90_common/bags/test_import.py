@@ -339,3 +339,37 @@ def test_a_long_log_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.Mon
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] <= 1.2 * peaks[1]
+
+
+@pytest.mark.parametrize(
+    ("exact", "content", "said"),
+    [
+        (False, b"1," * 600_000, "log.csv:1: more than 1048576 characters in a line; accepted: text in lines"),
+        (True, b"t,a,b\n" + bytes(2_000_000), "log.csv:2: more than 1048576 characters in a line"),
+        (False, b"\xff\xfe1", "log.csv: holds no row of numbers"),
+        (True, b"\xff\xfe", "log.csv: holds no row of numbers"),
+        (True, b"t,a,b\n0,1e999,2\n", "log.csv:2: '1e999'; accepted: a number of double precision"),
+        (True, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv:3: '3_0'; accepted: a number of double precision"),
+        (True, b"t,a,b\n1_0,1,2\n", "log.csv:2: '1_0'; accepted: a time"),
+        (True, b"t,a,b\n0,1,\0\n", "log.csv:2: '\\x00'; accepted: a number in column 3"),
+    ],
+)
+def test_what_is_no_log_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], exact: bool, content: bytes, said: str
+) -> None:
+    """Lines without an end, torn encodings, and numbers that Python alone would take are refused; nothing is made."""
+    write(tmp_path / "m.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
+    (tmp_path / "log.csv").write_bytes(content)
+    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--mapping", str(tmp_path / "m.yaml")]
+    assert run("rx90_bag", words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
+
+
+def test_a_first_row_that_is_taken_for_a_header_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A torn quotation mark makes of a row a line without a number; how many such stood before is told."""
+    write(tmp_path / "log.yaml", PLAIN)
+    log = write(tmp_path / "log.csv", 't,a,b\n"0,1,2\n1,2,3\n')
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
+    assert "header t, a, b in 2 lines before the first row" in capsys.readouterr().out

@@ -14,18 +14,18 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, damping, friction_torque, one_element
-from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.element import element_arrays
 
-Record = Callable[[LuGreElement], Any]
-ELEMENT = LuGreElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+Record = Callable[[FrictionElement], Any]
+ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 CONSTANT_C1 = dataclasses.replace(ELEMENT, omega_d=math.inf)
 COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
 STORE = 0.5 * ELEMENT.c0
 
 
-def closed_form(element: LuGreElement, z: float, v: float, step: float) -> tuple[float, float]:
+def closed_form(element: FrictionElement, z: float, v: float, step: float) -> tuple[float, float]:
     """Return deflection and mean torque at constant velocity, in extended precision."""
     wide = np.longdouble
     g = wide(element.sliding_torque(v)) / wide(element.c0)
@@ -72,7 +72,7 @@ def test_many_small_steps_make_one_large_step() -> None:
 
 @pytest.mark.parametrize("element", [ELEMENT, CONSTANT_C1], ids=["fading c1", "constant c1"])
 @pytest.mark.parametrize("shape", ["sine", "ramp"])
-def test_second_order_for_a_changing_velocity(record: Record, element: LuGreElement, shape: str) -> None:
+def test_second_order_for_a_changing_velocity(record: Record, element: FrictionElement, shape: str) -> None:
     """Against a stiff solver the error falls fourfold per halving, through reversals of both signs."""
 
     def velocity(t: float) -> float:
@@ -135,7 +135,7 @@ def test_every_parameter_set_gives_numbers(
 ) -> None:
     """Any accepted parameters, however far from a robot's, give finite deflection and torque."""
     static = tau * ratio
-    element = LuGreElement(tau, tau, static, static, omega_s, delta, c0, 1.0, 1.0)
+    element = FrictionElement(tau, tau, static, static, omega_s, delta, c0, 1.0, 1.0)
     compiled = one_element(element_arrays((element,))[0], 0)
     z, torque = bristle_step(compiled, 0.5 * tau / c0, v, 2.5e-4)
     assert math.isfinite(z)
@@ -161,7 +161,7 @@ def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> 
 
     With tau_s = 2 tau_c the loaded bristle starts at z = 2 g(v), where c1 |v| < 4 c0 g is sharp.
     """
-    element = LuGreElement(25.0, 25.0, 50.0, 50.0, 0.01, 1.0, 1e5, 100.0, 0.0)
+    element = FrictionElement(25.0, 25.0, 50.0, 50.0, 0.01, 1.0, 1e5, 100.0, 0.0)
     compiled = record(element)
     limit = element.passivity_limit(10.0)
     assert limit == pytest.approx(1.0, rel=0.01)  # c1 v = 4 c0 g: 100 v = 4 * 25

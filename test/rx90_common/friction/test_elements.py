@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
-from rx90_common.friction.lugre import element_arrays
+from rx90_common.friction.element import element_arrays
 from rx90_common.kernels.lanes import load, store
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 STEP = 2.5e-4
-Record = Callable[[LuGreElement], Any]
+Record = Callable[[FrictionElement], Any]
 
 
 @numba.njit(error_model="numpy")
@@ -62,7 +62,7 @@ def test_the_set_equals_its_elements(shipped: Setup, record: Record, deltas: lis
 
 def test_the_arrays_hold_each_sign_in_its_row(shipped: Setup) -> None:
     """Torques for v >= 0 stand in the first row and for v < 0 in the second, everything else once, in SI units."""
-    element = LuGreElement(2.0, 3.0, 4.0, 5.0, 0.5, 6.0, 7.0, 8.0, 9.0)
+    element = FrictionElement(2.0, 3.0, 4.0, 5.0, 0.5, 6.0, 7.0, 8.0, 9.0)
     arrays = element_arrays((*shipped.friction.elements, element))[0]
     assert (arrays["tau_c"][:, 7].tolist(), arrays["tau_s"][:, 7].tolist()) == ([2.0, 3.0], [4.0, 5.0])
     rest = [arrays[name][7] for name in ("inverse_omega_s", "delta", "c0", "c1", "c2", "inverse_omega_d", "alpha")]

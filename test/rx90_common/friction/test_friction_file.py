@@ -19,7 +19,7 @@ from refusals import refusal_by
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
 from rx90_common.description.robot_files import RobotFiles
-from rx90_common.friction import FrictionSet, LuGreElement, load_friction
+from rx90_common.friction import FrictionElement, FrictionSet, load_friction
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
 from rx90_emulator.loop.setup import Setup
@@ -149,10 +149,10 @@ def test_a_damping_that_is_not_passive_is_warned_of(
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, 0.0])
-@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(LuGreElement)])
+@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(FrictionElement)])
 def test_an_element_built_in_python_is_checked(name: str, value: float) -> None:
-    """LuGreElement refuses the same values when no file is involved."""
-    good = LuGreElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+    """FrictionElement refuses the same values when no file is involved."""
+    good = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
     if value == 0.0 and name in MAY_BE_ZERO:
         assert getattr(dataclasses.replace(good, **{name: value}), name) == 0.0
     else:
@@ -190,14 +190,14 @@ def test_the_range_stands_in_the_message_as_in_the_table() -> None:
 def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles) -> None:
     """Table, attributes, their description and the head of the shipped file name the same parameters and units."""
     attributes = [name for parameter in FRICTION_PARAMETERS for name in parameter.attributes]
-    fields = {field.name: field.default for field in dataclasses.fields(LuGreElement)}
+    fields = {field.name: field.default for field in dataclasses.fields(FrictionElement)}
     assert list(fields) == attributes
     for parameter in FRICTION_PARAMETERS:
         default = dataclasses.MISSING if parameter.default is None else parameter.default
         assert [fields[name] for name in parameter.attributes] == [default] * len(parameter.attributes)
     for parameter in FRICTION_PARAMETERS:
-        assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(LuGreElement.__doc__)
-        assert f"{parameter.meaning}, {parameter.unit}" in str(LuGreElement.__doc__)
+        assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(FrictionElement.__doc__)
+        assert f"{parameter.meaning}, {parameter.unit}" in str(FrictionElement.__doc__)
     assert legend() in shipped_files.friction.read_text()
 
 
@@ -205,14 +205,14 @@ POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
 
 
 @st.composite
-def elements(draw: st.DrawFn) -> LuGreElement:
+def elements(draw: st.DrawFn) -> FrictionElement:
     """Return any element at all, with equal or with different values for the signs."""
     up = sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))
     down = draw(st.sampled_from([up, sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))]))
     omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
     c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
     omega_d, alpha = draw(POSITIVE | st.just(math.inf)), draw(st.just(1.0) | st.floats(0.3, 2.0))
-    return LuGreElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha)
+    return FrictionElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha)
 
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
@@ -233,7 +233,10 @@ NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance
 )
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_what_is_written_is_read_back(
-    content: dict[str, LuGreElement], provenance: str | None, source: str | None, identification: dict[str, Any] | None
+    content: dict[str, FrictionElement],
+    provenance: str | None,
+    source: str | None,
+    identification: dict[str, Any] | None,
 ) -> None:
     """Any file comes back to the same bits, and a reader of YAML 1.1 sees the same numbers and texts."""
     file = FrictionFile(content, provenance, source, identification)

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from rx90_common.base.rates import Rates
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
 from rx90_emulator.loop.setup import Setup
 
-Record = Callable[[LuGreElement], Any]
+Record = Callable[[FrictionElement], Any]
 TICK = Rates().period
 
-ONE_SIDED = LuGreElement(
+ONE_SIDED = FrictionElement(
     tau_c_positive=25.0,
     tau_c_negative=31.0,
     tau_s_positive=32.0,
@@ -32,7 +32,7 @@ ONE_SIDED = LuGreElement(
 SPEEDS = [sign * speed for speed in np.geomspace(1e-7, 20.0, 25) for sign in (1.0, -1.0)]
 
 
-def stribeck(element: LuGreElement, v: float) -> float:
+def stribeck(element: FrictionElement, v: float) -> float:
     """Return equation 19 with its sign, plus the viscous part, from the paper's text."""
     coulomb, static = (
         (element.tau_c_positive, element.tau_s_positive) if v > 0 else (element.tau_c_negative, element.tau_s_negative)
@@ -44,7 +44,7 @@ def stribeck(element: LuGreElement, v: float) -> float:
 @pytest.mark.parametrize("delta", [0.5, 1.0, 2.0, 2.7])
 def test_steady_state_is_the_stribeck_curve_of_each_sign(record: Record, delta: float) -> None:
     """After a long way at constant velocity the torque is the Stribeck curve of that sign to 1e-9 Nm."""
-    element = LuGreElement(**{**vars(ONE_SIDED), "delta": delta})
+    element = FrictionElement(**{**vars(ONE_SIDED), "delta": delta})
     compiled = record(element)
     for v in SPEEDS:
         # Forty times the bristle's own deflection, in 400 steps.

@@ -12,11 +12,11 @@ import pytest
 from lugre_oracle import LuGreOracle
 from scipy.integrate import solve_ivp
 
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, friction_torque
 
-Record = Callable[[LuGreElement], Any]
-PAPER = LuGreElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+Record = Callable[[FrictionElement], Any]
+PAPER = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 STEP = 2.5e-4
 
 

@@ -34,7 +34,7 @@ class Hinge:
         """Write the friction times a factor and return the file's name."""
         values = vars(CURVE.scaled(factor)) | {"c0": 1e5, "c1": 0.0}
         file = self.folder / name
-        file.write_text(rx.FrictionFile({element: rx.LuGreElement(**values)}).text(), encoding="utf-8")
+        file.write_text(rx.FrictionFile({element: rx.FrictionElement(**values)}).text(), encoding="utf-8")
         return str(file)
 
     def check(self, *words: object) -> int:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.config import check_numbers, yaml_text
 from rx90_common.base.errors import ConfigError, IdentificationError, Rx90Error
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.output.friction_file import friction_text
@@ -192,7 +192,7 @@ def test_absurd_numbers_are_never_written(hinge: RigidArm, value: float) -> None
     """A deviation that is no number, infinite or absurd refuses the file in one line that names it."""
     estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1)) | {"c2": ParameterEstimate(1.0, value)}
     element = IdentifiedElement(
-        LuGreElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
+        FrictionElement(1.0, 1.0, 1.0, 1.0, 0.1, 1.0, 1e4, 1.0, 1.0), estimates, dict.fromkeys(PARAMETERS, ())
     )
     nothing = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
     result = FrictionIdentification(hinge, (element,), nothing, PreslidingFit((), (), 0))

@@ -19,7 +19,7 @@ from schema_faults import schema_faults
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.robot_files import FILES, RobotFiles
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
@@ -49,7 +49,7 @@ FIXED = """<link name="tool"><inertial><origin xyz="0 0 0.1"/><mass value="1.5"/
 <joint name="u" type="fixed"><origin xyz="0 0.2 0.3"/><parent link="tool"/><child link="bare"/></joint></robot>"""
 
 
-def element_of(element: LuGreElement, source: BagSource) -> IdentifiedElement:
+def element_of(element: FrictionElement, source: BagSource) -> IdentifiedElement:
     """Return an element of which omega_s and the bristle are not identified."""
     estimates = {
         name: ParameterEstimate.unknown("too short")
@@ -202,7 +202,7 @@ def test_urdf_of_any_arm_has_the_identified_torque(tmp_path: Path, source: BagSo
     prior = InertialPrior.of_urdf(file, arm.names, [0.0, 0.0, 0.1])
     assert prior.dropped == ("dust",)
     inertias = consistent_inertias(estimate_of(columns, theta), prior)
-    element = LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5)
+    element = FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5)
     robot = IdentifiedRobot(arm, inertias, columns.names, (element_of(element, source),) * 3, None, (source,))
     base, why = folder_base(arm, file)
     assert base is None
@@ -295,7 +295,7 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     assert written["viscous_exponent"] == [1.0] * 6
     assert written["coulomb_torque"] == [25.0, 28.0, 18.0, 6.0, 4.0, 3.5]
     bent, straight = (
-        LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=a) for c2, a in ((2, 0.6), (1, 1))
+        FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, c2, alpha=a) for c2, a in ((2, 0.6), (1, 1))
     )
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
@@ -308,7 +308,7 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
 )
 def test_no_absurd_friction_is_written(source: BagSource, parameter: str, value: float, deviation: float) -> None:
     """A friction value that no arm has, or whose deviation is no number, is refused by name in one line."""
-    good = element_of(LuGreElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
+    good = element_of(FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5), source)
     assert "tau_c: 1.0" in elements_text(["a"], [good], None)
     estimates = {**good.estimates, parameter: ParameterEstimate(value, deviation)}
     bad = replace(good, element=replace(good.element, **{parameter: value}), estimates=estimates)

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.synthetic_sweeps import Noise
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction import FrictionSet, LuGreElement
+from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_emulator.identification.model.estimates import SLIDING, ElementEstimate
 from rx90_emulator.identification.model.rigid_arm import RigidArm
@@ -24,7 +24,7 @@ from rx90_emulator.identification.sliding.fit import identify_sliding
 from rx90_emulator.loop.setup import Setup
 
 
-def errors(estimate: ElementEstimate, element: LuGreElement) -> dict[str, float]:
+def errors(estimate: ElementEstimate, element: FrictionElement) -> dict[str, float]:
     """Return relative errors by parameter."""
     return {name: abs(found.value / getattr(element, name) - 1.0) for name, found in estimate.parameters.items()}
 

@@ -8,7 +8,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import DriveParameters
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.catalogue import Catalogue, Leaf
@@ -17,7 +17,7 @@ from rx90_emulator.loop.catalogue import Catalogue, Leaf
 @pytest.mark.parametrize(
     ("prefix", "kind", "without"),
     [
-        ("friction.joint_5_6", LuGreElement, set()),
+        ("friction.joint_5_6", FrictionElement, set()),
         ("drives", DriveParameters, set()),
         ("controller", CS7BParameters, {"feed_forward"}),
         ("controller.feed_forward", FeedForward, set()),

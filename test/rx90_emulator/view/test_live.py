@@ -89,7 +89,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     assert max(map(abs, deflection[1])) > 100.0  # 25 Nm / 1e5 Nm/rad: 250 microrad
     newest = friction[0][-1]
     shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
-    shown.wait_until(lambda: "mm, on the way" in shown.text(), "the path error")
+    shown.wait_until(lambda: "mm now; largest on this way" in shown.text(), "the path error")
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
 
 

@@ -1,4 +1,4 @@
-"""From the selected model to the parameters of LuGreElement, with deviations, or the reason why one is not known."""
+"""From the selected model to the parameters of FrictionElement, with deviations, or the reason why one is not known."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Refusal = Callable[[Part], str]
 
 
 def element_estimate(one: FittedElement, refusal: Refusal, sources: tuple[BagSource, ...]) -> ElementEstimate:
-    """Return the estimates of an element by the names of LuGreElement.
+    """Return the estimates of an element by the names of FrictionElement.
 
     Args:
         one: the element as it was fitted.

@@ -163,7 +163,7 @@ class FrictionSelection:
         models: rows of the table, in the order in which they were compared.
         blocks: of the cross-validation.
         fitted: elements as they were fitted, in the arm's order.
-        elements: their estimates by the names of LuGreElement, with the reason for each that is not identifiable.
+        elements: their estimates by the names of FrictionElement, with the reason for each that is not identifiable.
         fit: of the kept model, linear around the non-linear parameters (whose values there are their last changes):
             the problem's parameters, then the friction's, with HAC covariance. Its last values may be exponents that
             are left at 1, and whose uncertainty the covariance knows.

@@ -17,7 +17,7 @@ from rx90_common.base.quoting import listed
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.description.wrist import element_matrix
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_set import element_names
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_emulator.identification.excitation.physical.fit import ConsistentInertias
@@ -183,7 +183,7 @@ def _controller(robot: IdentifiedRobot, path: Path, speed: Array) -> dict[str, A
     return content | {"feed_forward": marked(content["feed_forward"], new)}
 
 
-def viscous_sum(elements: Sequence[LuGreElement], speed: float) -> tuple[float, float]:
+def viscous_sum(elements: Sequence[FrictionElement], speed: float) -> tuple[float, float]:
     """Return c2 and alpha of one viscous part that has the sum of several at the speed and at a share of it."""
     if len({one.alpha for one in elements}) == 1:
         return sum(one.c2 for one in elements), elements[0].alpha

@@ -11,14 +11,14 @@ import pytest
 from lugre_oracle import LuGreOracle
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.friction import LuGreElement
+from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.panel.element_model import break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
 
-ELEMENT = LuGreElement(25.0, 24.0, 32.0, 36.0, 0.05, 1.3, 1e5, 100.0, 14.0, alpha=0.7)
+ELEMENT = FrictionElement(25.0, 24.0, 32.0, 36.0, 0.05, 1.3, 1e5, 100.0, 14.0, alpha=0.7)
 
 
 def test_the_curve_is_that_of_the_equations() -> None:
@@ -69,7 +69,7 @@ def test_typed_values_come_back_and_others_are_refused() -> None:
     """What the fields show is what they are read as, also per sign and infinite; the rest names value and range."""
     element = replace(ELEMENT, omega_d=math.inf)
     texts = list(typed_values(element))
-    assert LuGreElement(**read_values(texts)) == element
+    assert FrictionElement(**read_values(texts)) == element
     assert texts[:2] == ["25 24", "32 36"]
     assert [p.name for p in FRICTION_PARAMETERS][4] == "c0"
     texts[4] = "1e5 x"

@@ -1,4 +1,4 @@
-"""LuGre friction elements, equations 17 to 19: their parameters, and what compiled code makes of them."""
+"""Friction elements, equations 17 to 19: their parameters, and what compiled code makes of them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, S
 
 
 @dataclass(frozen=True)
-class LuGreElement:
-    """One LuGre element, joint side, SI units.
+class FrictionElement:
+    """One friction element, joint side, SI units.
 
         dz/dt = v - |v| / g(v) * z                                            (17)
         tau_f = c0 z + c1(v) dz/dt + c2 |v|^alpha sign(v)                     (18)
@@ -130,7 +130,7 @@ def elements_dtype(width: int) -> np.dtype[np.void]:
     )
 
 
-def element_arrays(elements: Sequence[LuGreElement]) -> np.ndarray[Any, Any]:
+def element_arrays(elements: Sequence[FrictionElement]) -> np.ndarray[Any, Any]:
     """Return elements as compiled code reads them, shape (1,), dtype `elements_dtype(len(elements))`."""
     arrays = np.zeros(1, elements_dtype(len(elements)))
     for parameter in FRICTION_PARAMETERS:
