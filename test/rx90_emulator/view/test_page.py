@@ -119,6 +119,30 @@ def test_the_largest_path_error_is_that_of_the_way_along_the_line(page: Page) ->
     assert line.words() == "not on the line"
 
 
+def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
+    made = {}
+    add = page.scene.add_line_segments
+    monkeypatch.setattr(
+        page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k))
+    )
+    start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
+    line = LineScene(page, "/line", start, end)
+    tips = [[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]]
+    for tip_ in tips:
+        line.add(np.array(tip_))
+    line.magnify(100.0)
+    line.draw()
+    np.testing.assert_allclose(made["/line/line"].points, [[start, end]], rtol=1e-6)
+    trace = made["/line/trace"]
+    drawn = np.concatenate([trace.points[:, 0], trace.points[-1:, 1]])
+    np.testing.assert_allclose(drawn, [*tips[:3], [0.7, 1e-2, 0.2], tips[4]], atol=1e-6)
+    colors = np.concatenate([trace.colors[:, 0], trace.colors[-1:, 1]]).astype(int)
+    assert len(set(colors[0])) == 1  # grey
+    assert colors[2][2] > colors[2][0]  # blue
+    assert colors[3][0] > colors[3][2]  # red
+
+
 def test_a_port_that_is_taken_is_one_line() -> None:
     """A port on which somebody listens is refused by its number, and no other one is taken instead."""
     with socket.create_server(("127.0.0.1", 0)) as other:
