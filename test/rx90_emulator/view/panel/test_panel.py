@@ -169,7 +169,7 @@ def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
 
 def _an_element_is_changed(shown: BrowserPage) -> None:
     press(shown, "Element")
-    title = "steady torque, Nm, against velocity, rad/s"
+    title = "steady torque [Nm]"
     shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
     fill(shown, "tau", "40")
     text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
