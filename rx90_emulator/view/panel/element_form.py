@@ -9,9 +9,10 @@ import numpy as np
 from viser import GuiUplotHandle, uplot
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, Rx90Error, write_text
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
+from rx90_common.process.files import write_text
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
