@@ -19,10 +19,12 @@ import importlib
 import json
 import os
 import runpy
+import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -37,7 +39,7 @@ MODULES = (
     "rx90_emulator.loop.setup",
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
-_PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LONGEST = 1 << 20
 
 
@@ -63,6 +65,7 @@ class WarmPopen(subprocess.Popen[Any]):
             )  # fmt: skip
             return
         request = {
+            "parent": os.getpid(),
             "words": [word for word in words[1:] if word != "-u"],
             "folder": os.fspath(cwd or Path.cwd()),
             "environment": dict(os.environ if env is None else env),
@@ -79,8 +82,8 @@ class _Server:
 
     def __init__(self) -> None:
         self._connection, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-u", __file__, str(theirs.fileno())]
-        # It ends when the connection does: with the process of the tests, however that ends.
+        command = [sys.executable, "-u", __file__, str(theirs.fileno()), *MODULES]
+        # It ends when the connection does: with the process of the tests, however that ends. So do those it has forked.
         self._process = COLD(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True)
         theirs.close()
         self._lock = threading.Lock()
@@ -112,6 +115,15 @@ def _adopt(on: bool) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(on), 0, 0, 0)
 
 
+def _end_with(parent: int, first: int) -> None:
+    """Have this process interrupted when its parent ends, be it killed: once the first, which forked it, is gone."""
+    while os.getppid() == first:
+        time.sleep(1e-4)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGINT), 0, 0, 0)
+    if os.getppid() != parent:
+        sys.exit(0)
+
+
 def _serve(connection: socket.socket) -> tuple[dict[str, Any], list[int]]:
     """Fork for each request; return in the new process alone, with the request and its streams."""
     while True:
@@ -121,11 +133,14 @@ def _serve(connection: socket.socket) -> tuple[dict[str, Any], list[int]]:
         reader, writer = os.pipe()
         between = os.fork()
         if between == 0:
+            first = os.getpid()
             pid = os.fork()
             if pid == 0:
                 for descriptor in (reader, writer, connection.detach()):
                     os.close(descriptor)
-                return json.loads(message), streams
+                request = json.loads(message)
+                _end_with(request["parent"], first)
+                return request, streams
             os.write(writer, str(pid).encode())
             os._exit(0)  # so that its child gets another parent
         os.waitpid(between, 0)
@@ -165,7 +180,7 @@ def _run(words: list[str]) -> None:
 
 if __name__ == "__main__":
     sys.path[0] = ""
-    for name in MODULES:
+    for name in sys.argv[2:]:
         importlib.import_module(name)
     assert len(list(Path("/proc/self/task").iterdir())) == 1, "a thread would be missing in each fork"
     gc.freeze()  # or the first collection in each process would copy all that the imports have made

@@ -48,6 +48,7 @@ def test_an_interrupt_leaves_everything(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Ctrl-C and SIGTERM while a bag is read, fitted, drawn or written end with one line and status 130."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as in a process of its own
     output = tmp_path / "friction.yaml"
     output.write_text("mine", encoding="utf-8")
 
