@@ -3,7 +3,7 @@
     python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [perturbation]
                          [lockstep] [composition] [speed] [sweep] [friction_ramp] [friction_ramp_coverage]
                          [identification] [identification_presliding] [identification_time]
-                         [excitation_coverage] [excitation_time] [wrong_zeros]
+                         [excitation_coverage] [excitation_time] [wrong_zeros] [published_friction]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -37,6 +37,7 @@ NAMES = (
     "excitation_coverage",
     "excitation_time",
     "wrong_zeros",
+    "published_friction",
 )
 
 
