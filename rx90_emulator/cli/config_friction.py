@@ -9,8 +9,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.errors import DONE, ConfigError, write_text
+from rx90_common.base.errors import DONE, ConfigError
 from rx90_common.base.quoting import plain
+from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import POSITIVE, new_file, place
 
 HELP = "show friction elements beside each other, and put elements of one file into another"
