@@ -11,11 +11,10 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
+from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.kernels.elementary_arrays import exponential_of
-from rx90_sim.base_parameters import base_parameters
-from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
@@ -85,7 +84,7 @@ def plant_record(
         )
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
-    _fill_arm(plant["arm"], robot, drives)
+    plant["arm"] = manipulator_record(robot.chain, drives)[0]
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
@@ -99,17 +98,6 @@ def plant_record(
     plant["period"], plant["substeps"] = rates.period, substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
     return record
-
-
-def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
-    parameters = base_parameters(robot.chain)
-    arm["frame"] = parameters.frame.transpose(2, 1, 0)
-    for name in ("next_origin", "first_moment", "second_moment"):
-        arm[name] = getattr(parameters, name).T
-    arm["first_origin"] = parameters.first_origin
-    arm["base_acceleration"] = -robot.chain.gravity
-    arm["rotor"] = drives.rotor_matrix
-    arm["spring_torque"] = drives.spring_torque
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

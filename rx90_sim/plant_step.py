@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_joint_torque, to_motor
+from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
 from rx90_sim.drives import encoder_reading, observe
-from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 
