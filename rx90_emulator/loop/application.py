@@ -15,7 +15,8 @@ from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction import FrictionSet
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.catalogue import Catalogue, Key, Leaf, Value
 from rx90_emulator.loop.setup import Setup
@@ -71,6 +72,8 @@ def _sections(values: Mapping[Leaf, Value]) -> dict[str, Changes]:
 
 def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     new: dict[str, Any] = {}
+    if "seed" in sections:
+        new["seed"] = _seed(sections["seed"][()][None])
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
@@ -106,13 +109,33 @@ def _replaced(section: str, holder: Any, changes: Changes) -> Any:
 
 def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
     by_element: dict[str, Changes] = defaultdict(dict)
-    for (name, field), entries in changes.items():
-        by_element[name][(field,)] = entries
+    for (name, *field), entries in changes.items():
+        by_element[name][tuple(field)] = entries
     elements = tuple(
-        _replaced(f"friction.{name}", element, by_element[name]) if name in by_element else element
+        _element(f"friction.{name}", element, by_element[name]) if name in by_element else element
         for name, element in zip(friction.names, friction.elements, strict=True)
     )
     return replace(friction, elements=elements)
+
+
+def _element(where: str, element: FrictionElement, changes: Changes) -> FrictionElement:
+    """Return an element with changed values, and with parts of which values are changed."""
+    own: Changes = {key: entries for key, entries in changes.items() if len(key) == 1}
+    parts: dict[str, Changes] = defaultdict(dict)
+    for (name, *field), entries in changes.items():
+        if field:
+            parts[name][tuple(field)] = entries
+    new = {name: _replaced(where, getattr(element, name), part) for name, part in parts.items()}
+    try:
+        return replace(element, **_fields(element, own), **new)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def _seed(value: Value) -> int:
+    if value != int(value):
+        raise ConfigError(f"seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
+    return int(value)
 
 
 def _controller(setup: Setup, changes: Changes) -> Any:
