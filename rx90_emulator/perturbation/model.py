@@ -105,7 +105,8 @@ class PerturbationModel:
             controllers: one for each run, or None for the setup's own in all of them.
 
         Raises:
-            ConfigError: if the batch is empty or the numbers of frictions and controllers differ.
+            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, or a controller feeds
+                forward by a model.
         """
         runs = len(frictions)
         if runs == 0:
@@ -130,6 +131,11 @@ class PerturbationModel:
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
+        for controller in controllers or [self.setup.controller]:
+            switches = controller.feed_forward
+            for name in ("inverse_dynamics", "friction_model"):
+                if getattr(switches, name):
+                    raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
         if controllers is None:
             return [self.setup.controller.record(robot, drives, rates)] * runs
         return [controller.record(robot, drives, rates) for controller in controllers]
