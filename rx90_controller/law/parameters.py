@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -50,6 +50,8 @@ CONTROLLER_DTYPE = np.dtype(
     align=True,
 )
 
+MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FRICTION}
+"""Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of MODEL_DTYPE."""
 
 _six = partial(Numbers, count=6, low=0.0)
 _positive = partial(Number, low=0.0, above=True)
@@ -146,8 +148,8 @@ class FeedForward:
 
     @property
     def model_parts(self) -> int:
-        """Return which parts need a model, as `parts` of MODEL_DTYPE."""
-        return INVERSE_DYNAMICS * self.inverse_dynamics + FRICTION * self.friction_model
+        """Return which of MODEL_PARTS are on, as `parts` of MODEL_DTYPE."""
+        return sum(bit * getattr(self, name) for name, bit in MODEL_PARTS.items())
 
     @classmethod
     def off(cls) -> FeedForward:
@@ -220,8 +222,9 @@ class CS7BParameters:
         if np.any(self.viscous_exponent < least) or np.any(self.viscous_exponent > most):
             accepted = f"numbers in [{least:g}, {most:g}]"
             raise ConfigError(f"viscous_exponent is {self.viscous_exponent.tolist()}; accepted: {accepted}")
-        if self.feed_forward.model_parts and self.model is None:
-            raise ConfigError("inverse_dynamics and friction_model need a model; accepted: with one, or both off")
+        for name in MODEL_PARTS:
+            if getattr(self.feed_forward, name) and self.model is None:
+                raise ConfigError(f"{name} is true without a model; accepted: with one, or false")
 
     def limits(self, robot: RobotModel) -> JointLimits:
         """Return the limits that the set-points of an arm must keep."""
@@ -301,7 +304,7 @@ def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParam
 
     forward = content["feed_forward"]
     model = model or ModelFiles.of(root)
-    if "model" in root or forward["inverse_dynamics"] or forward["friction_model"]:
+    if "model" in root or any(forward[name] for name in MODEL_PARTS):
         try:
             _ = model.constants  # read once
         except ConfigError as error:

@@ -13,7 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
-from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
@@ -132,9 +132,8 @@ class PerturbationModel:
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
         for controller in controllers or [self.setup.controller]:
-            switches = controller.feed_forward
-            for name in ("inverse_dynamics", "friction_model"):
-                if getattr(switches, name):
+            for name in MODEL_PARTS:
+                if getattr(controller.feed_forward, name):
                     raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
         if controllers is None:
             return [self.setup.controller.record(robot, drives, rates)] * runs
