@@ -30,7 +30,7 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
 _FIELD = 0.75  # rad, upright
 _NARROW = 0.9  # width over height below which the arm is seen from farther away
-_SHARE_BELOW = 0.125  # by how much of its distance a narrow page looks below the arm
+_SHARE_BELOW = 0.2  # by how much of its distance a narrow page looks below the arm
 _PLOT_WIDTH = 370  # pixels
 _PANEL_WIDTH = 310
 

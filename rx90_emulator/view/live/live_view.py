@@ -58,7 +58,7 @@ class LiveView:
 
     def _add_trace_choice(self, page: Page, line: LineScene) -> None:
         magnified = page.gui.add_dropdown(
-            "path error drawn \u00d7",
+            "error drawn \u00d7",
             _MAGNIFIED,
             hint="the trace is drawn so many times as far from the line as it was",
         )

@@ -60,7 +60,7 @@ class Tour:
         )  # fmt: skip
 
     def follow(self, page: Page, view: LiveView, started: Callable[[], None]) -> None:
-        """Move the arm from now on, and call `started` when it is seen; the page ends with an error when the nodes do."""
+        """Move the arm from now on, call `started` when it is seen; the page ends with an error when the nodes do."""
         self._view = view
 
         def check(_now: float) -> None:
