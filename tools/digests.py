@@ -78,10 +78,12 @@ def _aside() -> RobotModel:
 
 
 def _constants(record: np.ndarray[Any, Any]) -> Iterator[np.ndarray[Any, Any]]:
-    """Yield the fields of a record; viscous exponents of 1 and friction parts that are off leave no bytes."""
+    """Yield the fields of a record one after the other; what is off, by default, leaves no bytes."""
     for name in record.dtype.names or ():
         field = record[name]
         if name == "parts" and not field["used"].any():
+            continue
+        if name == "model" and not field["parts"].any():
             continue
         if field.dtype.names is not None:
             yield from _constants(field)
