@@ -10,12 +10,14 @@ import numpy as np
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.base_parameters import base_parameters
 from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
+from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
@@ -34,6 +36,7 @@ PLANT_DTYPE = np.dtype(
         ("period", np.float64),
         ("substeps", np.int64),
         ("speed_limit", np.float64, 6),
+        ("transmission", TRANSMISSION_DTYPE),
     ],
     align=True,
 )
@@ -60,6 +63,7 @@ STATE_DTYPE = np.dtype(
         ("q_mid", np.float64, 6),
         ("v_mid", np.float64, 6),
         ("rhs", np.float64, 6),
+        ("transmission", TRANSMISSION_STATE_DTYPE),
     ],
     align=True,
 )
@@ -86,6 +90,7 @@ def plant_record(
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     _fill_arm(plant["arm"], robot, drives)
+    _fill_transmission(plant["transmission"], drives)
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
@@ -108,8 +113,20 @@ def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
         arm[name] = getattr(parameters, name).T
     arm["first_origin"] = parameters.first_origin
     arm["base_acceleration"] = -robot.chain.gravity
-    arm["rotor"] = drives.rotor_matrix
+    # Behind elastic gears the rotors move on their own.
+    arm["rotor"] = 0.0 if drives.elasticity.elastic.any() else drives.rotor_matrix
     arm["spring_torque"] = drives.spring_torque
+
+
+def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
+    elasticity = drives.elasticity
+    elastic = elasticity.elastic
+    transmission["flexible"], transmission["elastic"] = elastic.any(), elastic
+    transmission["link_friction"] = elasticity.friction_side == LINK
+    transmission["rotor"] = drives.rotor_inertia
+    transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
+    transmission["damping"] = elasticity.damping
+    transmission["half_play"] = 0.5 * elasticity.backlash
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

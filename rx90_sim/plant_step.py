@@ -20,6 +20,8 @@ from rx90_common.friction.bristle import bristle_step, friction_torque, load_ele
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
 from rx90_sim.drives import encoder_reading, observe
+from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, to_motor_side
+from rx90_sim.end_stops import add_stops
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
@@ -44,6 +46,9 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         element = i if i < 5 else 6
         state.brake_z[element] = -carried / plant.brake.c0[element]
     to_motor(plant.gear, state.q, state.observer)
+    if plant.transmission.flexible:
+        elastic_reset(plant, state)
+        add_twists(plant, state, state.observer)
     store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
         state.motor_velocity[i] = 0.0
@@ -65,8 +70,12 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     plant, state = plants[0], states[0]
     _actuate(plant, state, command, powered)
     step = plant.period / plant.substeps
+    flexible = plant.transmission.flexible
     for _ in range(plant.substeps):
-        _substep(plant, state, step)
+        if flexible:
+            elastic_substep(plant, state, step)
+        else:
+            _substep(plant, state, step)
     for i in range(6):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
@@ -80,6 +89,8 @@ def sample_drives(plants: Record, states: Record) -> None:
     """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
     plant, state = plants[0], states[0]
     to_motor(plant.gear, state.q, state.motor_position)
+    if plant.transmission.flexible:
+        add_twists(plant, state, state.motor_position)
     angle = load(state.motor_position, 6)
     position, velocity = observe(
         angle,
@@ -114,6 +125,9 @@ def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
     inputs = _element_velocities(state.v)
+    if plant.transmission.flexible and not plant.transmission.link_friction:
+        to_motor_side(state.v, state.transmission.rate, state.transmission.motor_velocity)
+        inputs = _element_velocities(state.transmission.motor_velocity)
     store(velocity, inputs)
     store(torque, friction_torque(load_elements(plant.friction, 7), load(state.z, 7), inputs))
 
@@ -134,6 +148,8 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
         state.motor_torque[i] = torque
         state.rhs[i] = -state.drive_torque[i]
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
+    if plant.transmission.flexible:
+        return
     for i in range(6):
         state.rhs[i] += state.drive_torque[i]
     solve(state.factor, state.rhs)
@@ -152,7 +168,7 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.rhs[i] = state.drive_torque[i]
     # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
     _add_friction(plant, state, step)
-    _add_stops(plant, state)
+    add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
     for i in range(6):
         state.rhs[i] -= state.bias[i]
@@ -185,15 +201,3 @@ def _add_friction(plant: Any, state: Any, step: float) -> None:
     wrist = lane(torque, 6)
     state.rhs[4] -= wrist
     state.rhs[5] -= wrist
-
-
-@kernel
-def _add_stops(plant: Any, state: Any) -> None:
-    """Add the mechanical end stops: a spring and damper beyond the limits that only push back."""
-    for i in range(6):
-        q, push = state.q_mid[i], 0.0
-        if q > plant.upper[i]:
-            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        elif q < plant.lower[i]:
-            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        state.rhs[i] += push

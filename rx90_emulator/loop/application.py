@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
@@ -74,7 +75,7 @@ def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
-        new["drives"] = _replaced("drives", setup.drives, sections["drives"])
+        new["drives"] = _drives(setup.drives, sections["drives"])
     if "controller" in sections:
         new["controller"] = _controller(setup, sections["controller"])
     if "arm" in sections:
@@ -113,6 +114,20 @@ def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
         for name, element in zip(friction.names, friction.elements, strict=True)
     )
     return replace(friction, elements=elements)
+
+
+def _drives(drives: DriveParameters, changes: Changes) -> DriveParameters:
+    """Return the drives with the changed values of their own, and of the blocks in them, checked together."""
+    blocks: dict[str, Changes] = defaultdict(dict)
+    for key, entries in changes.items():
+        if len(key) > 1:
+            blocks[key[0]][key[1:]] = entries
+    new = {name: _replaced(f"drives.{name}", getattr(drives, name), inner) for name, inner in blocks.items()}
+    own = _fields(drives, {key: entries for key, entries in changes.items() if len(key) == 1})
+    try:
+        return replace(drives, **own, **new)
+    except ConfigError as error:
+        raise ConfigError(f"drives: {error}") from error
 
 
 def _controller(setup: Setup, changes: Changes) -> Any:
