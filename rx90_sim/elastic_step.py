@@ -22,8 +22,8 @@ from typing import Any
 
 from rx90_common.base.arrays import Array
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_sim.elastic_friction import add_brakes, add_elements, add_friction
 from rx90_sim.end_stops import add_stops
+from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 from rx90_sim.transmission import mean_torque, twist_at_rest
 
@@ -72,6 +72,20 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         state.v[i] += step * acceleration
         gears.twist[i] += step * (gears.rate[i] + half * turn)
         gears.rate[i] += step * turn
+    if plant.parts.used:
+        for i in range(6):
+            state.rhs[i] = gears.torque[i]
+        state.rhs[4] += gears.torque[5]
+        advance_loads(plant, state, state.rhs, state.acceleration, step)
+
+
+@kernel
+def on_motor_side(state: Any) -> tuple[Array, Array]:
+    """Return the positions and velocities of the joints as the motors have them, rad and rad/s; workspace."""
+    gears = state.transmission
+    _to_motor_side(state.q, gears.twist, gears.motor_angle)
+    _to_motor_side(state.v, gears.rate, gears.motor_velocity)
+    return gears.motor_angle, gears.motor_velocity
 
 
 @kernel
@@ -82,7 +96,7 @@ def add_twists(plant: Any, state: Any, motor: Array) -> None:
 
 
 @kernel
-def to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
+def _to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
     """Write the joints' positions (or velocities) as the motors have them: the links' and the twists (their rates)."""
     for i in range(6):
         motor[i] = joint[i] + twist[i]
@@ -93,12 +107,12 @@ def to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
 def _add_friction(plant: Any, state: Any, step: float) -> None:
     """Advance friction elements and closed brakes; take their torques off those of motors or links."""
     gears = state.transmission
-    to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
-    to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
+    _to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
+    _to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
     for i in range(6):
         gears.drive[i] = state.drive_torque[i]
     if plant.transmission.link_friction:
-        add_elements(plant, state, state.q_mid, state.v_mid, state.rhs, step)
+        add_element_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
         add_brakes(plant, state, gears.motor_velocity, gears.drive, step)
     else:
         add_friction(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)

@@ -37,10 +37,11 @@ class Plant:
         friction: FrictionSet,
         rates: Rates,
         substeps: int = 1,
+        seed: int = 0,
     ) -> None:
         self.joint_names = robot.joint_names
         self.friction_names = friction.names
-        self.constants = plant_record(robot, drives, friction, rates, substeps)
+        self.constants = plant_record(robot, drives, friction, rates, substeps, seed)
         self.state: np.ndarray[Any, Any] = np.zeros(1, STATE_DTYPE)
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper

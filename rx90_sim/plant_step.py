@@ -14,14 +14,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Record
 from rx90_common.description.wrist import to_joint_torque, to_motor
-from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
-from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
 from rx90_sim.drives import encoder_reading, observe
-from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, to_motor_side
+from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, on_motor_side
 from rx90_sim.end_stops import add_stops
+from rx90_sim.joint_friction import (
+    add_friction,
+    advance_loads,
+    advance_walks,
+    element_inputs,
+    friction_now,
+    reset_friction,
+)
 from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
@@ -35,16 +42,10 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
-    for i in range(7):
-        state.z[i] = 0.0
     state.brakes_closed = 1
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
-    for i in range(6):
-        # Brake 6, the seventh element, holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
-        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
-        element = i if i < 5 else 6
-        state.brake_z[element] = -carried / plant.brake.c0[element]
+    reset_friction(plant, state)
     to_motor(plant.gear, state.q, state.observer)
     if plant.transmission.flexible:
         elastic_reset(plant, state)
@@ -76,6 +77,8 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
             elastic_substep(plant, state, step)
         else:
             _substep(plant, state, step)
+    if plant.parts.used:
+        advance_walks(plant, state)
     for i in range(6):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
@@ -124,12 +127,11 @@ def _worst_joint(plant: Any, state: Any) -> int:
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
-    inputs = _element_velocities(state.v)
+    angle, speed = state.q, state.v
     if plant.transmission.flexible and not plant.transmission.link_friction:
-        to_motor_side(state.v, state.transmission.rate, state.transmission.motor_velocity)
-        inputs = _element_velocities(state.transmission.motor_velocity)
-    store(velocity, inputs)
-    store(torque, friction_torque(load_elements(plant.friction, 7), load(state.z, 7), inputs))
+        angle, speed = on_motor_side(state)
+    store(velocity, element_inputs(speed))
+    friction_now(plant, state, angle, speed, torque)
 
 
 @kernel
@@ -167,7 +169,10 @@ def _substep(plant: Any, state: Any, step: float) -> None:
     for i in range(6):
         state.rhs[i] = state.drive_torque[i]
     # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
-    _add_friction(plant, state, step)
+    add_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
+    if plant.parts.used:
+        for i in range(6):
+            state.after_friction[i] = state.rhs[i]
     add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
     for i in range(6):
@@ -179,25 +184,5 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.q[i] += step * (state.v[i] + half * acceleration)
         state.v[i] += step * acceleration
         state.acceleration[i] = acceleration
-
-
-@inlined
-def _element_velocities(v: Array) -> Lanes:
-    """Return the input velocities of the seven friction elements, which are also the brakes'."""
-    return append(load(v, 6), v[4] + v[5])
-
-
-@kernel
-def _add_friction(plant: Any, state: Any, step: float) -> None:
-    """Advance the bristles of the seven elements, and of closed brakes, and add their torques."""
-    velocity = _element_velocities(state.v_mid)
-    z, torque = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), velocity, step)
-    store(state.z, z)
-    if state.brakes_closed:
-        z, brake_torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), velocity, step)
-        store(state.brake_z, z)
-        torque = torque + brake_torque
-    store(state.rhs, load(state.rhs, 6) - first(torque, 6))
-    wrist = lane(torque, 6)
-    state.rhs[4] -= wrist
-    state.rhs[5] -= wrist
+    if plant.parts.used:
+        advance_loads(plant, state, state.after_friction, state.acceleration, step)

@@ -9,11 +9,11 @@ With play of the width 2 b they push where the flanks touch, and never pull:
 
     torque = max(0, k (t - b) + d dt/dt)   where t > b,   min(0, k (t + b) + d dt/dt)   where t < -b,   else 0
 
-(the dead-zone model of Nordin and Gutman 2002, "Controlling mechanical systems with backlash - a survey", Automatica 38,
-with the damper in contact alone). A step takes the mean of this torque along the way of the twist, at its mean rate. For
-the spring that is the difference of its energy over the way, a discrete gradient (Gonzalez 1996, "Time integration and
-discrete Hamiltonian systems", Journal of Nonlinear Science 6): whatever the step, it gives back what was put into it,
-also where flanks meet or part within the step.
+(the dead-zone model of Nordin and Gutman 2002, "Controlling mechanical systems with backlash - a survey", Automatica
+38, with the damper in contact alone). A step takes the mean of this torque along the way of the twist, at its mean
+rate. For the spring that is the difference of its energy over the way, a discrete gradient (Gonzalez 1996, "Time
+integration and discrete Hamiltonian systems", Journal of Nonlinear Science 6): whatever the step, it gives back what
+was put into it, also where flanks meet or part within the step.
 """
 
 from __future__ import annotations

@@ -74,17 +74,17 @@ class Elasticity:
     def __post_init__(self) -> None:
         stiffness = np.asarray(self.stiffness)
         if stiffness.shape != (6,) or not np.all(stiffness > 0):
-            raise ConfigError(f"stiffness is {stiffness.tolist()}; accepted: {_STIFFNESS}")
+            raise ConfigError(f"elasticity: stiffness is {stiffness.tolist()}; accepted: {_STIFFNESS}")
         for name in ("damping", "backlash"):
             value = np.asarray(getattr(self, name))
             if value.shape != (6,) or not np.all(np.isfinite(value) & (value >= 0)):
-                raise ConfigError(f"{name} is {value.tolist()}; accepted: 6 finite numbers >= 0")
+                raise ConfigError(f"elasticity: {name} is {value.tolist()}; accepted: 6 finite numbers >= 0")
             for i in np.flatnonzero((value > 0) & np.isinf(stiffness)):
-                raise ConfigError(
-                    f"{name}[{i}] is {value[i]:g}, stiffness[{i}] infinite; accepted: 0 for a rigid drive"
-                )
+                found = f"elasticity: {name}[{i}] is {value[i]:g}, stiffness[{i}] infinite"
+                raise ConfigError(f"{found}; accepted: 0 for a rigid drive")
         if self.friction_side not in SIDES:
-            raise ConfigError(f"friction is {quoted(self.friction_side)}; accepted: one of {', '.join(SIDES)}")
+            accepted = f"one of {', '.join(SIDES)}"
+            raise ConfigError(f"elasticity: friction is {quoted(self.friction_side)}; accepted: {accepted}")
 
     @classmethod
     def of_file(cls, block: Mapping[str, Any] | None) -> Elasticity:
@@ -92,10 +92,7 @@ class Elasticity:
         if block is None:
             return cls()
         arrays = {name: np.array(block[name], dtype=np.float64) for name in ("stiffness", "damping", "backlash")}
-        try:
-            return cls(**arrays, friction_side=block["friction"])
-        except ConfigError as error:
-            raise ConfigError(f"elasticity: {error}") from error
+        return cls(**arrays, friction_side=block["friction"])
 
     @property
     def elastic(self) -> Array:

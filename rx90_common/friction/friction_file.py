@@ -16,6 +16,7 @@ from rx90_common.base.section import PROVENANCE, Section
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend
+from rx90_common.friction.parts.table import PARTS
 
 FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
@@ -93,7 +94,8 @@ class FrictionFile:
         }
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
         given = {key: value for key, value in content.items() if value is not None}
-        return head + legend() + remarks + yaml_text(given)
+        parts = {part for element in self.elements.values() for part in element.parts}
+        return head + legend(parts) + remarks + yaml_text(given)
 
 
 def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
@@ -118,12 +120,13 @@ def read_element(section: Section) -> FrictionElement:
         ConfigError: naming file, element, value and accepted range.
     """
     content = ELEMENT.read(section)
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for parameter in FRICTION_PARAMETERS:
         given = content[parameter.name]
         numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
         values |= zip(parameter.attributes, numbers, strict=True)
     try:
+        values |= {name: part(**content[name]) for name, part in PARTS.items() if name in content}
         return FrictionElement(**values)
     except ConfigError as error:
         raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
@@ -138,4 +141,4 @@ def _values(element: FrictionElement) -> dict[str, Any]:
             values[parameter.name] = dict(zip(SIGNS, numbers, strict=True))
         elif numbers[0] != parameter.default:
             values[parameter.name] = numbers[0]
-    return values
+    return values | {name: part.values() for name, part in element.parts.items()}

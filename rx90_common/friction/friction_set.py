@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,12 +57,35 @@ class FrictionSet:
             limit = element.passivity_limit(speed)
             if math.isfinite(limit):
                 accepted = element.passive_damping(speed)
+                reducing = [name for name, part in element.parts.items() if part.least_factor < 1.0]
+                least = f", where {' and '.join(reducing)} leave least friction" if reducing else ""
                 lines.append(
                     f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, "
                     f"not passive from {limit:.3g} rad/s on; accepted: below {accepted:.3g} "
-                    f"(c1 < 4 c0 g / |v| up to {speed:.3g} rad/s), or a c1 that fades with omega_d"
+                    f"(c1 < 4 c0 g / |v| up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
                 )
         return lines
+
+
+def refuse_parts(
+    elements: Mapping[str, FrictionElement], what: str, where: object = None, held: Container[str] = ()
+) -> None:
+    """Refuse elements with parts that something cannot hold.
+
+    Args:
+        elements: by their names.
+        what: cannot hold them, such as "the perturbation method".
+        where: the file that they come from, if any.
+        held: the parts that it can.
+
+    Raises:
+        ConfigError: naming file, element and part.
+    """
+    for name, element in elements.items():
+        for part in element.parts:
+            if part not in held:
+                file = "" if where is None else f"{where}: "
+                raise ConfigError(f"{file}elements.{name}.{part}: {what} cannot hold this part; accepted: left out")
 
 
 def element_names(joint_names: Sequence[str]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -105,13 +106,16 @@ class PerturbationModel:
             controllers: one for each run, or None for the setup's own in all of them.
 
         Raises:
-            ConfigError: if the batch is empty or the numbers of frictions and controllers differ.
+            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, or an element has a
+                part.
         """
         runs = len(frictions)
         if runs == 0:
             raise ConfigError("a batch of 0 runs; accepted: at least one")
         if controllers is not None and len(controllers) != runs:
             raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
+        for friction in frictions:
+            refuse_parts(dict(zip(friction.names, friction.elements, strict=True)), "the perturbation method")
         lanes = lanes_for(runs)
         groups = pack(frictions, self._laws(controllers, runs), lanes)
         states, motion = groups.states, self.motion

@@ -222,8 +222,6 @@ def test_a_light_rotor_is_refused_where_it_would_have_no_inertia(shipped: Setup)
     """An elastic drive needs a rotor with inertia; a rigid one does not."""
     drives = dataclasses.replace(shipped.drives, rotor_inertia=shipped.drives.rotor_inertia * [1, 1, 0, 1, 1, 1])
     setup = dataclasses.replace(shipped, drives=drives)
-    with pytest.raises(
-        ConfigError, match=r"rotor_inertia\[2\] is 0; accepted: a number > 0 where .* elastic"
-    ):
+    with pytest.raises(ConfigError, match=r"rotor_inertia\[2\] is 0; accepted: a number > 0 where .* elastic"):
         elastic(setup, SOFT)
     elastic(setup, np.where(np.arange(6) == 2, np.inf, SOFT)).plant()
