@@ -1,7 +1,8 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
     python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [perturbation]
-                         [lockstep] [composition] [speed] [sweep] [friction_ramp] [friction_ramp_coverage]
+                         [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
+                         [friction_ramp_coverage]
                          [identification] [identification_presliding] [identification_time]
                          [excitation_coverage] [excitation_time] [wrong_zeros]
 
@@ -28,7 +29,9 @@ NAMES = (
     "lockstep",
     "composition",
     "speed",
+    "view",
     "sweep",
+    "bag_memory",
     "friction_ramp",
     "friction_ramp_coverage",
     "identification",

@@ -27,12 +27,12 @@ from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge, print_table
+from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.manipulator import mass_and_bias
 
 Array = NDArray[np.float64]
 

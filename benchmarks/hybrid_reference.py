@@ -16,13 +16,13 @@ from scipy.integrate import odeint
 from tqdm import tqdm
 
 from rx90_common.description.wrist import to_joint_torque
+from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction.bristle import one_element
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.manipulator import mass_and_bias
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
 

@@ -21,10 +21,10 @@ from __future__ import annotations
 from typing import Any
 
 from rx90_common.base.arrays import Array
+from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
-from rx90_sim.manipulator import factorise, mass_and_bias, solve
 from rx90_sim.transmission import mean_torque, twist_at_rest
 
 _MOST_ITERATIONS = 50

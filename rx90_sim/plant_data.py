@@ -12,13 +12,12 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
+from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.kernels.elementary_arrays import exponential_of
-from rx90_sim.base_parameters import base_parameters
-from rx90_sim.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 
 PLANT_DTYPE = np.dtype(
@@ -104,8 +103,10 @@ def plant_record(
         )
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
-    _fill_arm(plant["arm"], robot, drives)
+    plant["arm"] = manipulator_record(robot.chain, drives)[0]
     _fill_transmission(plant["transmission"], drives)
+    if plant["transmission"]["flexible"]:
+        plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
     _fill_brakes(plant["brake"], drives)
@@ -120,18 +121,6 @@ def plant_record(
     plant["period"], plant["substeps"] = rates.period, substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
     return record
-
-
-def _fill_arm(arm: Any, robot: RobotModel, drives: DriveParameters) -> None:
-    parameters = base_parameters(robot.chain)
-    arm["frame"] = parameters.frame.transpose(2, 1, 0)
-    for name in ("next_origin", "first_moment", "second_moment"):
-        arm[name] = getattr(parameters, name).T
-    arm["first_origin"] = parameters.first_origin
-    arm["base_acceleration"] = -robot.chain.gravity
-    # Behind elastic gears the rotors move on their own.
-    arm["rotor"] = 0.0 if drives.elasticity.elastic.any() else drives.rotor_matrix
-    arm["spring_torque"] = drives.spring_torque
 
 
 def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Record
 from rx90_common.description.wrist import to_joint_torque, to_motor
+from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_sim.drives import encoder_reading, observe
@@ -29,7 +30,6 @@ from rx90_sim.joint_friction import (
     friction_now,
     reset_friction,
 )
-from rx90_sim.manipulator import factorise, mass_and_bias, solve
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 

@@ -373,7 +373,7 @@ def test_there_is_one_plant_step_and_one_law() -> None:
     assert owners == {
         "plant_step": ["rx90_sim.plant_step"],
         "bristle_step": ["rx90_common.friction.bristle"],
-        "mass_and_bias": ["rx90_sim.manipulator"],
+        "mass_and_bias": ["rx90_common.dynamics.manipulator"],
         "position_loop": ["rx90_controller.law.loops"],
         "velocity_loop": ["rx90_controller.law.loops"],
     }

@@ -78,7 +78,7 @@ def _aside() -> RobotModel:
 
 
 def _constants(record: np.ndarray[Any, Any]) -> Iterator[np.ndarray[Any, Any]]:
-    """Yield the fields of a record; viscous exponents of 1, and friction parts and elasticity that are off, leave no bytes."""
+    """Yield the fields of a record; what is off leaves no bytes: friction parts, elasticity, viscous exponents of 1."""
     switches = {"parts": "used", "transmission": "flexible"}
     for name in record.dtype.names or ():
         field = record[name]

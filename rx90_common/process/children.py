@@ -12,6 +12,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from weakref import WeakSet
 
 from rx90_common.base.errors import ProcessError
 from rx90_common.base.share import PACKAGE
@@ -19,6 +20,8 @@ from rx90_common.process.interrupts import interrupts_later
 
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
+
+_started: WeakSet[ChildProcess] = WeakSet()
 
 
 def executable(name: str, *arguments: object) -> list[str]:
@@ -51,6 +54,7 @@ class ChildProcess:
             errors="replace",
             start_new_session=True,
         )
+        _started.add(self)
         self._reader = threading.Thread(target=self._read, name=f"output of {name}", daemon=True)
         self._reader.start()
 
@@ -187,3 +191,10 @@ class ProcessGroup:
                     member.wait(max(0.0, deadline - time.monotonic()))
             unwilling += [member for member in left if member.returncode is None and member not in unwilling]
         return unwilling
+
+
+def kill_all() -> None:
+    """Kill all child processes, with what they have started: before an end without clean-up."""
+    for child in tuple(_started):
+        if child.returncode is None:
+            os.killpg(child.pid, signal.SIGKILL)

@@ -6,10 +6,14 @@ import atexit
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.machinery import ExtensionFileLoader
 from types import FrameType
+
+from rx90_common.base.errors import INTERRUPTED
+from rx90_common.process.exit_code import end_with
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _RETRY = 0.02
@@ -128,3 +132,57 @@ def interrupts_later() -> Iterator[Callable[[], None]]:
         for number, handler in before.items():
             signal.signal(number, handler)
     check()
+
+
+class Start:
+    """A start that may take long, and whether it is over.
+
+    Attributes:
+        is_over: whether `over` was called.
+        interrupted: whether the start was asked to end.
+    """
+
+    def __init__(self) -> None:
+        self.is_over = self.interrupted = False
+
+    def over(self) -> None:
+        """From now on the program takes interrupts by itself."""
+        self.is_over = True
+
+
+@contextmanager
+def start_that_ends_within(seconds: float, last: Callable[[], None]) -> Iterator[Start]:
+    """Have Ctrl-C, SIGTERM or SIGHUP end this process with 130 within `seconds`, until `Start.over` is called.
+
+    KeyboardInterrupt is raised as ever, and cleans up; but where kernels are compiled, or something is waited for on
+    the way out, the main thread may be away for long. A thread hears of the signal at once, and waits no longer.
+
+    Args:
+        seconds: from the signal to the end, at the most.
+        last: called before an end without clean-up; takes no time.
+    """
+    start = Start()
+    if threading.current_thread() is not threading.main_thread():
+        yield start
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+
+    def listen() -> None:
+        while number := os.read(reader, 1):
+            if number[0] in _INTERRUPTS and not start.is_over:
+                start.interrupted = True
+                time.sleep(seconds)
+                last()
+                os._exit(INTERRUPTED)
+
+    threading.Thread(target=listen, name="interrupts", daemon=True).start()
+    before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    try:
+        yield start
+    finally:
+        if start.interrupted:
+            end_with(INTERRUPTED)  # a compiler in another thread may crash when the interpreter ends in order
+        else:
+            signal.set_wakeup_fd(before)
+            os.close(writer)  # the thread reads the end

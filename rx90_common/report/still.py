@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
-from rx90_common.base.errors import write_error
+from rx90_common.process.files import write_bytes
 from rx90_common.report.plot import (
     MOST_POINTS,
     Band,
@@ -32,7 +33,9 @@ PICTURES: Final = (".png", ".svg", ".pdf")
 _WIDTH = 8.2  # inches
 _LEFT, _RIGHT = 0.85, 0.12  # inches beside a panel
 _ABOVE, _BELOW = 0.42, 0.48  # inches: title and legend, x label
-_LEGEND_COLUMNS = 7
+_LEGEND_ROW = 0.17  # inches
+_CHARACTER, _HANDLE = 0.058, 0.36  # inches of a legend's entry, on average
+_TITLE_CHARACTER = 0.066  # inches
 _DPI = 160
 _FEW_DECADES = 10.0**3  # on a logarithmic axis: room for 1, 2 and 5 of each
 _STEPS = [1, 2, 2.5, 5, 10]  # between ticks
@@ -55,39 +58,41 @@ def as_svg(plot: Plot, most: int = MOST_POINTS) -> str:
     """Return the plot, up to `most` points of a curve, as an <svg> element."""
     buffer = io.StringIO()
     with mpl.rc_context(_STYLE):
-        _drawn(plot, most).savefig(buffer, format="svg", metadata={"Date": None})
+        drawn(plot, most).savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
     return _PATH.sub(lambda path: _LONG_NUMBER.sub(r"\1", path[0]), text[text.index("<svg") :])
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
-    """Write the plot with a title as the file's suffix says, one of PICTURES; if that fails a new file does not stay.
+    """Write the plot with a title as the file's suffix says, one of PICTURES.
+
+    If that fails an old file stays as it was, and no new one.
 
     Raises:
         Rx90Error: if it cannot be written.
     """
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
-    is_new = not path.exists()
+    buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
     with mpl.rc_context(_STYLE):
-        figure = _drawn(plot, MOST_POINTS, title)
-        try:
-            figure.savefig(path, dpi=_DPI, metadata=None if date is None else {date: None})
-        except OSError as error:
-            if is_new:
-                path.unlink(missing_ok=True)
-            raise write_error(path, error) from error
+        figure = drawn(plot, MOST_POINTS, title)
+        figure.savefig(
+            buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
+        )
+    write_bytes(path, buffer.getvalue())
 
 
-def _drawn(plot: Plot, most: int, title: str = "") -> Figure:
+def drawn(plot: Plot, most: int, title: str = "") -> Figure:
+    """Return the plot, up to `most` points of a curve, as matplotlib's figure, below a title."""
     rows = -(-len(plot.panels) // plot.columns)
-    entries = max((len(_labels(panel)) for panel in plot.panels if isinstance(panel, Panel)), default=0)
-    above = _ABOVE + 0.15 * max(0, -(-entries // _LEGEND_COLUMNS) - 1) + (0.3 if title else 0.0)
-    between = _BELOW + (0.24 if any(panel.title for panel in plot.panels[plot.columns :]) else 0.1)
+    width = (_WIDTH - _RIGHT) / plot.columns - _LEFT
+    first, later = plot.panels[: plot.columns], plot.panels[plot.columns :]
+    above = _ABOVE + _extra_height(first, width) + (0.3 if title else 0.0)
+    between = _BELOW + (0.24 if any(panel.title for panel in later) else 0.1)
     panel = plot.height - between
+    between += _extra_height(later, width)
     whole = above + rows * panel + (rows - 1) * between + _BELOW
     figure = Figure(figsize=(_WIDTH, whole))
     axes = figure.subplots(rows, plot.columns, squeeze=False).ravel()
-    width = (_WIDTH - _RIGHT) / plot.columns - _LEFT
     # Fixed margins: a layout engine takes as long as the drawing.
     figure.subplots_adjust(
         left=_LEFT / _WIDTH, right=1.0 - _RIGHT / _WIDTH, bottom=_BELOW / whole, top=1.0 - above / whole,
@@ -108,7 +113,7 @@ def _drawn(plot: Plot, most: int, title: str = "") -> Figure:
         labels = tuple(_labels(one))
         if labels and labels not in shown:
             shown.add(labels)
-            _add_legend(ax, bool(one.title))
+            _add_legend(one, ax, width)
     return figure
 
 
@@ -116,12 +121,36 @@ def _labels(panel: Panel) -> list[str]:
     return list(dict.fromkeys(mark.label for mark in panel.marks if mark.label))
 
 
-def _add_legend(axes: Axes, beside_title: bool) -> None:
+def _legend_columns(panel: Panel, width: float) -> tuple[int, bool]:
+    """Return how many entries of the legend go into a row of `width` inches, and whether the title has room beside."""
+    labels = _labels(panel)
+    entry = _HANDLE + _CHARACTER * max(map(len, labels), default=0)
+    columns = max(1, min(len(labels), int(width / entry)))
+    in_one_row = sum(_HANDLE + _CHARACTER * len(label) for label in labels)
+    beside = columns == len(labels) and _TITLE_CHARACTER * len(panel.title) + in_one_row <= width
+    return columns, beside
+
+
+def _extra_height(panels: Sequence[Panel | Heat], width: float) -> float:
+    """Return the inches above panels that legends need beyond one row which a title shares."""
+    most = 0
+    for panel in panels:
+        if isinstance(panel, Panel):
+            columns, beside = _legend_columns(panel, width)
+            rows = -(-len(_labels(panel)) // columns)
+            most = max(most, rows - (beside or not panel.title))
+    return _LEGEND_ROW * most
+
+
+def _add_legend(panel: Panel, axes: Axes, width: float) -> None:
     handles, labels = axes.get_legend_handles_labels()
+    columns, beside = _legend_columns(panel, width)
     place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
-    if not beside_title:
+    if not panel.title:
         place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.98)}
-    axes.legend(handles, labels, ncols=min(len(labels), _LEGEND_COLUMNS), frameon=False, fontsize=8,
+    elif not beside:
+        axes.set_title(panel.title, loc="left", fontsize=9, pad=6.0 + 72.0 * _LEGEND_ROW * -(-len(labels) // columns))
+    axes.legend(handles, labels, ncols=columns, frameon=False, fontsize=8,
                 handlelength=1.4, columnspacing=1.0, **place)  # fmt: skip
 
 

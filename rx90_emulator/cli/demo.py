@@ -11,7 +11,9 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.exchange.environment import prepare
-from rx90_emulator.cli.options import add_robot_arguments, new_folder
+from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments, new_folder, page_arguments
+
+_ANY_PORT = 0  # the demonstration need not know which
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--composed", action="store_true", help="simulation and controller in one process (rx90_cell)")
     parser.add_argument("--view", action="store_true", help="with a page in the browser that shows the arm (rx90_view)")
+    add_page_arguments(parser.add_argument_group("page, with --view"), _ANY_PORT)
     add_robot_arguments(parser, "task")
     parser.set_defaults(interrupted="every process has ended")
 
@@ -32,6 +35,9 @@ def main(options: argparse.Namespace) -> int:
     Raises:
         Rx90Error: if a step fails.
     """
+    view = page_arguments(options)
+    if view and not options.view:
+        raise ConfigError(f"{view[0]} without --view; accepted: with --view, for its page")
     # Before rclpy is imported: DDS stays on this machine, and apart from other runs on it.
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
@@ -41,7 +47,8 @@ def main(options: argparse.Namespace) -> int:
 
     robot = DEFAULT_ROBOT if options.robot is None else options.robot
     files, pace = RobotFiles.of_options(options), 0.0 if options.short else 1.0
-    demonstration = Demonstration(robot, files, pace, options.composed, options.view)
+    page = ["--port", _ANY_PORT, *view] if options.view else None  # of two ports the last counts
+    demonstration = Demonstration(robot, files, pace, options.composed, page)
     return 0 if demonstration.run(_folder(options.output)) else 1
 
 

@@ -20,6 +20,7 @@ is no (bags differ, messages lost, not confirmed); 2 refused, nothing was writte
 gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 """
 _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
+_LAST_PORT = 65535
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
@@ -131,6 +132,35 @@ def add_robot_arguments(parser: argparse.ArgumentParser, *names: str) -> None:
     add_robot_argument(robot)
     for name in names or MODEL_FILES:
         robot.add_argument(f"--{name}", metavar="FILE", help=f"{DESCRIPTIONS[name]} (the robot's {FILES[name]})")
+
+
+def add_page_arguments(group: argparse._ActionsContainer, port: int) -> None:
+    """Add the options of a page in the browser, by default on a port; None for what was not given."""
+    group.add_argument("--host", metavar="ADDRESS",
+                       help="to serve the page on; 0.0.0.0 shows it to other machines, too (127.0.0.1: to this one "
+                       "alone)")  # fmt: skip
+    group.add_argument("--port", type=_port, metavar="N", help=f"0: any free one ({port})")
+    group.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
+
+
+def page_arguments(options: argparse.Namespace) -> list[str]:
+    """Return the words that say of a page what was given, for another command."""
+    words = []
+    if options.host is not None:
+        words += ["--host", options.host]
+    if options.port is not None:
+        words += ["--port", str(options.port)]
+    return words + ["--no-browser"] * options.no_browser
+
+
+def _port(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = -1
+    if not 0 <= value <= _LAST_PORT:
+        raise argparse.ArgumentTypeError(f"{text!r}; accepted: a whole number from 0 to {_LAST_PORT}")
+    return value
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:

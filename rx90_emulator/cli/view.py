@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
+from rx90_common.process.children import kill_all
+from rx90_common.process.interrupts import start_that_ends_within
 from rx90_emulator.cli import view_bags, view_live
-from rx90_emulator.cli.options import add_robot_arguments
+from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments
 
-_LAST_PORT = 65535
+_PORT = 8080
+_PATIENCE = 1.5  # s, for a start that is interrupted
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.set_defaults(ros_args=[])
     view_live.add_arguments(parser)
-    page = parser.add_argument_group("page")
-    page.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS",
-        help="to serve the page on; 0.0.0.0 shows it to other machines, too (%(default)s: to this one alone)",
-    )  # fmt: skip
-    page.add_argument("--port", type=_port, default=8080, metavar="N", help="0: any free one (%(default)s)")
-    page.add_argument("--no-browser", action="store_true", help="print the address and open no browser")
+    add_page_arguments(parser.add_argument_group("page"), _PORT)
+    parser.set_defaults(host="127.0.0.1", port=_PORT)
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
     view_bags.add_arguments(parser)
 
@@ -30,18 +29,19 @@ def main(options: argparse.Namespace) -> None:
 
     Raises:
         Rx90Error: where the page cannot be served, or the robot or a bag cannot be read.
+        KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
-    if view_bags.wanted(options):
-        view_bags.main(options)
-    else:
-        view_live.main(options)
+    of_bags = view_bags.wanted(options)
+    with start_that_ends_within(_PATIENCE, _give_up) as start:
+        import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
+
+        try:
+            (view_bags if of_bags else view_live).main(options, start.over)
+        except KeyboardInterrupt:
+            if not start.is_over:
+                raise
 
 
-def _port(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = -1
-    if not 0 <= value <= _LAST_PORT:
-        raise argparse.ArgumentTypeError(f"{text!r}; accepted: a whole number from 0 to {_LAST_PORT}")
-    return value
+def _give_up() -> None:
+    kill_all()
+    print("rx90_view: interrupted", file=sys.stderr, flush=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from rx90_common.base.errors import BagError
@@ -48,11 +49,16 @@ def wanted(options: argparse.Namespace) -> bool:
     return count > 0
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     """Show the page until Ctrl-C.
+
+    Args:
+        options: of the command.
+        started: called when the page runs.
 
     Raises:
         Rx90Error: where the page cannot be served, or the robot or a bag cannot be read.
+        KeyboardInterrupt: on Ctrl-C.
     """
     align = alignment("0" if options.align is None else options.align)
     # Here, because --help must not wait for them.
@@ -68,8 +74,7 @@ def main(options: argparse.Namespace) -> None:
     )  # fmt: skip
     try:
         page.announce(browser=not options.no_browser)
+        started()
         page.run()
-    except KeyboardInterrupt:
-        return
     finally:
         page.close()

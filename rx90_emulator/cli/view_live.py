@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
@@ -27,11 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def main(options: argparse.Namespace) -> None:
+def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     """Show running nodes until Ctrl-C.
+
+    Args:
+        options: of the command.
+        started: called when the page runs; with nodes of its own, when their arm is seen.
 
     Raises:
         Rx90Error: where the page cannot be served, the robot cannot be read, or the demonstration's nodes end.
+        KeyboardInterrupt: on Ctrl-C.
     """
     from rx90_common.exchange.environment import prepare
 
@@ -65,11 +71,11 @@ def main(options: argparse.Namespace) -> None:
             nodes = NodeNames.beside(controller, options.ros_args)
             panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
             page.announce(browser=not options.no_browser)
-            if tour is not None:
-                tour.follow(page, view)
+            if tour is None:
+                started()
+            else:
+                tour.follow(page, view, started)
             page.run(check_interrupt=client.check_interrupt)
-    except KeyboardInterrupt:
-        return
     finally:
         if panel is not None:
             panel.close()

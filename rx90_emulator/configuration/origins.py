@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.config import load_yaml, yaml_lines
 from rx90_common.base.entries import LEFT_OUT, Entry
-from rx90_common.base.groups import Either, Entries, Group
+from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.section import ABOUT
-from rx90_common.base.share import config_path
+from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction.parameters import SIGNS
 from rx90_emulator.configuration.check import kind_named
@@ -107,6 +107,9 @@ def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
 
 def _leaves(entry: Entry, content: Any, path: str, about: _About) -> Iterator[tuple[str, Entry, Any, _About]]:
     """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
+    if isinstance(entry, Variants):
+        yield f"{path}.{entry.key}", entry, content[entry.key], about
+        entry = entry.groups[content[entry.key]]
     keys = entry.keys if isinstance(entry, Group) else {}
     names = [name for name in content if name not in ABOUT]
     for key in dict.fromkeys((*names, *keys)):
@@ -141,3 +144,16 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         if role != "urdf" and path is not None:
             found += file_values(role, path)
     return found
+
+
+def rig_values(rig: str, chosen: str) -> list[ShownValue]:
+    """Return the file of a friction rig and the values in it.
+
+    Args:
+        rig: path of the file, or the name of a shipped one.
+        chosen: where the choice of it comes from.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+    """
+    return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from rx90_common.bags.comparison import BagComparison, Verdict, compare_bags
@@ -18,7 +19,7 @@ from rx90_emulator.demo.analysis import analyse
 from rx90_emulator.demo.progress import follow_clock
 from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.announcement import OPENED
+from rx90_emulator.view.announcement import OPENED, TO_OTHERS
 
 START_TIME = 0.25
 """When the trajectory starts, s: late enough to arrive before it, whatever the machine does, because time
@@ -32,7 +33,12 @@ class Demonstration:
     """One run of the reference task in a folder of its own."""
 
     def __init__(
-        self, robot: str, files: RobotFiles, real_time_factor: float, composed: bool = False, view: bool = False
+        self,
+        robot: str,
+        files: RobotFiles,
+        real_time_factor: float,
+        composed: bool = False,
+        view: Sequence[object] | None = None,
     ) -> None:
         """Read and plan the task.
 
@@ -41,7 +47,7 @@ class Demonstration:
             files: its files, and the task.
             real_time_factor: pace; 0 is as fast as it goes.
             composed: simulation and controller share a process.
-            view: with a page in the browser beside it.
+            view: options of `rx90_view` for a page in the browser beside it; None for no page.
 
         Raises:
             Rx90Error: if the task cannot be read or travelled.
@@ -99,8 +105,8 @@ class Demonstration:
                 group.start("controller", executable("rx90_controller", "--ros-args", "-p", f"robot:={self._robot}"))
             task = ("--robot", self._robot, "--from-file", self._task_file, "--start-time", START_TIME)
             line = group.start("trajectory", executable("rx90_line", *task))
-            if self._view:
-                self._show_page(group)
+            if self._view is not None:
+                self._show_page(group, self._view)
             recorder.wait_for("ready: all")
             line.expect_success()
             factor = follow_clock(simulation, duration)
@@ -109,14 +115,13 @@ class Demonstration:
             recorder.expect_success()
         return factor
 
-    def _show_page(self, group: ProcessGroup) -> None:
+    def _show_page(self, group: ProcessGroup, options: Sequence[object]) -> None:
         """Start the page, and give a person a moment to open it before time runs."""
-        page = group.start(
-            "view", executable("rx90_view", "--robot", self._robot, "--task", self._task_file, "--port", 0)
-        )
-        print(
-            f"page: {page.wait_for(r'page: (.*) [(]')[1]}; time runs once it is open, at the latest in {_PATIENCE:g} s"
-        )
+        page = group.start("view", executable("rx90_view", "--robot", self._robot, "--task", self._task_file, *options))
+        address = page.wait_for(r"page: (.*) [(]")[1]
+        if TO_OTHERS in page.lines:
+            print(TO_OTHERS)
+        print(f"page: {address}; time runs once it is open, at the latest in {_PATIENCE:g} s", flush=True)
         try:
             page.wait_for(OPENED, _PATIENCE)
         except ProcessError:

@@ -11,9 +11,9 @@ from rx90_common.base.arrays import Array, Record
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
+from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.kernels.compiled import kernel
 from rx90_controller.trajectory import TrajectoryGenerator
-from rx90_sim.manipulator import mass_and_bias
 
 
 class NominalMotion(NamedTuple):

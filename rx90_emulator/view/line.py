@@ -84,7 +84,7 @@ class LineScene:
         self._errors: list[float] = []  # of the trace, nan off the line
         self._tip: Array | None = None
         self._error: float | None = None
-        self._worst = 0.0
+        self._worst = self._worst_at = 0.0  # m, of the distance from the line and from its start
         self._changed = False
         self._trace.visible = False
 
@@ -116,14 +116,17 @@ class LineScene:
             self._error, self._worst = None, 0.0
             return
         self._error = distance
-        if moves:
-            self._worst = max(self._worst, distance)
+        if moves and distance > self._worst:
+            self._worst, self._worst_at = distance, float(np.linalg.norm(tip - self._start))
 
     def words(self) -> str:
-        """Return the path error in words: now, and the largest that was seen on the way along the line."""
+        """Return the path error in words: now, the largest that was seen on the way along the line, and where."""
         if self._error is None:
             return "not on the line"
-        return f"{self._error * 1e3:.3f} mm, on the way {self._worst * 1e3:.3f} mm"
+        now = f"{self._error * 1e3:.3f} mm now"
+        if not self._worst:
+            return now
+        return f"{now}; largest on this way {self._worst * 1e3:.3f} mm, {self._worst_at * 1e3:.0f} mm from the start"
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""

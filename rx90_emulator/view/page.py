@@ -5,9 +5,11 @@ from __future__ import annotations
 import heapq
 import ipaddress
 import itertools
+import logging
 import os
 import queue
 import socket
+import threading
 import time
 import webbrowser
 from collections.abc import Callable
@@ -21,14 +23,14 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
-from rx90_emulator.view.announcement import OPENED
+from rx90_emulator.view.announcement import OPENED, TO_OTHERS
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
 _FIELD = 0.75  # rad, upright
 _NARROW = 0.9  # width over height below which the arm is seen from farther away
-_SHARE_BELOW = 0.125  # by how much of its distance a narrow page looks below the arm
+_SHARE_BELOW = 0.2  # by how much of its distance a narrow page looks below the arm
 _PLOT_WIDTH = 370  # pixels
 _PANEL_WIDTH = 310
 
@@ -52,6 +54,8 @@ class Page:
     def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080) -> None:
         _check_free(host, port)
         rich.get_console().quiet = True  # viser draws a box with addresses, and tells of each connection
+        # viser filters them, too, but only from the first request on.
+        logging.getLogger("websockets.server").addFilter(_of_interest)
         self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
         if port not in {0, self.server.get_port()}:  # somebody was faster, and viser has gone on to the next one
             self.server.stop()
@@ -113,11 +117,12 @@ class Page:
     def announce(self, *, browser: bool) -> None:
         """Print the address, and open it in a browser if there is a screen; say when it is open."""
         self.server.on_client_connect(lambda _: self.later(self._say_opened))
-        print(f"page: {self.address} (Ctrl-C ends it)", flush=True)
         if self._open_to_others:
-            print("other machines can open it, too, and do with it what you can", flush=True)
+            print(TO_OTHERS, flush=True)
+        print(f"page: {self.address} (Ctrl-C ends it)", flush=True)
         if browser and any(os.environ.get(name) for name in _SCREENS):
-            webbrowser.open(self.address)
+            # Some browsers are waited for until they end.
+            threading.Thread(target=webbrowser.open, args=[self.address], name="browser", daemon=True).start()
 
     def _say_opened(self) -> None:
         if not self._opened:
@@ -164,6 +169,11 @@ def reached_by_others(host: str) -> bool:
     """Return whether a server on this address, a name or a number, is open to other machines."""
     place = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]
     return not ipaddress.ip_address(str(place).partition("%")[0]).is_loopback
+
+
+def _of_interest(record: logging.LogRecord) -> bool:
+    """Leave out that somebody closed a connection before it was one: a tab that was closed early, a scan of ports."""
+    return record.getMessage() != "opening handshake failed"
 
 
 def _furnish(scene: viser.SceneApi) -> None:

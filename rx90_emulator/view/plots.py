@@ -13,7 +13,10 @@ from rx90_emulator.view.page import Page
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
 """Of the joints, and of the coupled wrist's element; those of the reports."""
+TIME_AXIS = uplot.Axis(label="time [s]", size=30, labelSize=18)
 _LEAST = 2  # samples that make a plot
+_NOTHING = np.array([0.0, 1.0]), np.array([np.nan, np.nan])
+"""Abscissa and ordinate of a plot that is empty."""
 
 
 class RollingPlot:
@@ -29,6 +32,7 @@ class RollingPlot:
         capacity: samples in the window.
         height: pixels.
         legend: name the curves; a click on a name hides its curve.
+        gaps: how many times in the window the quantities may be unknown (NaN) in between.
     """
 
     def __init__(
@@ -39,19 +43,20 @@ class RollingPlot:
         *,
         window: float = 10.0,
         capacity: int = 400,
-        height: int = 150,
+        height: int = 165,
         legend: bool = True,
+        gaps: int = 0,
     ) -> None:
-        self._names, self._window = tuple(names), window
+        self._names, self._window, self._parts = tuple(names), window, 1 + gaps
         self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
         self._count = 0
         self._shown = frozenset(range(len(self._names)))
         self._plot = page.gui.add_uplot(
-            tuple(np.array([0.0, 0.0]) for _ in range(1 + len(self._names))),
+            (_NOTHING[0], *[_NOTHING[1]] * (len(self._series()) - 1)),
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
-            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            axes=(TIME_AXIS, uplot.Axis(size=56)),
             legend=uplot.Legend(show=legend, live=False),
             padding=(0, 12, 0, 0),
             height=height,
@@ -78,13 +83,20 @@ class RollingPlot:
             return
         kept = self._samples[: self._count]
         kept = kept[kept[:, 0] >= kept[-1, 0] - self._window]
-        self._plot.data = tuple(column.copy() for column in kept.T)
+        time, *curves = kept.T
+        if self._parts > 1:
+            curves = [_extent(kept[:, 1:]), *(part for curve in curves for part in parts_of(curve, self._parts))]
+        self._plot.data = (time.copy(), *(curve.copy() for curve in curves))
 
     def _series(self) -> tuple[uplot.Series, ...]:
-        curves = (
+        curves = [
             uplot.Series(label=name, stroke=COLOURS[index % len(COLOURS)], width=1.5, show=index in self._shown)
             for index, name in enumerate(self._names)
-        )
+        ]
+        if self._parts > 1:
+            for curve in curves:
+                curve["auto"] = False
+            curves = [extent_series(), *(curve for curve in curves for _ in range(self._parts))]
         return (uplot.Series(label="time [s]"), *curves)
 
 
@@ -104,7 +116,7 @@ class LoopPlot:
         self._samples = np.zeros((0, 2))
         self._capacity = capacity
         self._plot = page.gui.add_uplot(
-            (np.array([0.0, 1.0]), np.array([0.0, 0.0])),
+            _NOTHING,
             (uplot.Series(label=x), uplot.Series(label=y, stroke=COLOURS[0], width=1.5)),
             title=title,
             scales={"x": uplot.Scale(time=False)},
@@ -120,8 +132,9 @@ class LoopPlot:
         self._samples = np.concatenate([self._samples[-self._capacity + 1 :], [[x, y]]])
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Forget all samples, and show none."""
         self._samples = self._samples[:0]
+        self._plot.data = _NOTHING
 
     def draw(self) -> None:
         """Send what is to be seen."""
@@ -141,3 +154,30 @@ def _as_if_sorted(x: Array, y: Array) -> tuple[Array, Array]:
     way = np.concatenate([np.arange(first, 0, -1), np.arange(len(x)), np.arange(len(x) - 2, last - 1, -1)])
     longer = np.append(x[way], x[last] + 1e-9 * (1.0 + float(np.ptp(x))))  # larger than any before it
     return longer, np.append(y[way], y[last])
+
+
+def extent_series() -> uplot.Series:
+    """Return a curve that is not drawn and has all values that the ordinate must show.
+
+    uPlot finds no range for a column that begins with NaN.
+    """
+    return uplot.Series(label="extent", stroke="rgba(0,0,0,0)", points={"show": False})
+
+
+def _extent(values: Array) -> Array:
+    """Return such a column for values (n, k); for none at all that of 0 to 1."""
+    finite = values[np.isfinite(values)]
+    column = np.full(len(values), finite.min() if len(finite) else 0.0)
+    column[0] = finite.max() if len(finite) else 1.0
+    return column
+
+
+def parts_of(curve: Array, most: int) -> list[Array]:
+    """Return a curve as `most` columns, each without a gap inside; of too many gaps the shortest are drawn across."""
+    known = np.flatnonzero(np.isfinite(curve))
+    jumps = np.flatnonzero(np.diff(known) > 1)
+    jumps = np.sort(jumps[np.argsort(np.diff(known)[jumps], kind="stable")[::-1][: most - 1]])
+    columns = [np.full(len(curve), np.nan) for _ in range(most)]
+    for column, rows in zip(columns, np.split(known, jumps + 1), strict=False):
+        column[rows] = curve[rows]
+    return columns

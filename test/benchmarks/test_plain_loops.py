@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.closed_loop import Ticks, Work
 from benchmarks.plain_loops import WORKSPACE_DTYPE, mass_and_bias, run_lanes, run_plain
+from rx90_common.dynamics import manipulator
 from rx90_emulator.loop.setup import Setup
-from rx90_sim import manipulator
 
 
 @pytest.fixture(scope="module")

@@ -40,7 +40,7 @@ _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerTex
 _PLOTS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => ({
     title: chart.root.querySelector('.u-title')?.textContent ?? '',
     labels: chart.series.map(series => series.label), data: chart.data.map(column => Array.from(column)),
-    shown: chart.series.map(series => series.show)}))"""
+    axes: chart.axes.map(axis => axis.label), shown: chart.series.map(series => series.show)}))"""
 
 
 class BrowserPage:

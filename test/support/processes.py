@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import itertools
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -32,6 +33,11 @@ def _own_domains() -> range:
 
 
 _domains = itertools.count(os.getpid())
+
+
+def pytest_configure() -> None:
+    """Have SIGTERM end the tests as Ctrl-C does: with what their fixtures have started."""
+    signal.signal(signal.SIGTERM, lambda *_: pytest.exit("SIGTERM", returncode=128 + signal.SIGTERM))
 
 
 def script(name: str) -> str:

@@ -1,8 +1,9 @@
 """Processes of the tests without their slow imports: forked from a process that has done these once.
 
 To a test such a process is any other one: a child of its own, with its own session, environment, working folder,
-signals and streams, that ends as Python ends. It is not quite a user's: what MODULES import is there before the first
-line runs, and options of Python itself, or what Python reads from the environment when it starts, do nothing.
+signals and streams, that ends as Python ends. It is not quite a user's: what MODULES import and the kernels of the
+nodes are there before the first line runs, and options of Python itself, or what Python reads from the environment
+when it starts, do nothing.
 
 What hangs on that is proved where each family of commands starts cold, by its command line as a user does:
 all executables out of an install space (test_packaging.py, simulation and controller together too) and without a
@@ -19,10 +20,12 @@ import importlib
 import json
 import os
 import runpy
+import signal
 import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -34,10 +37,20 @@ MODULES = (
     "rx90_emulator.cli.bag_record",
     "rx90_emulator.cli.line",
     "rx90_emulator.cli.node",
+    "rx90_emulator.loop.closed_loop",
     "rx90_emulator.loop.setup",
+    "builtin_interfaces.msg",
+    "diagnostic_msgs.msg",
+    "geometry_msgs.msg",
+    "lifecycle_msgs.srv",
+    "rcl_interfaces.srv",
+    "sensor_msgs.msg",
+    "std_msgs.msg",
+    "std_srvs.srv",
+    "trajectory_msgs.msg",
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
-_PR_SET_CHILD_SUBREAPER = 36
+_PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 _LONGEST = 1 << 20
 
 
@@ -63,6 +76,7 @@ class WarmPopen(subprocess.Popen[Any]):
             )  # fmt: skip
             return
         request = {
+            "parent": os.getpid(),
             "words": [word for word in words[1:] if word != "-u"],
             "folder": os.fspath(cwd or Path.cwd()),
             "environment": dict(os.environ if env is None else env),
@@ -79,8 +93,8 @@ class _Server:
 
     def __init__(self) -> None:
         self._connection, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        command = [sys.executable, "-u", __file__, str(theirs.fileno())]
-        # It ends when the connection does: with the process of the tests, however that ends.
+        command = [sys.executable, "-u", __file__, str(theirs.fileno()), *MODULES]
+        # It ends when the connection does: with the process of the tests, however that ends. So do those it has forked.
         self._process = COLD(command, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, start_new_session=True)
         theirs.close()
         self._lock = threading.Lock()
@@ -112,6 +126,15 @@ def _adopt(on: bool) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_CHILD_SUBREAPER, int(on), 0, 0, 0)
 
 
+def _end_with(parent: int, first: int) -> None:
+    """Have this process interrupted when its parent ends, be it killed: once the first, which forked it, is gone."""
+    while os.getppid() == first:
+        time.sleep(1e-4)
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGINT), 0, 0, 0)
+    if os.getppid() != parent:
+        sys.exit(0)
+
+
 def _serve(connection: socket.socket) -> tuple[dict[str, Any], list[int]]:
     """Fork for each request; return in the new process alone, with the request and its streams."""
     while True:
@@ -121,17 +144,29 @@ def _serve(connection: socket.socket) -> tuple[dict[str, Any], list[int]]:
         reader, writer = os.pipe()
         between = os.fork()
         if between == 0:
+            first = os.getpid()
             pid = os.fork()
             if pid == 0:
                 for descriptor in (reader, writer, connection.detach()):
                     os.close(descriptor)
-                return json.loads(message), streams
+                request = json.loads(message)
+                _end_with(request["parent"], first)
+                return request, streams
             os.write(writer, str(pid).encode())
             os._exit(0)  # so that its child gets another parent
         os.waitpid(between, 0)
         connection.send(os.read(reader, 32))
         for descriptor in (reader, writer, *streams):
             os.close(descriptor)
+
+
+def _load_kernels() -> None:
+    """Compile, or load, what nodes tick with; on new sources once here, and not in each of the first nodes."""
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load()
+    setup.plant().warm_up()
+    setup.cs7b().warm_up()
 
 
 def _become(request: dict[str, Any], streams: Sequence[int]) -> None:
@@ -165,8 +200,10 @@ def _run(words: list[str]) -> None:
 
 if __name__ == "__main__":
     sys.path[0] = ""
-    for name in MODULES:
+    for name in sys.argv[2:]:
         importlib.import_module(name)
+    if MODULES[0] in sys.modules:
+        _load_kernels()
     assert len(list(Path("/proc/self/task").iterdir())) == 1, "a thread would be missing in each fork"
     gc.freeze()  # or the first collection in each process would copy all that the imports have made
     _become(*(asked := _serve(socket.socket(fileno=int(sys.argv[1])))))

@@ -62,9 +62,12 @@ class SeriesCollector:
         self._take_block()
         if not self._parts:
             if self._other_names and self._names is not None:
+                other = len(self._other_names) != len(self._names)
                 raise BagError(
                     f"{self.topic.name} is of {listed(self._other_names)}; accepted: a bag with "
                     f"{listed(self._names)}, --robot with the bag's, or --names with what it calls these joints"
+                    + other
+                    * f"; every arm here has {len(self._names)} joints"
                 )
             return None
         return self._joined()

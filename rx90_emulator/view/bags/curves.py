@@ -12,6 +12,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.plots import TIME_AXIS, extent_series, parts_of
 
 _BUCKETS = 300  # about one for each pixel of a plot
 _CURSOR = "#888888"
@@ -52,7 +53,7 @@ class CurvesPlot:
     """
 
     def __init__(
-        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 170
+        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 185
     ) -> None:
         self._curves, self._origin = tuple(curves), origin_ns
         self._chosen = [True] * len(self._curves)
@@ -64,7 +65,7 @@ class CurvesPlot:
             self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False)},
-            axes=(uplot.Axis(size=30), uplot.Axis(size=56)),
+            axes=(TIME_AXIS, uplot.Axis(size=56)),
             legend=uplot.Legend(show=False),
             padding=(0, 12, 0, 0),
             height=height,
@@ -93,7 +94,7 @@ class CurvesPlot:
         line[place : place + 2] = extent[:2] = low, high
         columns = []
         for curve in values:
-            for part in _parts_of(curve, self._parts):
+            for part in parts_of(curve, self._parts):
                 columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
         self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
 
@@ -110,8 +111,7 @@ class CurvesPlot:
     def _series(self) -> tuple[uplot.Series, ...]:
         """Return how the columns are drawn: time, what the ordinate must show, the parts of each curve, and the line.
 
-        uPlot draws a line across NaN, hence the parts; and it finds no range for a column that begins with NaN, hence
-        one that is not drawn and has all it needs to know.
+        uPlot draws a line across NaN, hence the parts.
         """
         lines = []
         for curve, chosen in zip(self._curves, self._chosen, strict=True):
@@ -121,17 +121,5 @@ class CurvesPlot:
             if curve.dashed:
                 series["dash"] = (6, 4)
             lines += [series] * self._parts
-        extent = uplot.Series(label="extent", stroke="rgba(0,0,0,0)", points={"show": False})
         shown = uplot.Series(label="shown", stroke=_CURSOR, width=1.0, auto=False, points={"show": False})
-        return (uplot.Series(label="time [s]"), extent, *lines, shown)
-
-
-def _parts_of(curve: Array, most: int) -> list[Array]:
-    """Return a curve as `most` columns, each without a gap inside; of too many gaps the shortest are drawn across."""
-    known = np.flatnonzero(np.isfinite(curve))
-    jumps = np.flatnonzero(np.diff(known) > 1)
-    jumps = np.sort(jumps[np.argsort(np.diff(known)[jumps], kind="stable")[::-1][: most - 1]])
-    columns = [np.full(len(curve), np.nan) for _ in range(most)]
-    for column, rows in zip(columns, np.split(known, jumps + 1), strict=False):
-        column[rows] = curve[rows]
-    return columns
+        return (uplot.Series(label="time [s]"), extent_series(), *lines, shown)

@@ -9,6 +9,7 @@ from rx90_emulator.view.plots import LoopPlot, RollingPlot
 from rx90_emulator.view.state import ArmState
 
 _FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
+_GAPS = 5  # in 10 s; more are drawn across
 _RESTS = 1e-4  # rad/s; a joint that creeps would fill the loop with rounding
 
 
@@ -32,7 +33,9 @@ class LivePlots:
         with page.plot_tab("Motion"):
             self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints)
             self._torque = RollingPlot(page, "drive torque [Nm]", joints)
-            self._error = RollingPlot(page, "path error [mm]", ("laser spot",))
+            self._error = RollingPlot(
+                page, "path error of the laser spot [mm]", ("laser spot",), legend=False, gaps=_GAPS
+            )  # fmt: skip
         self._looped.on_update(lambda _: page.later(self._loop.clear))
         self._time = -1.0
 

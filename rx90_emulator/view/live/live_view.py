@@ -21,7 +21,7 @@ from rx90_emulator.view.state import ArmState
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
-_MAGNIFIED = ("1", "10", "100")
+_MAGNIFIED = ("1", "10", "100")  # the first is what is drawn at first
 
 
 class LiveView:
@@ -57,11 +57,13 @@ class LiveView:
         page.every(_STATUS_PERIOD, self._tell)
 
     def _add_trace_choice(self, page: Page, line: LineScene) -> None:
-        magnified = page.gui.add_button_group(
-            "error \u00d7", _MAGNIFIED, hint="magnify the trace's distance from the line"
+        magnified = page.gui.add_dropdown(
+            "error drawn \u00d7",
+            _MAGNIFIED,
+            hint="the trace is drawn so many times as far from the line as it was",
         )
         clear = page.gui.add_button("Clear the trace")
-        magnified.on_click(lambda event: page.later(lambda: line.magnify(float(event.target.value))))
+        magnified.on_update(lambda _: page.later(lambda: line.magnify(float(magnified.value))))
         clear.on_click(lambda _: page.later(line.clear))
 
     def lay_line(self, task: LineTask) -> None:

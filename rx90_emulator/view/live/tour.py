@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
+from dataclasses import replace
 
-from rx90_common.base.errors import Rx90Error
+from rx90_common.base.errors import ExchangeError, Rx90Error
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.client_node import client_node
@@ -57,10 +59,18 @@ class Tour:
             "nodes", executable("rx90_cell", "--ros-args", "-p", f"robot:={self._robot}")
         )  # fmt: skip
 
-    def follow(self, page: Page, view: LiveView) -> None:
-        """Move the arm from now on; the page ends with an error when the nodes do."""
+    def follow(self, page: Page, view: LiveView, started: Callable[[], None]) -> None:
+        """Move the arm from now on, call `started` when it is seen; the page ends with an error when the nodes do."""
         self._view = view
-        page.every(_LOOK, self._check)
+
+        def check(_now: float) -> None:
+            assert self._cell is not None
+            if self._cell.returncode is not None:
+                self._cell.wait_for("$^")  # says that it has ended, and its last line
+            if view.state is not None:
+                started()
+
+        page.every(_LOOK, check)
         self._thread.start()
 
     def end(self) -> None:
@@ -70,19 +80,19 @@ class Tour:
             self._thread.join(_TIMEOUT)
         self._group.__exit__()
 
-    def _check(self, _now: float) -> None:
-        assert self._cell is not None
-        if self._cell.returncode is not None:
-            self._cell.wait_for("$^")  # says that it has ended, and its last line
+    def _leave_at_the_end(self) -> None:
+        if self._ending.is_set():
+            raise ExchangeError("the page has ended")
 
     def _send_again_and_again(self) -> None:
         said = ""
         while not self._ending.is_set():
             try:
                 with client_node("rx90_view_line", _TIMEOUT, lambda _: None) as client:
-                    deliver(client, self._plan, self._delivery)
+                    leaving = replace(client, check_interrupt=self._leave_at_the_end)
+                    deliver(leaving, self._plan, self._delivery)
             except Rx90Error as error:  # torque off, somebody else's motion: the next time it may go
-                if str(error) != said:
+                if str(error) != said and not self._ending.is_set():
                     said = str(error)
                     print(f"rx90_view: the line was not sent: {said}", flush=True)
             self._ending.wait(_REST)

@@ -9,9 +9,10 @@ import numpy as np
 from viser import GuiUplotHandle, uplot
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ConfigError, Rx90Error, write_text
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
+from rx90_common.process.files import write_text
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
@@ -43,9 +44,9 @@ class ElementForm:
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
         self._factor = page.gui.add_slider("times the file's", *_FACTORS, 1.0)
-        self._curve = _plot(page, "steady torque, Nm, against velocity, rad/s", ("file", "changed"))
+        self._curve = _plot(page, "steady torque [Nm]", "velocity [rad/s]", ("file", "changed"))
         labels = ("file, to", "file, fro", "changed, to", "changed, fro")
-        self._loop = _plot(page, "presliding torque, Nm, against way, µrad", labels)
+        self._loop = _plot(page, "presliding torque [Nm]", "displacement [µrad]", labels)
         self._way = page.gui.add_slider("way / break-away", 0.1, 5.0, 0.1, 1.0)
         self._verdict = page.gui.add_html("")
         self._fields = [page.gui.add_text(_label(p), "", hint=_hint(p)) for p in FRICTION_PARAMETERS]
@@ -142,7 +143,7 @@ def _label(parameter: FrictionParameter) -> str:
     return parameter.name if parameter.unit == "1" else f"{parameter.name}, {parameter.unit}"
 
 
-def _plot(page: Page, title: str, labels: Sequence[str]) -> GuiUplotHandle:
+def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHandle:
     series = [
         uplot.Series(label=label, stroke=_GREY if label.startswith("file") else COLOURS[0], width=1.5)
         for label in labels
@@ -152,10 +153,10 @@ def _plot(page: Page, title: str, labels: Sequence[str]) -> GuiUplotHandle:
         (uplot.Series(), *series),
         title=title,
         scales={"x": uplot.Scale(time=False)},
-        axes=(uplot.Axis(size=30), uplot.Axis(size=50)),
+        axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(size=50)),
         legend=uplot.Legend(show=False),
         padding=(8, 12, 0, 0),
-        height=150,
+        height=165,
     )
 
 

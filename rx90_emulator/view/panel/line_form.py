@@ -34,6 +34,8 @@ class LineForm:
         self._here: Array | None = None
         self._checked_from: Array | None = None
         self._missing = ""
+        self._number = 0  # of the newest check
+        self._wanted = False
         self.preview: LinePreview | None = None
         first = TypedLine.of(task)
         self._fields = [
@@ -60,7 +62,7 @@ class LineForm:
             )
             for name, colour in (("line", _LINE), ("approach", _APPROACH))
         ]
-        self._checking: NewestOnly[tuple[TypedLine, Array | None, bool]] = NewestOnly(self._check, _INTERVAL)
+        self._checking: NewestOnly[tuple[int, TypedLine, Array | None]] = NewestOnly(self._check, _INTERVAL)
         for field in self._fields:
             field.on_update(from_user(self._typed, page))
         self._button.on_click(from_user(self._pressed, page))
@@ -79,32 +81,39 @@ class LineForm:
         self._here, self._missing = here, missing
         before = self._checked_from
         if stands and here is not None and (before is None or np.abs(here - before).max() > _ELSEWHERE):
-            self._give(wanted=False)
+            self._give()
         self._enable()
 
     def _typed(self) -> None:
-        self._give(wanted=False)
+        self._wanted = False
+        self._give()
 
     def _pressed(self) -> None:
         # The arm may have moved since the line was checked.
-        self._give(wanted=True)
+        self._wanted = True
+        self._give()
 
-    def _give(self, *, wanted: bool) -> None:
+    def _give(self) -> None:
         self.preview = None
+        self._verdict.content = sentence("checking ...")
         self._enable()
         self._checked_from = self._here
-        self._checking.give((TypedLine(*(field.value for field in self._fields)), self._here, wanted))
+        self._number += 1
+        self._checking.give((self._number, TypedLine(*(field.value for field in self._fields)), self._here))
 
-    def _check(self, item: tuple[TypedLine, Array | None, bool]) -> None:
+    def _check(self, item: tuple[int, TypedLine, Array | None]) -> None:
         """Check on a thread of its own."""
-        typed, here, wanted = item
+        number, typed, here = item
         try:
             found: LinePreview | LineError = self._desk.preview(typed, here)
         except LineError as error:
             found = error
-        self._page.later(lambda: self._found(found, wanted))
+        self._page.later(lambda: self._found(number, found))
 
-    def _found(self, found: LinePreview | LineError, wanted: bool) -> None:
+    def _found(self, number: int, found: LinePreview | LineError) -> None:
+        if number != self._number:
+            return  # of other values than those in the fields, or of an arm that has moved
+        wanted, self._wanted = self._wanted, False
         line, approach = self._drawn
         if isinstance(found, LineError):
             self._verdict.content = sentence(str(found), wrong=True)

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+_PATIENCE = 1.0  # s
 _Item = TypeVar("_Item")
 
 
@@ -32,11 +33,11 @@ class NewestOnly(Generic[_Item]):
             self._changed.notify()
 
     def close(self) -> None:
-        """Drop what waits, and end the thread after what it works on."""
+        """Drop what waits, and end the thread after what it works on, which may last longer than this waits."""
         with self._changed:
             self._closed = True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(_PATIENCE)
 
     def _run(self) -> None:
         while (item := self._next()) is not None:

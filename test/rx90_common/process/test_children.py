@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -22,6 +23,18 @@ signal.signal(signal.SIGINT, signal.SIG_IGN)
 child = os.fork()
 print("child", child if child else os.getpid(), flush=True)
 time.sleep(600)
+"""
+SUPPORT = Path(module.__file__).parent
+CONFTEST = "import warm_start\nwarm_start.MODULES = ()\npytest_plugins = ['processes']\n"
+WAITING = """
+import sys
+
+def test_that_waits(processes):
+    process = processes.start(sys.executable, "-c", "import time; print('up', flush=True); time.sleep(600)")
+    process.wait_for("up")
+    with open("pid", "w") as file:
+        print(process.pid, file=file)
+    process.wait()
 """
 
 
@@ -90,3 +103,18 @@ def test_two_tests_never_share_a_domain() -> None:
     with contextlib.ExitStack() as tests:
         given = [tests.enter_context(own_domain()) for _ in range(10)]
     assert len(set(given)) == 10
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_the_tests_that_started_it(tmp_path: Path, number: signal.Signals) -> None:
+    """SIGTERM ends pytest as Ctrl-C does, fixtures and all; after SIGKILL what was forked for it ends by itself."""
+    (tmp_path / "conftest.py").write_text(CONFTEST, encoding="utf-8")
+    (tmp_path / "test_waiting.py").write_text(WAITING, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", f"pythonpath={SUPPORT}", "."]
+    running = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    noted = tmp_path / "pid"
+    wait_until(lambda: noted.is_file() and noted.read_text().endswith("\n"), "the process of the test")
+    running.send_signal(number)
+    said, _ = running.communicate(timeout=60.0)
+    assert running.returncode == (128 + number if number == signal.SIGTERM else -number), said
+    wait_until(lambda: ended(int(noted.read_text())), "the end of the process")

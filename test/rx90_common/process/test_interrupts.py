@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import importlib
+import os
 import signal
+import subprocess
+import sys
 import time
 import weakref
 from collections.abc import Callable
 from importlib.machinery import ExtensionFileLoader
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from processes import wait_until
 
 from rx90_common.process.interrupts import interrupts_later, raise_where_heard
 
@@ -97,3 +102,41 @@ def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[
             wait()
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+_BUSY = """
+import hashlib, os, subprocess, sys
+from rx90_common.process.children import ChildProcess, kill_all
+from rx90_common.process.interrupts import start_that_ends_within
+def last():
+    kill_all()
+    print("gave up", flush=True)
+with start_that_ends_within(0.1, last) as start:
+    child = ChildProcess("child", ["sleep", "600"])
+    if "over" in sys.argv:
+        start.over()
+    print(child.pid, flush=True)
+    while True:
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 1000 if "over" in sys.argv else 10**9)  # in C, without the lock
+"""
+
+
+@pytest.mark.usefixtures("warm")
+@pytest.mark.parametrize(("words", "code", "said"), [([], 130, "gave up\n"), (["over"], -signal.SIGINT, "")])
+def test_a_start_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
+    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual."""
+    with subprocess.Popen(
+        [sys.executable, "-c", _BUSY, *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        process.send_signal(signal.SIGINT)
+        rest = process.stdout.read()  # until the end
+        assert (process.wait(), rest) == (code, said)
+    if words:
+        os.kill(child, signal.SIGKILL)
+    else:
+        wait_until(lambda: not Path(f"/proc/{child}").exists(), "the end of the child")

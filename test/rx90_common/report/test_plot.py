@@ -12,7 +12,7 @@ from scipy.interpolate import interp1d
 
 from rx90_common.report.live import plot_json
 from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot, simplified
-from rx90_common.report.still import as_svg, write_picture
+from rx90_common.report.still import as_svg, drawn, write_picture
 
 TIME = np.linspace(0.0, 8.0, 8001)
 NOISE = np.random.default_rng(5).normal(size=len(TIME))
@@ -101,3 +101,23 @@ def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
         first, second = (picture.read_bytes() for picture in pictures)
         assert first.startswith(start)
         assert first == second
+
+
+@pytest.mark.parametrize("columns", [1, 2])
+@pytest.mark.parametrize("count", [1, 3, 9])
+@pytest.mark.parametrize("words", ["up", "no feed-forward, no integral, soft gains"])
+def test_a_legend_covers_neither_title_nor_panel_nor_the_edge(count: int, words: str, columns: int) -> None:
+    """Legends stand above their panel and beside or below its title, within the picture, whatever their length."""
+    marks = [Curve(TIME[:2], NOISE[:2] + k, f"{words} {k}") for k in range(count)]
+    figure = drawn(Plot([panel(*marks), panel(*marks[:-1]), panel(Dots(TIME[:2], NOISE[:2], words))], columns), 100)
+    figure.draw_without_rendering()
+    others = [ax.get_window_extent() for ax in figure.axes] + [ax._left_title.get_window_extent() for ax in figure.axes]  # type: ignore[attr-defined]
+    legends = [legend.get_window_extent() for ax in figure.axes if (legend := ax.get_legend())]
+    assert len(legends) >= 1
+    for box in legends:
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.x1 + 1.0
+        assert box.y1 <= figure.bbox.y1
+        # The frame of a legend is empty space around its entries: as much as its font is high.
+        inside = box.padded(-8.0)
+        assert not any(inside.overlaps(other) for other in others)

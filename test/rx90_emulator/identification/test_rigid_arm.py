@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from rx90_common.base.errors import IdentificationError
+from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.manipulator import mass_and_bias
 
 TWO_LINKS = """<robot name="two"><link name="base"/>
 <link name="a"><inertial><origin xyz="0.5 0 0"/><mass value="2"/>

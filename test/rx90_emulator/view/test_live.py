@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import BrowserPage
+from browser import BrowserPage, served
 from processes import Processes
 from short_task import SHORT_TASK
 
@@ -18,6 +18,8 @@ from rx90_common.exchange.arm_watch import JointSample, Span
 from rx90_common.process.children import ChildProcess
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import source
+from rx90_emulator.view.live.live_plots import LivePlots
+from rx90_emulator.view.page import Page
 
 Open = Callable[..., BrowserPage]
 ARM = "/arm/" + "/".join(f"joint_{k}" for k in range(1, 7)) + "/tip"
@@ -89,7 +91,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     assert max(map(abs, deflection[1])) > 100.0  # 25 Nm / 1e5 Nm/rad: 250 microrad
     newest = friction[0][-1]
     shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
-    shown.wait_until(lambda: "mm, on the way" in shown.text(), "the path error")
+    shown.wait_until(lambda: "mm now; largest on this way" in shown.text(), "the path error")
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
 
 
@@ -111,3 +113,51 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
         live.take(float(now))
         seen.append(watch.trajectory is None)
     assert seen == [False, False, True, True]
+
+
+def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each quantity of each joint stands in its own plot, with its sign and in its unit, and the loop has both axes."""
+    count = len(shipped.friction.names)
+    weights, elements = np.arange(1.0, 7.0), np.arange(1.0, count + 1.0)
+    now = {"time": 0.0}
+
+    def joints() -> JointSample:
+        wave = np.cos(now["time"])
+        return JointSample(now["time"], 0.1 * weights * wave, 0.2 * weights * wave, -30.0 * weights * wave)
+
+    def friction() -> JointSample:
+        wave = np.cos(now["time"])
+        return JointSample(now["time"], 1e-5 * elements * wave, 0.3 * elements * wave, 40.0 * elements * wave)
+
+    watch = SimpleNamespace(elements=friction, joints=joints, trajectory=None)
+    monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
+    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    with served(Page("test", port=0)) as page:
+        made = {}
+        add = page.gui.add_uplot
+        monkeypatch.setattr(page.gui, "add_uplot", lambda *a, **k: made.setdefault(k["title"], add(*a, **k)))
+        plots = LivePlots(page, shipped.robot)
+        times = np.arange(0.0, 3.0, 0.1)
+        for time in times:
+            now["time"] = float(time)
+            state = live.take(2.0 * time)  # at half the speed of the wall clock
+            assert state is not None
+            plots.add(state, 5e-5 if time > 1.0 else None)
+        plots.draw()
+    assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)
+    wave = np.cos(times)
+    for title, factors in (
+        ("friction torque [Nm]", 40.0 * elements),
+        ("bristle deflection [\u00b5rad]", 10.0 * elements),
+        ("joint velocity [rad/s]", 0.2 * weights),
+        ("drive torque [Nm]", -30.0 * weights),
+    ):
+        shown = np.array(made[title].data)
+        np.testing.assert_allclose(shown[0], times, err_msg=title)
+        np.testing.assert_allclose(shown[1:], factors[:, None] * wave, err_msg=title)
+    velocity, torque = np.array(made["friction against velocity"].data)
+    np.testing.assert_allclose(velocity, 0.3 / 40.0 * torque, atol=1e-6)
+    assert (velocity.min(), velocity.max()) == pytest.approx((0.3 * wave.min(), 0.3), rel=1e-6)
+    error = np.array(made["path error of the laser spot [mm]"].data[2])
+    np.testing.assert_array_equal(np.isfinite(error), times > 1.0)
+    np.testing.assert_allclose(error[times > 1.0], 0.05)

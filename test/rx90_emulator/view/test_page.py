@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import socket
+import threading
+import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -16,6 +19,7 @@ from processes import wait_until
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.arm import ArmScene
+from rx90_emulator.view.line import LineScene
 from rx90_emulator.view.page import Page, reached_by_others
 from rx90_emulator.view.plots import LoopPlot, RollingPlot
 
@@ -58,24 +62,33 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
     """A rolling plot holds the samples of its window; a loop is drawn whole though its abscissa goes back."""
     with page.plot_tab("Plots"):
         rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), window=2.0)
+        broken = RollingPlot(page, "broken", ("error",), legend=False, gaps=1)
         loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]")
     angle = np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
         for time in np.arange(0.0, 5.0, 0.1):
             rolling.add(time, np.array([time, -time]))
+            broken.add(time, [np.nan if time < 0.25 or 1.95 < time < 3.05 else 1.0 + time])
         for a in angle:
             loop.add(float(np.cos(a)), float(np.sin(a)))
         rolling.draw()
+        broken.draw()
         loop.draw()
 
     shown = open_page(page.address)
-    page.later(feed)
     shown.wait_until(lambda: {"speed [rad/s]", "loop"} <= set(shown.plots()), "both plots")
+    assert [plot["axes"][0] for plot in shown.plots().values()] == ["time [s]", "time [s]", "x [rad]"]
+    assert not np.isfinite([column for plot in empty(shown) for column in plot]).any()  # no line at 0
+    page.later(feed)
     shown.wait_until(lambda: len(shown.plots()["speed [rad/s]"]["data"][0]) > 2, "samples")
     times, first, second = shown.plots()["speed [rad/s]"]["data"]
     np.testing.assert_allclose(times, np.arange(2.9, 4.95, 0.1))
     np.testing.assert_allclose([first, second], [times, np.negative(times)])
+    # What is unknown is not drawn across: before the gap one curve, after it another.
+    _, extent, early, late = (np.array(column, float) for column in shown.plots()["broken"]["data"])
+    assert [np.isfinite(part).sum() for part in (early, late)] == [17, 19]
+    assert (extent.min(), extent.max()) == (np.nanmin(early), np.nanmax(late))
     x, y = np.array(shown.plots()["loop"]["data"])
     assert x[0] == x.min()
     assert x[-1] == x.max()
@@ -85,6 +98,49 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
         (round(a, 9), round(b, 9)) for a, b in zip(x, y, strict=True)
     }
     assert np.hypot(np.diff(x), np.diff(y)).max() < 1.01 * 2.0 * np.sin(2.0 * np.pi / 99)
+    page.later(loop.clear)
+    shown.wait_until(lambda: not np.isfinite(np.array(shown.plots()["loop"]["data"][1], float)).any(), "an empty loop")
+
+
+def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
+    """Return the ordinates of all plots."""
+    return [[np.array(column, float) for column in plot["data"][1:]] for plot in shown.plots().values()]
+
+
+def test_the_largest_path_error_is_that_of_the_way_along_the_line(page: Page) -> None:
+    """Errors of the way to the line do not count; where on the line the largest was is told, from its start."""
+    line = LineScene(page, "/line", np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2]))
+    assert line.add(np.array([0.5, 0.02, 0.2])) is None
+    assert line.add(np.array([0.5, 0.0015, 0.2])) is None  # near, and from the side
+    seen = [line.add(np.array([0.5 + x, 3e-5 + 2e-4 * (abs(x - 0.03) < 1e-9), 0.2])) for x in np.arange(0.0, 0.2, 0.01)]
+    assert max(filter(None, seen)) == pytest.approx(2.3e-4)
+    assert line.words() == "0.030 mm now; largest on this way 0.230 mm, 30 mm from the start"
+    line.add(np.array([0.15, 3e-5, 0.2]))  # back again
+    assert line.words() == "not on the line"
+
+
+def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Magnified, the trace is so many times as far from the line as it was, blue to red; off it grey, in place."""
+    made = {}
+    add = page.scene.add_line_segments
+    monkeypatch.setattr(
+        page.scene, "add_line_segments", lambda name, *a, **k: made.setdefault(name, add(name, *a, **k))
+    )
+    start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
+    line = LineScene(page, "/line", start, end)
+    tips = [[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]]
+    for tip_ in tips:
+        line.add(np.array(tip_))
+    line.magnify(100.0)
+    line.draw()
+    np.testing.assert_allclose(made["/line/line"].points, [[start, end]], rtol=1e-6)
+    trace = made["/line/trace"]
+    drawn = np.concatenate([trace.points[:, 0], trace.points[-1:, 1]])
+    np.testing.assert_allclose(drawn, [*tips[:3], [0.7, 1e-2, 0.2], tips[4]], atol=1e-6)
+    colors = np.concatenate([trace.colors[:, 0], trace.colors[-1:, 1]]).astype(int)
+    assert len(set(colors[0])) == 1  # grey
+    assert colors[2][2] > colors[2][0]  # blue
+    assert colors[3][0] > colors[3][2]  # red
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
@@ -93,6 +149,42 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         port = other.getsockname()[1]
         with pytest.raises(ConfigError, match=rf"127\.0\.0\.1 port {port}: .*; accepted: --port with a free one"):
             Page("test", port=port)
+
+
+def test_a_connection_that_is_closed_early_is_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Who connects and leaves before anything is asked for is not told of, also as the first of all."""
+    monkeypatch.setattr(logging.getLogger("websockets.server"), "filters", [])  # those of other pages
+    with served(Page("test", port=0)) as page:
+        place = page.address.removeprefix("http://").split(":")
+        for words in (b"", b"GET / HTTP/1.1\r\n"):
+            with socket.create_connection((place[0], int(place[1]))) as early:
+                early.sendall(words)
+                early.shutdown(socket.SHUT_WR)
+                early.settimeout(10.0)
+                while early.recv(4096):  # until the server has let it go, and said what it has to say
+                    pass
+    assert caplog.records == []
+
+
+def test_a_browser_that_is_waited_for_does_not_hold_the_page(
+    page: Page, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The page goes on while a browser is opened, which some commands for it do until it is closed."""
+    asked, closed = threading.Event(), threading.Event()
+
+    def open_(_address: str) -> None:
+        asked.set()
+        closed.wait(60.0)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(webbrowser, "open", open_)
+    page.announce(browser=True)
+    assert asked.wait(60.0)
+    assert not closed.is_set()
+    closed.set()
+    assert f"page: {page.address}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,7 @@ def test_an_interrupt_leaves_nothing(
         os.kill(os.getpid(), number)
         return ""
 
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # as in a process of its own
     monkeypatch.setattr(excitation_job, "identify_excitation", lambda *_, **__: outcome.result)
     monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
     if place == "write_folder":

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.operator import NodeNames
 from rx90_emulator.view.panel.panel import DoPanel
+from rx90_emulator.view.panel.typed_line import LineDesk, LinePreview, TypedLine
 from rx90_emulator.view.state import ArmState
 
 Open = Callable[..., BrowserPage]
@@ -63,10 +66,13 @@ class Tips:
         return np.array(self._data.oMf[self._frame].translation)
 
 
-def test_what_is_done_on_the_page_happens(panel: Any, open_page: Open, shipped: Setup) -> None:
+def test_what_is_done_on_the_page_happens(
+    panel: Any, open_page: Open, shipped: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A line is refused or followed, a joint jogged, time stopped, an element changed; the nodes' end is told."""
     page, cell, sent = panel
     shown = open_page(page.address, SIZE)
+    _no_verdict_is_of_other_values(shown, monkeypatch)
     _the_line_is_followed(shown, shipped, sent)
     _a_slider_moves_its_joint(shown)
     press(shown, "Pause")
@@ -77,6 +83,37 @@ def test_what_is_done_on_the_page_happens(panel: Any, open_page: Open, shipped: 
     shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
     shown.wait_until(lambda: not shown.page.get_by_role("button", name="Pause").is_enabled(), "no pause")
     assert (shown.complaints, shown.foreign_requests) == ([], [])
+
+
+def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While a line is planned the form says so, and what was planned for other values is not shown."""
+    press(shown, "Move")
+    verdict = re.compile(r"[\d.]+ m in ([\d.]+) s")
+    shown.wait_until(lambda: bool(verdict.search(shown.text())), "the first verdict")
+    begun = {speed: threading.Event() for speed in ("0.2", "0.4")}
+    may_end = {speed: threading.Event() for speed in begun}
+    plan = LineDesk.preview
+
+    def slowly(desk: LineDesk, typed: TypedLine, here: Any) -> LinePreview:
+        if typed.speed in begun:
+            begun[typed.speed].set()
+            assert may_end[typed.speed].wait(60.0)
+        return plan(desk, typed, here)
+
+    monkeypatch.setattr(LineDesk, "preview", slowly)
+    fill(shown, "speed", "0.2")
+    assert begun["0.2"].wait(60.0)
+    shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
+    assert verdict.search(shown.text()) is None
+    fill(shown, "speed", "0.4")  # while the first is planned
+    shown.page.wait_for_timeout(200)
+    may_end["0.2"].set()
+    assert begun["0.4"].wait(60.0)  # after the verdict on the first, which nobody must see
+    shown.page.wait_for_timeout(200)
+    assert verdict.search(shown.text()) is None
+    may_end["0.4"].set()
+    shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
+    monkeypatch.setattr(LineDesk, "preview", plan)
 
 
 def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]) -> None:
@@ -132,7 +169,7 @@ def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
 
 def _an_element_is_changed(shown: BrowserPage) -> None:
     press(shown, "Element")
-    title = "steady torque, Nm, against velocity, rad/s"
+    title = "steady torque [Nm]"
     shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
     fill(shown, "tau", "40")
     text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"

@@ -4,20 +4,17 @@ All six links are worked on at once, one lane each (rx90_common.kernels.lanes); 
 from link to link. Every quantity is expressed in the base frame about the base origin, where inertias and
 forces of several links simply add up: the composite-rigid-body algorithm (Featherstone 2008, table 6.2)
 becomes a sum over lanes. Mass distributions are first and second moments, integrals of r and r r^T, of the
-base parameters, which hold no mass; Pinocchio is the oracle in the tests.
+base parameters, which hold no mass; Pinocchio is the oracle in the tests. The inverse dynamics need no mass matrix.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.elementary import sine_cosine
-from rx90_common.kernels.lanes import Lanes, fma, load, store, suffix_sum
-from rx90_sim.vectors import (
+from rx90_common.dynamics.vectors import (
     Vector,
     add_cross,
     add_dot,
@@ -33,6 +30,9 @@ from rx90_sim.vectors import (
     sum_from_base,
     sum_to_tip,
 )
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.elementary import sine_cosine
+from rx90_common.kernels.lanes import Lanes, fma, load, store, suffix_sum
 
 MANIPULATOR_DTYPE = np.dtype(
     [
@@ -78,6 +78,73 @@ def mass_and_bias(
         mass_matrix: overwritten, kg m^2.
         bias: overwritten, Nm.
     """
+    pose = _pose(arm, body, q)
+    z, moment, origin = pose.z, pose.moment, pose.origin
+    turn = scale(load(v, 6), z)
+    w = sum_from_base(turn)
+    # The link's own turn adds nothing to w x turn, so w may include it.
+    field = _acceleration_field(w, sum_from_base(cross(w, turn)))
+    store(bias, _torques(arm, pose, field))
+
+    # The joint axes as spatial vectors (z, lever): angular, and linear at the base origin.
+    lever = cross(origin, z)
+    spread = _about_base(pose.spread, moment, origin)
+    moment = sum_to_tip(moment)
+    _project(arm.rotor, z, lever, _angular_momentum(spread, moment, z, lever), cross(z, moment), mass_matrix)
+
+
+@kernel
+def inverse_dynamics(
+    arm: Any,
+    body: Any,
+    q: NDArray[np.float64],
+    v: NDArray[np.float64],
+    a: NDArray[np.float64],
+    torque: NDArray[np.float64],
+) -> None:
+    """Write M(q) a + h(q, v), shape (6,), without the mass matrix (recursive Newton-Euler: Featherstone 2008, 5.3).
+
+    Args:
+        arm: constants, a record of MANIPULATOR_DTYPE.
+        body: workspace, a record of BODY_DTYPE.
+        q: joint positions, rad, shape (6,).
+        v: joint velocities, rad/s, shape (6,).
+        a: joint accelerations, rad/s^2, shape (6,).
+        torque: overwritten, Nm.
+    """
+    pose = _pose(arm, body, q)
+    z, acceleration = pose.z, load(a, 6)
+    turn = scale(load(v, 6), z)
+    w = sum_from_base(turn)
+    field = _acceleration_field(w, sum_from_base(add_scaled(cross(w, turn), acceleration, z)))
+    total = _torques(arm, pose, field)
+    for i in range(6):
+        total = fma(a[i], load(arm.rotor[i], 6), total)
+    store(torque, total)
+
+
+class _Pose(NamedTuple):
+    """The links at joint positions, in the base frame.
+
+    Attributes:
+        z: the joint axes.
+        sine: of the joint positions.
+        step: from each link's origin to the next one's, m.
+        origin: m, from the base.
+        moment: first moments about the origins, kg m.
+        spread: second moments about the origins, kg m^2.
+    """
+
+    z: Vector
+    sine: Lanes
+    step: Vector
+    origin: Vector
+    moment: Vector
+    spread: Symmetric
+
+
+@inlined
+def _pose(arm: Any, body: Any, q: NDArray[np.float64]) -> _Pose:
     sine, cosine = sine_cosine(load(q, 6))
     _turn_joints(arm.frame, body.orientation, sine, cosine)
     _chain_rotations(body.orientation)
@@ -86,23 +153,19 @@ def mass_and_bias(
     step = _combine(x, y, z, load_vectors(arm.next_origin))
     origin = sum_before(arm.first_origin, step)
     moment = add_scaled(scale(load(arm.first_moment[0], 6), x), load(arm.first_moment[1], 6), y)
-    spread = _second_moment(arm.second_moment, x, y, z)
+    return _Pose(z, sine, step, origin, moment, _second_moment(arm.second_moment, x, y, z))
 
-    field = _acceleration_field(load(v, 6), z)
-    acceleration = sum_before(arm.base_acceleration, product(field, step))
-    force = product(field, moment)
-    torque = add_cross(_torque(field, spread), moment, acceleration)
-    torque = sum_to_tip(add_cross(torque, origin, force))
+
+@inlined
+def _torques(arm: Any, pose: Any, field: tuple[Vector, Vector, Vector]) -> Lanes:
+    """Return what the joints give where the links' points have the accelerations of `field`, springs included, Nm."""
+    acceleration = sum_before(arm.base_acceleration, product(field, pose.step))
+    force = product(field, pose.moment)
+    torque = add_cross(_torque(field, pose.spread), pose.moment, acceleration)
+    torque = sum_to_tip(add_cross(torque, pose.origin, force))
     force = sum_to_tip(force)
-
-    # The joint axes as spatial vectors (z, lever): angular, and linear at the base origin.
-    lever = cross(origin, z)
-    spring = load(arm.spring_torque, 6) * sine
-    store(bias, add_dot(add_dot(spring, z, torque), lever, force))
-
-    spread = _about_base(spread, moment, origin)
-    moment = sum_to_tip(moment)
-    _project(arm.rotor, z, lever, _angular_momentum(spread, moment, z, lever), cross(z, moment), mass_matrix)
+    spring = load(arm.spring_torque, 6) * pose.sine
+    return add_dot(add_dot(spring, pose.z, torque), cross(pose.origin, pose.z), force)
 
 
 @inlined
@@ -152,15 +215,11 @@ def _second_moment(constants: Any, x: Vector, y: Vector, z: Vector) -> Symmetric
 
 
 @inlined
-def _acceleration_field(rate: Lanes, z: Vector) -> tuple[Vector, Vector, Vector]:
+def _acceleration_field(w: Vector, a: Vector) -> tuple[Vector, Vector, Vector]:
     """Return B with the acceleration of a link's point at r from its origin: origin's acceleration + B r.
 
-    B r = a x r + w x (w x r) with angular velocity w and, at zero joint accelerations, angular acceleration a.
+    B r = a x r + w x (w x r) with angular velocity w and angular acceleration a.
     """
-    turn = scale(rate, z)
-    w = sum_from_base(turn)
-    # The link's own turn adds nothing to w x turn, so w may include it.
-    a = sum_from_base(cross(w, turn))
     return (
         (-fma(w[1], w[1], w[2] * w[2]), fma(w[0], w[1], -a[2]), fma(w[0], w[2], a[1])),
         (fma(w[0], w[1], a[2]), -fma(w[0], w[0], w[2] * w[2]), fma(w[1], w[2], -a[0])),

@@ -22,7 +22,7 @@ from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
 
-PAGE = Path(__file__).parents[3] / "docs/howto/action.md"
+PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 STEP = 0.01
 SIMULATION = ("-p", "real_time_factor:=0.0", "-p", "paused:=true", "-p", f"step_ticks:={round(STEP * 4000)}")
 OPTIONS = ("allow_partial_joints_goal", "allow_nonzero_velocity_at_trajectory_end", "allow_trajectory_replacement")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rx90_common.dynamics.base_parameters import base_parameters
 from rx90_emulator.loop.setup import Setup
-from rx90_sim.base_parameters import base_parameters
 
 
 def test_mass_on_a_joint_axis_is_the_link_s_before_it(shipped: Setup) -> None:

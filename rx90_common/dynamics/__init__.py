@@ -1,0 +1,9 @@
+"""The rigid arm in compiled code: base parameters, mass matrix and bias torques, inverse dynamics.
+
+It lies on the ground because plant, controller and perturbation method share it.
+"""
+
+from rx90_common.dynamics.manipulator import BODY_DTYPE, MANIPULATOR_DTYPE
+from rx90_common.dynamics.manipulator_data import manipulator_record
+
+__all__ = ["BODY_DTYPE", "MANIPULATOR_DTYPE", "manipulator", "manipulator_record"]

@@ -1,0 +1,79 @@
+"""The options of a page, what is refused before anything slow, and Ctrl-C while the page comes up."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from processes import Processes, wait_until
+
+from rx90_emulator.cli.frame import run
+from rx90_emulator.demo import demonstration
+
+
+def test_without_viser_nothing_is_read_before_the_refusal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A page that cannot be made is refused with what to install, before the modules whose kernels are compiled."""
+    monkeypatch.setitem(sys.modules, "viser", None)
+    for name in ("rx90_emulator.view.bags.job", "rx90_emulator.view.live.live_view", "rx90_common.description.robot"):
+        monkeypatch.setitem(sys.modules, name, None)  # to import it would be an error of the project's own
+    for words in (["bag"], ["--demo"]):
+        assert run("rx90_view", words) == 3
+        err = capsys.readouterr().err
+        assert err.startswith("rx90_view: needs viser, which is not installed; accepted: ")
+        assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--no-browser"], ["--port", "0"], ["--host", "0.0.0.0"]])
+def test_options_of_a_page_need_one(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """The demonstration refuses options of a page that was not asked for."""
+    assert run("rx90_demo", words) == 2
+    assert capsys.readouterr().err == f"rx90_demo: {words[0]} without --view; accepted: with --view, for its page\n"
+
+
+def test_the_demonstration_hands_the_options_of_its_page_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """`rx90_demo --view` takes the options of a page that `rx90_view` takes, and starts it with them."""
+    monkeypatch.chdir(tmp_path)
+    given = []
+
+    def make(*arguments: object) -> SimpleNamespace:
+        given.append(arguments[-1])
+        return SimpleNamespace(run=lambda _folder: True)
+
+    monkeypatch.setattr(demonstration, "Demonstration", make)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "1")
+    words = ["--host", "localhost", "--port", "8099", "--no-browser"]
+    assert [run("rx90_demo", [*view, *extra]) for view, extra in (([], []), (["--view"], []), (["--view"], words))] == [
+        0
+    ] * 3
+    none, usual, chosen = given
+    assert none is None
+    assert usual == ["--port", 0]
+    assert chosen[-len(words) :] == words
+    assert run("rx90_view", [*words, "--align", "start"]) == 2  # of all these, --align alone is refused
+
+
+def _children(pid: int) -> list[int]:
+    return [
+        int(word) for task in Path(f"/proc/{pid}/task").iterdir() for word in (task / "children").read_text().split()
+    ]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("said", ["starting simulation", "page: "])
+def test_ctrl_c_while_the_nodes_come_up(processes: Processes, said: str) -> None:
+    """Ctrl-C before the arm is seen ends page and nodes with 130, one line, and no process left behind."""
+    view = processes.start("rx90_view", "--demo", "--port", 0, "--no-browser")
+    view.wait_for(said)
+    wait_until(lambda: bool(_children(view.pid)), "the nodes' process")
+    children = _children(view.pid)
+    view.signal(signal.SIGINT)
+    assert view.wait() == 130
+    assert "Traceback" not in view.output
+    assert view.lines[-1] == "rx90_view: interrupted"
+    for child in children:
+        wait_until(lambda child=child: not Path(f"/proc/{child}").exists(), "the end of the nodes")  # type: ignore[misc]

@@ -1,0 +1,164 @@
+"""What is no goal, what the arm cannot do, and when the controller takes none: rejected or aborted, with the reason."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from action_bench import ABORTED, STEP, SUCCEEDED, Bench
+from ros_client import JOINTS
+
+from rx90_emulator.loop.setup import Setup
+
+pytestmark = pytest.mark.ros
+
+
+def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
+    """Return what is rejected: a goal, made at a simulated time, and what the log says."""
+    from action_client import goal, move, point
+    from control_msgs.msg import JointComponentTolerance, JointTolerance
+
+    def efforts(_: float) -> Any:
+        message = move(0.0)
+        message.trajectory.points[0].effort = [1.0] * 6
+        return message
+
+    def several_dof(_: float) -> Any:
+        message = move(0.0)
+        message.multi_dof_trajectory.joint_names = ["base"]
+        return message
+
+    def accelerations_alone(_: float) -> Any:
+        message = move(0.0)
+        message.trajectory.points[0].velocities, message.trajectory.points[0].accelerations = [], [0.0] * 6
+        return message
+
+    end = point(1.0, [0.0] * 6)
+    return {
+        "wrong joints": (lambda _: goal(end, names=["a", *JOINTS[1:]]), "unknown joint 'a'"),
+        "empty joints": (lambda _: goal(end, names=[]), "joint 'joint_1' is missing"),
+        "too many joints": (lambda _: goal(end, names=[*JOINTS, "joint_7"]), "unknown joint 'joint_7'"),
+        "repeated joints": (lambda _: goal(end, names=[*JOINTS[:5], "joint_1"]), "'joint_1' stands 2 times"),
+        "a subset": (lambda _: goal(point(1.0, [0.0] * 5), names=JOINTS[:5]), "'joint_6' is missing"),
+        "no points": (lambda _: goal(), "no points; accepted: at least one"),
+        "end velocity": (lambda _: goal(point(1.0, [0.0] * 6, [0.0, 0.1] * 3)), "joint_2 ends at 0.1 rad/s"),
+        "the past": (lambda now: move(0.0, 0.1, start=now - 0.11), "the last point is at"),
+        "equal times": (lambda _: goal(end, end), "time_from_start 1 s after 1 s"),
+        "wrong size": (lambda _: goal(point(1.0, [0.0] * 5)), "5 positions; accepted: 6"),
+        "effort": (efforts, "carries effort"),
+        "accelerations alone": (accelerations_alone, "accelerations without velocities"),
+        "a joint of several degrees of freedom": (several_dof, "multi_dof_trajectory is given"),
+        "a tolerance of components": (
+            lambda _: move(0.0, component_path_tolerance=[JointComponentTolerance(joint_name="base")]),
+            "component_path_tolerance of 1 joints; accepted: none",
+        ),
+        "a tolerance of nothing": (lambda _: move(0.0, path_tolerance=[JointTolerance(name="elbow")]), "'elbow'"),
+    }
+
+
+def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench: Bench) -> None:
+    """Each kind of bad goal is rejected, with one line that says why; the goal that is followed is not touched."""
+    from action_client import move
+
+    bench.home()
+    bench.time.run(0.2)
+    first = bench.goals.send(move(0.05, 0.4))
+    result = bench.goals.result_of(first)
+    bench.time.run(0.05)
+    for name, (make, words) in refusals().items():
+        before = bench.cell.output.count("goal rejected")
+        assert not bench.others.send(make(bench.now)).accepted, name
+        bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, name)  # noqa: B023
+        (line,) = [line for line in bench.cell.output.splitlines() if "goal rejected" in line][before:]
+        assert words in line, name
+    assert bench.time.until(result).status == SUCCEEDED
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda goal, point: goal(point(0.0, [0.1] * 6), point(1.0, [0.1] * 6)), "joint_1 starts at 0.1 rad"),
+        (lambda goal, point: goal(point(0.25, [0.1] * 6)), "acceleration"),
+        (lambda goal, point: goal(point(100.0, [9.0] * 6)), "accepted: ["),
+        (lambda goal, point: goal(point(1.0, [0.0] * 6), start=1000.0), "start time 1000.000 s"),
+    ],
+)
+def test_what_the_arm_cannot_do_is_aborted_with_the_reason(bench: Bench, make: Any, words: str) -> None:
+    """Start and limits depend on where the arm is: the result has INVALID_GOAL and the text; nothing moves."""
+    from action_client import goal, point
+
+    bench.home()
+    handle = bench.goals.send(make(goal, point))
+    ended = bench.goals.wait(bench.goals.result_of(handle))
+    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+    assert words in ended.result.error_string
+    bench.time.run(0.05)
+    assert not bench.velocities().any()
+
+
+def test_brakes_end_a_goal_and_refuse_the_next(bench: Bench) -> None:
+    """With the torque off the goal is aborted with INVALID_GOAL, at once; goals are rejected until it is on again.
+
+    So they are when the node is deactivated.
+    """
+    from action_client import move
+
+    def deactivate() -> None:
+        assert bench.client.transition("rx90_controller", "deactivate")
+
+    def activate() -> None:
+        assert bench.client.transition("rx90_controller", "activate")
+
+    for off, on, end, reason in (
+        (
+            lambda: bench.client.enable(False),
+            lambda: bench.client.enable(True),
+            "the torque is off, at ",
+            "disabled; accepted: after a call of ~/enable with true",
+        ),
+        (
+            deactivate,
+            activate,
+            "the controller is deactivated, the torque is off, at ",
+            "inactive; accepted: in state active",
+        ),
+    ):
+        bench.home()
+        result = bench.goals.result_of(bench.goals.send(move(0.05, 0.4)))
+        bench.time.run(0.1)
+        off()
+        ended = bench.goals.wait(result)
+        assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+        assert ended.result.error_string.startswith(end)
+        bench.time.run(STEP)
+        assert not bench.goals.send(move(0.0)).accepted
+        bench.said(f"goal rejected: the controller is {reason}")
+        on()
+        bench.time.run(STEP)
+    bench.home()
+    for on in (False, True):
+        bench.client.enable(on)
+    assert not bench.goals.send(move(0.0)).accepted  # not before the loops hold the arm again
+    bench.time.run(STEP)
+    bench.home()
+
+
+def test_a_fault_of_the_supervision_ends_a_goal_and_refuses_the_next(bench: Bench, shipped: Setup) -> None:
+    """Beyond the following error: ABORTED, -1, with joint, value and limit; goals are rejected until `enable`."""
+    from action_client import move
+
+    bench.home()
+    usual = shipped.controller.following_error.tolist()
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=[1e-5] * 6) == [""]
+    ended = bench.follow(move(0.05, 0.4))
+    assert (ended.status, ended.result.error_code) == (ABORTED, -1)
+    reason = r"joint_\d: following error \S+ rad at \S+ s; accepted: up to 1e-05 rad; torque off, brakes closed, at .*"
+    assert re.fullmatch(reason, ended.result.error_string), ended.result.error_string
+    assert not bench.goals.send(move(0.0)).accepted
+    bench.cell.wait_for(r"goal rejected: joint_\d: following error .*; accepted: after a call of ~/enable with true")
+    assert bench.client.set_parameters("rx90_controller", supervision__following_error=usual) == [""]
+    bench.client.enable(True)
+    bench.time.run(0.1)
+    bench.home()

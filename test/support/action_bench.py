@@ -1,0 +1,88 @@
+"""Both nodes in one process, two clients of the action, and time that runs by steps."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+from action_msgs.msg import GoalStatus
+from numpy.typing import NDArray
+from ros_client import Client, seconds
+
+from rx90_common.process.children import ChildProcess
+
+STEP = 0.01  # s
+SUCCEEDED, CANCELED, ABORTED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_CANCELED, GoalStatus.STATUS_ABORTED
+PAUSED = ("-p", "rx90_sim:paused:=true", "-p", f"rx90_sim:step_ticks:={round(STEP * 4000)}")
+UNPACED = ("-p", "rx90_sim:real_time_factor:=0.0")
+
+
+class Bench:
+    """Both nodes and two clients of the action."""
+
+    def __init__(self, client: Client, cell: ChildProcess) -> None:
+        from action_client import GoalClient, Stepper
+
+        self.client, self.cell = client, cell
+        self.time = Stepper(client, STEP)
+        self.goals, self.others = GoalClient(client), GoalClient(client)
+        self.set_points = client.listen("rx90_controller/reference", depth=5000)
+        self.time.run(STEP)
+
+    @property
+    def now(self) -> float:
+        """Return simulated time, s."""
+        return self.time.ran
+
+    def follow(self, message: Any) -> Any:
+        """Send a goal that is followed; return its result, once there is one."""
+        before = self.cell.output.count("goal accepted")
+        handle = self.goals.send(message)
+        # The client hears of it before the controller begins: a step in between would not be the goal's.
+        self.client.spin_until(lambda: self.cell.output.count("goal accepted") > before, "the goal")
+        return self.time.until(self.goals.result_of(handle))
+
+    def begin_anew(self) -> None:
+        """Reset the simulation."""
+        self.time.reset()
+        self.time.run(STEP)
+        self.client.spin_until(lambda: seconds(self.set_points[-1]) < self.now, "time to begin anew")
+        del self.set_points[:-1]
+
+    def home(self) -> None:
+        """Bring the arm back, at rest, and forget what was heard, but for the last."""
+        from action_client import move
+
+        newest = self.heard()[-1]
+        if any(newest.position) or any(newest.velocity):
+            furthest = float(np.abs(newest.position).max())
+            seconds = max(0.4, 1.1 * math.sqrt(furthest))  # at 6 rad/s^2
+            assert self.follow(move(0.0, seconds)).status == SUCCEEDED
+            self.heard()
+        del self.set_points[:-1]
+
+    def heard(self) -> list[Any]:
+        """Return the set-points, once the newest has come."""
+        newest = self.now - 1e-3 - 1e-9
+        self.client.spin_until(lambda: seconds(self.set_points[-1]) >= newest, f"the set-point of {newest} s", 10.0)
+        return self.set_points
+
+    def set_points_from(self, begin: float, count: int) -> NDArray[np.float64]:
+        """Return the positions of the ticks after a time, rad, shape (count, 6)."""
+        commanded = {round((seconds(message) - begin) * 1e3): message.position for message in self.heard()}
+        return np.array([commanded[k] for k in range(1, count + 1)])
+
+    def velocities(self) -> NDArray[np.float64]:
+        """Return the velocities of the set-points, rad/s, shape (n, 6)."""
+        return np.array([message.velocity for message in self.heard()])
+
+    def fastest_change(self) -> NDArray[np.float64]:
+        """Return the largest acceleration of each joint that the velocities of the set-points show, rad/s^2."""
+        largest: NDArray[np.float64] = np.abs(np.diff(self.velocities(), axis=0)).max(axis=0) / 1e-3
+        return largest
+
+    def said(self, words: str) -> None:
+        """Wait for a line of the nodes."""
+        self.cell.wait_for(re.escape(words))
