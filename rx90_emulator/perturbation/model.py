@@ -163,13 +163,16 @@ def prepare(
 
     Raises:
         ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
-            not six numbers within the joint limits.
+            not six numbers within the joint limits, or a drive is elastic.
         TrajectoryError: if the trajectory is refused.
     """
     rates = setup.rates
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
+    for i in np.flatnonzero(setup.drives.elasticity.elastic):
+        found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
+        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
