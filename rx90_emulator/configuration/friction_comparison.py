@@ -32,15 +32,16 @@ def comparison_table(choices: Sequence[FrictionChoice], speed: float) -> str:
         speed: the highest at which the torque is told, rad/s.
     """
     speeds = [share * speed for share in _SPEEDS]
-    rows = [("element", *(one.name for one in FRICTION_PARAMETERS), *(f"at {v:.3g}" for v in speeds))]
-    rows.append(("", *(one.unit for one in FRICTION_PARAMETERS), *("Nm" for _ in speeds)))
+    rows = [("element", *(one.name for one in FRICTION_PARAMETERS), *(f"at {v:.3g}" for v in speeds), "parts")]
+    rows.append(("", *(one.unit for one in FRICTION_PARAMETERS), *("Nm" for _ in speeds), ""))
     for choice in choices:
         assumed = _assumed(choice)
         for name in choice.elements:
             law = choice.file.elements[name]
             marks = ["*" if (name, one.name) in assumed else "" for one in FRICTION_PARAMETERS]
             parts = [_signed(law, one) + mark for one, mark in zip(FRICTION_PARAMETERS, marks, strict=True)]
-            rows.append((choice.label(name), *parts, *(_both(*_torques(law, v)) for v in speeds)))
+            torques = [_both(*_torques(law, v)) for v in speeds]
+            rows.append((choice.label(name), *parts, *torques, ", ".join(law.parts) or "-"))
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ["  ".join((row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:]))).rstrip() for row in rows]
     lines += ["", _LEGEND]

@@ -58,6 +58,8 @@ def test_the_table_marks_what_is_assumed_and_names_the_sources(capsys: Captured)
     lines = told(capsys, "puma560:joint_3", "rx90b:joint_3").splitlines()
     assert lines[2].split()[:4] == ["puma560:joint_3", "7.089/5.639", "7.089/5.639*", "0.05*"]
     assert lines[3].split()[:3] == ["rx90b:joint_3", "18*", "23*"]
+    assert lines[2].split()[-1] == "-"
+    assert told(capsys, "erob80_50:m3").splitlines()[2].split()[-1] == "load"
     heads = [k for k, line in enumerate(lines) if line.endswith("friction.yaml)") or line.endswith("puma560.yaml)")]
     assert [lines[k] for k in heads] == ["puma560 (friction/puma560.yaml)", "rx90b (robots/rx90b/friction.yaml)"]
     assert lines[heads[0] + 1].startswith("  tau_c, c2: derived; Corke and Armstrong-Helouvry")
