@@ -1,11 +1,17 @@
 /* What this rig's firmware is built for. The host reads these figures from the HELLO reply and
- * refuses to arm a rig whose figures differ from its rig file. */
+ * refuses to arm a rig whose figures differ from its rig file. Those in #ifndef may be given to the compiler:
+ * make DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1" */
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
 
 #define PROTOCOL_VERSION 1u
 
+#ifndef COUNTS_PER_REV
 #define COUNTS_PER_REV 504u       /* rising edges of encoder channel A, motor shaft */
+#endif
+#ifndef COUNTS_DOWN
+#define COUNTS_DOWN 0             /* 1: a decoder gives a pulse and a direction, and the counts go down backwards */
+#endif
 #define TICK_US 20000u            /* one report per tick */
 #define DAC_FULL_SCALE 20000u     /* motor torque at DAC code 255, unit 10 uNm: 0.2 Nm */
 #define ADC_FULL_SCALE 25000u     /* motor torque at ADC code 255, unit 10 uNm: 0.25 Nm */
