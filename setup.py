@@ -73,7 +73,7 @@ setup(
         "bokeh>=3.9,<3.10",
         "tqdm>=4.66,<5",
         "pyserial>=3.5,<4",
-        "shtab>=1.7,<2",
+        "shtab>=1.13,<2",
     ],
     extras_require={
         "ros": [

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import Rx90Error, write_error
+from rx90_common.base.errors import Rx90Error
 from rx90_common.base.quoting import quoted
+from rx90_common.process.files import written_beside
 
 CSV_COLUMNS = ("time", "counts", "torque", "measured_torque")
 TEXT_KINDS = ("increments", "counts", "velocity")
@@ -144,15 +145,12 @@ def write_csv(record: RampRecord, path: Path) -> None:
     """
     counts = np.rint(record.angle / record.angle_step).astype(int)
     torques = [column for column in (record.torque, record.measured_torque) if column is not None]
-    try:
-        with path.open("w", newline="", encoding="utf-8") as stream:
-            stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
-            writer = csv.writer(stream)
-            writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
-            for i, time in enumerate(record.time):
-                writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
-    except OSError as error:
-        raise write_error(path, error) from error
+    with written_beside(path) as (beside,), beside.open("w", newline="", encoding="utf-8") as stream:
+        stream.write(f"# {record.label}, slope {record.slope!r} Nm/s\n")
+        writer = csv.writer(stream)
+        writer.writerow(CSV_COLUMNS[: 2 + len(torques)])
+        for i, time in enumerate(record.time):
+            writer.writerow([repr(float(time)), counts[i], *(repr(float(column[i])) for column in torques)])
 
 
 def read_text(path: Path, kind: str, slope: float, angle_step: float, tick: float, loaded: bool = False) -> RampRecord:

@@ -11,9 +11,10 @@ from friction_bench.experiment.identification import IntervalEstimate, RampFrict
 from friction_bench.experiment.plots import comparison_plot, load_plot, velocity_plot
 from friction_bench.rig.rig_file import Rig
 from rx90_common.base.config import yaml_text
-from rx90_common.base.errors import IdentificationError, write_text
+from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 
 STATIC = (

@@ -2,6 +2,7 @@
 
 __all__ = [
     "batch",
+    "block_writing",
     "changes",
     "comparison",
     "decoding",

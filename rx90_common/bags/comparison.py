@@ -12,7 +12,7 @@ import numpy as np
 from rx90_common.bags.alignment import Alignment, Side, align
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, read_joint_bag
-from rx90_common.bags.time_shift import START, TRAJECTORY, moved, shift_between
+from rx90_common.bags.time_shift import START, TRAJECTORY, moved, time_shift
 from rx90_common.bags.tolerance import Tolerances
 from rx90_common.bags.topics import FIELDS, absolute
 from rx90_common.base.arrays import Array
@@ -177,7 +177,7 @@ def compare_bags(
     for topic in wanted:
         if topic not in both:
             raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
-    shift = shift_between(bag_a, bag_b, scope.align)
+    shift = time_shift(scope.align, bag_a, bag_b)
     series_a, series_b = bag_a.series, moved(bag_b.series, shift)
     joints = {
         topic: {name for found in (series_a, series_b) for s in found.get(topic, []) for name in s.names}

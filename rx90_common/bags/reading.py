@@ -37,6 +37,18 @@ class JointBag:
     series: dict[str, list[JointSeries]]
     notes: Sequence[str]
 
+    @property
+    def begin_ns(self) -> int:
+        """Return the first stamp, ns.
+
+        Raises:
+            BagError: if it holds no message of joint states.
+        """
+        stamps = [int(one.stamp_ns.min()) for found in self.series.values() for one in found if len(one.stamp_ns)]
+        if not stamps:
+            raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
+        return min(stamps)
+
 
 def read_joint_states(
     path: Path | str, topic: str, names: Sequence[str] | None = None, *, record_time: bool = False

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import sqlite3
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -31,10 +29,10 @@ from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, POINT_FIELDS, STRING, absolute
+from rx90_common.bags.whole import SeriesEncoder, encoded, named_at_the_end
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
 STORAGES: Final = ("mcap", "sqlite3")
 
@@ -42,7 +40,6 @@ _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
-_LONGEST_PREFIX = 100  # characters of a name
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 
 
@@ -88,7 +85,7 @@ class BagWriter:
     Args:
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        named: what messages call it, where it gets that name at its end; by default `path`.
+        named: of a bag that gets its name when it is whole, that name; what of it was written does not stay.
 
     Raises:
         BagError: if the folder exists or its place does not take one.
@@ -97,7 +94,7 @@ class BagWriter:
 
     def __init__(self, path: Path | str, storage: str = "mcap", *, named: Path | None = None) -> None:
         self.path = Path(path)
-        self._named = self.path if named is None else named
+        self._named, self._stays = (self.path, True) if named is None else (named, False)
         if storage not in STORAGES:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
         self._unchecked_bytes = 0
@@ -200,7 +197,7 @@ class BagWriter:
         except (WriterError, OSError, sqlite3.Error) as error:
             with suppress(OSError, sqlite3.Error):
                 self._writer.abort()
-            raise _explained(error, self._named, opened=self._opened) from error
+            raise _explained(error, self._named, opened=self._opened, stays=self._stays) from error
 
     def _check_space(self, log_ns: int) -> None:
         self._unchecked_bytes = 0
@@ -208,7 +205,8 @@ class BagWriter:
         if free < _RESERVE_BYTES:
             raise BagWriteError(
                 f"{plain(self._named)}: stopped at t = {log_ns / NANOSECONDS:.6f} s, as the disk is nearly full "
-                f"({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more); what was written is whole"
+                f"({free >> 20} MiB left; accepted: {_RESERVE_BYTES >> 20} MiB or more)"
+                f"{'; what was written is whole' * self._stays}"
             )
 
     def _checkpoint(self) -> None:
@@ -226,16 +224,16 @@ class BagWriter:
         try:
             yield
         except (WriterError, OSError, sqlite3.Error) as error:
-            raise _explained(error, self._named, opened=self._opened) from error
+            raise _explained(error, self._named, opened=self._opened, stays=self._stays) from error
 
 
-def _explained(error: Exception, named: Path, *, opened: bool) -> BagError:
+def _explained(error: Exception, named: Path, *, opened: bool, stays: bool) -> BagError:
     if isinstance(error, WriterError):
         return BagError(plain(error, 1000))
     reason = error.strerror if isinstance(error, OSError) else str(error)
     # What is refused before anything is written is the user's to mend: another folder, another name.
     failed = opened or getattr(error, "errno", None) in DISK_ERRORS
-    half = "; what was written before stays, and rx90_bag info says how much of it is whole" if opened else ""
+    half = "; what was written before stays, and rx90_bag info says how much of it is whole" if opened and stays else ""
     return (BagWriteError if failed else BagError)(f"{plain(named)}: cannot be written ({reason}){half}")
 
 
@@ -291,8 +289,8 @@ def write_joint_states(
 ) -> None:
     """Write a bag as if nodes had published these series and the recorder had recorded them.
 
-    It is written beside its place and gets its name at the end: whoever is interrupted or killed leaves no part of a
-    bag under that name. What fits on a full disk stays.
+    It is written beside its place and gets its name at the end: whoever is interrupted or killed, and a full disk,
+    leave no part of a bag under that name.
 
     The messages stand in the order of log time, which is their stamp; at equal times in the order of
     `series`, then of `messages`.
@@ -311,7 +309,7 @@ def write_joint_states(
     topics = [absolute(one.topic) for one in series]
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
-    with _name_at_the_end(Path(path)) as beside, BagWriter(beside, storage, named=Path(path)) as bag:
+    with named_at_the_end(Path(path)) as beside, BagWriter(beside, storage, named=Path(path)) as bag:
         connections = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]) for topic in topics]
         others = _add_others(bag, messages)
         stamps = [one.stamp_ns for one in series]
@@ -322,51 +320,12 @@ def write_joint_states(
         numbers = np.array(
             [*(each.id for each in connections), *(others[message.topic].id for message in messages)], dtype=np.int64
         )
-        encoders = [_Encoder(one).encode for one in series]
+        encoders = [SeriesEncoder(one).encode for one in series]
         encoders += [MessageBatch.of([message.cdr]).take for message in messages]
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):
             rows = order[begin : begin + _MESSAGES_AT_ONCE]
-            bag.write_many(numbers[source[rows]], log_ns[rows], _encode(encoders, source[rows], row[rows]))
-
-
-@contextmanager
-def _name_at_the_end(path: Path) -> Iterator[Path]:
-    """Yield where to write a bag, which the storage file is named after, and give it its name when that is done."""
-    if os.path.lexists(path):
-        raise BagError(f"{plain(path)} exists already, not overwriting.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_LONGEST_PREFIX]}.", dir=path.parent))
-    except OSError as error:
-        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
-        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
-    beside = folder / path.name
-    try:
-        try:
-            yield beside
-        except BagWriteError:
-            if beside.exists():
-                beside.rename(path)
-            raise
-        beside.rename(path)
-    except OSError as error:  # somebody else has taken the name
-        raise BagError(f"{plain(path)}: cannot be written ({error.strerror})") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _encode(
-    encoders: Sequence[Callable[[Int64Array], MessageBatch]], source: Int64Array, row: Int64Array
-) -> MessageBatch:
-    """Return the messages with these places in these sources, in this order."""
-    by_source = np.argsort(source, kind="stable")
-    found, counts = np.unique(source, return_counts=True)
-    parts = np.split(row[by_source], np.cumsum(counts)[:-1])
-    batch = MessageBatch.join([encoders[which](part) for which, part in zip(found, parts, strict=True)])
-    place = np.empty_like(by_source)
-    place[by_source] = np.arange(len(by_source))
-    return MessageBatch(batch.data, batch.start[place], batch.size[place])
+            bag.write_many(numbers[source[rows]], log_ns[rows], encoded(encoders, source[rows], row[rows]))
 
 
 def _add_others(bag: BagWriter, messages: Sequence[RawMessage]) -> dict[str, Connection]:
@@ -376,19 +335,3 @@ def _add_others(bag: BagWriter, messages: Sequence[RawMessage]) -> dict[str, Con
             qos = offered_qos(transient_local=message.transient_local)
             connections[message.topic] = bag.add_topic(message.topic, message.msgtype, [qos])
     return connections
-
-
-class _Encoder:
-    """Gives the messages of a series."""
-
-    def __init__(self, series: JointSeries) -> None:
-        self._codec = JointStateCodec(series.names)
-        self._series = series
-
-    def encode(self, rows: Int64Array) -> MessageBatch:
-        """Return the messages of these rows."""
-        series = self._series
-        fields = (None if field is None else field[rows] for field in (series.position, series.velocity, series.effort))
-        data = self._codec.encode_many(series.stamp_ns[rows], *fields)
-        count, size = data.shape
-        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))

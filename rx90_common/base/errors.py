@@ -103,21 +103,6 @@ def check_place(path: Path) -> None:
         raise write_error(path, error) from error
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file; where that fails a new one does not stay.
-
-    Raises:
-        Rx90Error: if that fails, as `write_error` says.
-    """
-    is_new = not path.exists()
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        if is_new:
-            path.unlink(missing_ok=True)
-        raise write_error(path, error) from error
-
-
 def check_type(**given: tuple[object, type]) -> None:
     """Refuse arguments, given with their values and types, such as those of a call in the wrong order.
 

@@ -7,6 +7,7 @@ __all__ = [
     "inverse",
     "kinematics",
     "link_transforms",
+    "provenance",
     "rigid_torque",
     "robot",
     "robot_files",

@@ -1,3 +1,3 @@
-"""What a process needs: interrupts, standard output, child processes."""
+"""What a process needs: interrupts, standard output, files, child processes."""
 
-__all__ = ["children", "interrupts", "output", "scheduling"]
+__all__ = ["children", "files", "interrupts", "output", "scheduling"]

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
 
-from rx90_common.base.errors import write_error
+from rx90_common.process.files import write_bytes
 from rx90_common.report.plot import (
     MOST_POINTS,
     Band,
@@ -64,21 +64,21 @@ def as_svg(plot: Plot, most: int = MOST_POINTS) -> str:
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
-    """Write the plot with a title as the file's suffix says, one of PICTURES; if that fails a new file does not stay.
+    """Write the plot with a title as the file's suffix says, one of PICTURES.
+
+    If that fails an old file stays as it was, and no new one.
 
     Raises:
         Rx90Error: if it cannot be written.
     """
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
-    is_new = not path.exists()
+    buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
     with mpl.rc_context(_STYLE):
         figure = drawn(plot, MOST_POINTS, title)
-        try:
-            figure.savefig(path, dpi=_DPI, metadata=None if date is None else {date: None})
-        except OSError as error:
-            if is_new:
-                path.unlink(missing_ok=True)
-            raise write_error(path, error) from error
+        figure.savefig(
+            buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
+        )
+    write_bytes(path, buffer.getvalue())
 
 
 def drawn(plot: Plot, most: int, title: str = "") -> Figure:

@@ -53,6 +53,7 @@ def main(args: argparse.Namespace) -> None:
     from rx90_common.bags.importing.exact import exported_logs
     from rx90_common.bags.importing.importing import import_logs
     from rx90_common.bags.importing.mapping import LogMapping
+    from rx90_emulator.cli.progress import progress_bar
 
     if len(args.logs) == 1 and args.logs[0].is_dir():
         if args.mapping is not None:
@@ -63,8 +64,11 @@ def main(args: argparse.Namespace) -> None:
     if mapping.exact and len(args.logs) == 1:
         _import_exact([(args.logs[0], mapping)], args)
         return
-    done = import_logs(args.logs, args.bag, mapping, skip_corrupt=args.skip_corrupt, storage=args.storage)
-    print(f"{done.text}\nbag: {args.bag}")
+    with progress_bar("import") as progress:
+        done = import_logs(
+            args.logs, args.bag, mapping, skip_corrupt=args.skip_corrupt, storage=args.storage, progress=progress
+        )
+    print(f"{done.text}\nbag: {plain(args.bag)}")
 
 
 def _mapping_file(args: argparse.Namespace) -> Path:
@@ -83,10 +87,14 @@ def _mapping_file(args: argparse.Namespace) -> Path:
 
 def _import_exact(logs: list[tuple[Path, LogMapping]], args: argparse.Namespace) -> None:
     from rx90_common.bags.importing.exact import import_exact
+    from rx90_common.bags.importing.importing import corrupt_text
     from rx90_emulator.cli.progress import progress_bar
 
     with progress_bar("import") as progress:
-        series = import_exact(logs, args.bag, args.storage, progress)
-    for one in series:
-        print(f"{plain(one.topic)}: {len(one.names)} joints, {len(one.stamp_ns)} messages")
-    print(f"bag: {args.bag}")
+        tables = import_exact(logs, args.bag, args.storage, progress, skip_corrupt=args.skip_corrupt)
+    for one in tables:
+        for topic, joints, messages in one.topics:
+            print(f"{plain(topic)}: {joints} joints, {messages} messages")
+        if one.corrupt:
+            print(f"{plain(one.path)}: left out: {corrupt_text(one.corrupt)}")
+    print(f"bag: {plain(args.bag)}")

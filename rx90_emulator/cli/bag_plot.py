@@ -9,8 +9,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rx90_common.base.errors import ConfigError, write_text
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import plain
+from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import place
 
 HELP = "draw one bag, or two and their difference, as a page or a picture"
@@ -18,6 +19,7 @@ HELP = "draw one bag, or two and their difference, as a page or a picture"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
+    parser.set_defaults(interrupted="nothing was written")
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag: folder, .mcap, .db3 or ROS 1 .bag file")
     parser.add_argument("second", type=Path, nargs="?", metavar="BAG2", help="bag to draw over it")
     parser.add_argument("-o", "--output", type=place, metavar="FILE",
@@ -37,7 +39,7 @@ def main(args: argparse.Namespace) -> None:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.bags.plotting.plotting import bag_page, check_suffix, joined, picture_title, plot_bags
+    from rx90_common.bags.plotting.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
     from rx90_common.report.still import write_picture
     from rx90_emulator.cli.bag_compare import alignment
 
@@ -53,4 +55,6 @@ def main(args: argparse.Namespace) -> None:
         write_text(output, bag_page(paths, plots))
     else:
         write_picture(joined(plots), output, picture_title(paths, plots))
+    if robots := robots_text(paths, plots):
+        print(robots)
     print(f"{'page' if is_page else 'picture'}: {plain(output.resolve())}")

@@ -14,7 +14,7 @@ from rx90_common.description.robot_files import shipped_robots
 from rx90_emulator.cli.node import NODES
 from rx90_emulator.cli.options import CommandParser, new_file, new_folder, place
 
-SHELLS: Final = ("bash", "zsh")
+SHELLS: Final = ("bash", "zsh", "fish")
 _FILES = {"FILE", "BAG", "A", "B", "LOG", "TASK", "REFERENCE", "DIR", "BASELINE"}
 """Placeholders of arguments that are files or folders; arguments of the type Path need none of them."""
 
@@ -68,7 +68,8 @@ def _completed_by(action: argparse.Action, file: Any, folder: Any) -> Any:
     if action.choices is not None or action.nargs == 0:
         return None
     if action.dest in _WORDS:
-        return dict.fromkeys(SHELLS, f"_rx90_{action.dest}")
+        name = f"_rx90_{action.dest}"
+        return {"bash": name, "zsh": name, "fish": f"({name})"}
     if action.type is new_folder:
         return folder
     if action.type in (Path, place, new_file) or action.metavar in _FILES:
@@ -84,13 +85,19 @@ def _words_or_files(shell: str) -> str:
     """Return functions of the shell that complete the arguments in _WORDS."""
     plans = sorted(f"sweep/{path.name}" for path in config_path("sweep").glob("*.yaml"))
     words = {"robot": shipped_robots(), "plan": plans, "topics": SUITE_TOPICS}
-    files = {"robot": {"bash": "compgen -d", "zsh": "_files -/"}, "plan": {"bash": "compgen -f", "zsh": "_files"}}
+    files = {
+        "robot": {"bash": "compgen -d", "zsh": "_files -/", "fish": "__fish_complete_directories"},
+        "plan": {"bash": "compgen -f", "zsh": "_files", "fish": "__fish_complete_path (commandline -ct)"},
+    }
     text = ""
     for name in _WORDS:
         listed, own = " ".join(words[name]), files.get(name, {}).get(shell)
         if shell == "bash":
             rest = f'; {own} -- "$1"' if own else ""
             text += f"_rx90_{name}() {{ compgen -W '{listed}' -- \"$1\"{rest}; }}\n"
+        elif shell == "fish":
+            rest = f"; {own}" if own else ""
+            text += f"function _rx90_{name}; string split ' ' '{listed}'{rest}; end\n"
         else:
             rest = f" 'file:file:{own}'" if own else ""
             text += f"_rx90_{name}() {{ _alternative 'name:name:({listed})'{rest} }}\n"

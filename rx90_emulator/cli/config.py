@@ -1,14 +1,17 @@
-"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
+"""Check configuration files, show what a setup comes to, compare friction, and print the completion for a shell."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line, quoted
+from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_emulator.cli import config_friction
 from rx90_emulator.cli.completion import SHELLS, completion
 from rx90_emulator.cli.options import CommandParser, add_robot_arguments
 
@@ -17,11 +20,11 @@ if TYPE_CHECKING:
 
 _COMPLETION = """
 Print the completion of all commands for a shell. To turn it on, put into ~/.bashrc or ~/.zshrc: eval "$(rx90_config
-completion bash)", or zsh; that of zsh behind compinit.
+completion bash)", or zsh; that of zsh behind compinit. For fish: rx90_config completion fish | source, in config.fish.
 """
 _SHOW = """
-Show what a setup comes to: each value with its unit, where it comes from (file and line, command line, default of the
-code), whether it is assumed, and the sentence that names its source.
+Show what a setup of the arm, and the friction rig, come to: each value with its unit, where it comes from (file and
+line, command line, default of the code), whether it is assumed, and the sentence that names its source.
 """
 _KINDS = "controller, drives, friction, rig, sweep_plan …"
 
@@ -47,12 +50,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     complete.add_argument("shell", choices=SHELLS)
     complete.set_defaults(verb=_completion)
     _add_show(verbs.add_parser("show", help=about, description=_SHOW))
+    friction = verbs.add_parser("friction", help=config_friction.HELP, description=config_friction.__doc__)
+    config_friction.add_arguments(friction)
+    friction.set_defaults(verb=config_friction.main)
 
 
 def _add_show(show: argparse.ArgumentParser) -> None:
     show.set_defaults(verb=_show, ros_args=[])
     add_robot_arguments(show, *FILES)
-    about = "what rx90_sim and rx90_controller come to with these, which may also stand behind --ros-args"
+    show.add_argument("--rig", metavar="FILE", help=f"rig file of the friction rig ({SHIPPED_RIG})")
+    about = (
+        "what rx90_sim, rx90_controller and friction_bench come to with these, which may also stand behind --ros-args"
+    )
     nodes = show.add_argument_group("nodes", about)
     _add_parameters(nodes)
     show.add_argument("--json", action="store_true", help="print JSON instead of a table")
@@ -90,8 +99,17 @@ def _check(options: argparse.Namespace) -> int:
             problems += len(one.problems)
             print("\n".join(one.problems) or one_line(f"{one.path}: {one.kind}, no problem"))
     if refused:
-        raise ConfigError("; ".join(refused))
+        raise ConfigError(_together(refused))
     return VERDICT_NO if problems else DONE
+
+
+def _together(refused: Sequence[str]) -> str:
+    """Return refusals as one line, which says once what is accepted instead of several files."""
+    by_accepted: dict[str, list[str]] = {}
+    for text in refused:
+        said, _, accepted = text.partition("; accepted: ")
+        by_accepted.setdefault(accepted, []).append(said)
+    return "; ".join(f"{'; '.join(said)}; accepted: {accepted}" for accepted, said in by_accepted.items())
 
 
 def _completion(options: argparse.Namespace) -> int:
@@ -128,18 +146,20 @@ def _of_nodes(options: argparse.Namespace) -> list[ShownValue]:
     prepare()
     from rx90_emulator.configuration.node_values import GivenParameters, node_setup
 
-    named = [role for role in ("robot", *FILES) if getattr(options, role) is not None]
+    named = [role for role in ("robot", *FILES, "rig") if getattr(options, role) is not None]
     if named:
-        raise ConfigError(f"--{named[0]} with parameters of nodes; accepted: -p {named[0]}:=...")
+        node = "friction_bench:" * (named[0] == "rig")
+        raise ConfigError(f"--{named[0]} with parameters of nodes; accepted: -p {node}{named[0]}:=...")
     return node_setup(GivenParameters.of(options.params_file, options.param))
 
 
 def _of_files(options: argparse.Namespace) -> list[ShownValue]:
-    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, setup_values
+    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, rig_values, setup_values
     from rx90_emulator.loop.setup import Setup
 
     files = RobotFiles.of_options(options)
     Setup.load(files)
     of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
-    return setup_values(files, chosen)
+    rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
+    return [*setup_values(files, chosen), *rig_values(rig, origin)]

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from rx90_common.base.errors import LineError, write_text
+from rx90_common.base.errors import LineError
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.process.files import write_text
 from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments, place
 
 if TYPE_CHECKING:

@@ -6,8 +6,15 @@ import argparse
 import time
 from pathlib import Path
 
-from rx90_common.base.quoting import one_line
-from rx90_emulator.cli.options import add_robot_argument, place
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import one_line, plain
+from rx90_common.process.files import write_text
+from rx90_emulator.cli.options import add_robot_argument, new_file, place
+
+_REPORT = """
+Write a page on a file of results: how the path error is distributed, what each swept parameter does to it, the worst
+runs, and what all of them started from.
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     run.add_argument("--output", type=place, metavar="FILE", required=True, help="Parquet file to write")
     add_robot_argument(run)
+    run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
     where = run.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, help="processes on this machine (all cores)")
@@ -35,6 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     info.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
     info.set_defaults(verb=_info)
+    report = verbs.add_parser("report", help="write a page on a file of results", description=_REPORT)
+    report.add_argument("file", type=Path, metavar="FILE", help="Parquet file, finished or not")
+    report.add_argument("-o", "--output", type=place, metavar="PAGE", help="page (the file's name with .html, here)")
+    report.add_argument("--force", action="store_true", help="replace a page that exists")
+    report.set_defaults(verb=_report, interrupted="nothing was written")
 
 
 def main(options: argparse.Namespace) -> None:
@@ -65,12 +78,28 @@ def _run(options: argparse.Namespace) -> None:
     elapsed = time.perf_counter() - began
     if counts.computed == 0:
         print(one_line(f"nothing to do: {options.output} has all {len(sweep)} runs"))
-        return
-    done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
-    print(one_line(f"{done}; {options.output}"))
+    else:
+        done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
+        print(one_line(f"{done}; {options.output}"))
+    if options.report is not None:
+        _write_page(options.output, options.report)
 
 
 def _info(options: argparse.Namespace) -> None:
     from rx90_emulator.sweep.info import describe_results
 
     print("\n".join(describe_results(options.file)))
+
+
+def _report(options: argparse.Namespace) -> None:
+    page: Path = options.output or place(options.file.with_suffix(".html").name)
+    if page.exists() and not options.force:
+        raise ConfigError(f"{plain(page)} exists; accepted: another name, or --force")
+    _write_page(options.file, page)
+
+
+def _write_page(file: Path, page: Path) -> None:
+    from rx90_emulator.sweep.report import sweep_page
+
+    write_text(page, sweep_page(file))
+    print(one_line(f"page: {page.resolve()}"))

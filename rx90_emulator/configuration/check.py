@@ -74,10 +74,15 @@ def kind_of(path: Path, content: Mapping[str, Any]) -> FileKind:
         return _node_file()
     likeness = {kind.name: _likeness(kind.entry, content) for kind in KINDS}
     best = max(likeness, key=lambda name: likeness[name])
+    if not likeness[best]:
+        raise ConfigError(
+            f"{plain(path)}: of no kind that is checked, as MoveIt's own files; accepted: "
+            f"{listed([*likeness, _OF_NODES])}"
+        )
     if likeness[best] <= _LIKE or list(likeness.values()).count(likeness[best]) > 1:
         raise ConfigError(
-            f"{plain(path)}: what kind of file it is cannot be told from its keys, {listed(content, 8) or 'none'}; "
-            f"accepted: --kind with one of {listed([*likeness, _OF_NODES])}"
+            f"{plain(path)}: its kind cannot be told from its keys; accepted: --kind with one of "
+            f"{listed([*likeness, _OF_NODES])}"
         )
     return kind_named(best)
 

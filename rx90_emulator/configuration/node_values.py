@@ -13,9 +13,11 @@ from rx90_common.base.quoting import quoted
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.configuration.node_file import NODE_FILE, flat, sections_of
 from rx90_emulator.configuration.node_parameters import declared
-from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, setup_values
+from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values
 
 ARM_NODES = ("rx90_sim", "rx90_controller")
+RIG_NODE = "friction_bench"
+_NODES = (*ARM_NODES, RIG_NODE)
 _ANY = "**"
 _SHARED = ("robot", "base_rate", "position_rate", "urdf", "drives")
 _LAW = ("servo.", "feed_forward.", "supervision.")
@@ -24,10 +26,10 @@ _LAW = ("servo.", "feed_forward.", "supervision.")
 
 @dataclass(frozen=True)
 class GivenParameters:
-    """Values that are given to the nodes of the arm, and where, by node and name."""
+    """Values that are given to the nodes of the arm and of the rig, and where, by node and name."""
 
-    values: Mapping[str, dict[str, Any]] = field(default_factory=lambda: {node: {} for node in ARM_NODES})
-    origins: Mapping[str, dict[str, str]] = field(default_factory=lambda: {node: {} for node in ARM_NODES})
+    values: Mapping[str, dict[str, Any]] = field(default_factory=lambda: {node: {} for node in _NODES})
+    origins: Mapping[str, dict[str, str]] = field(default_factory=lambda: {node: {} for node in _NODES})
 
     def give(self, node: str, name: str, value: Any, origin: str) -> None:
         """Give a parameter a value, over what it was given before; an empty file name is none."""
@@ -60,14 +62,14 @@ class GivenParameters:
                     continue
                 origin = f"{path}:{lines.get(f'{section.path}.{name}', 0)}"
                 for each in ARM_NODES if node == _ANY else (node,):
-                    if each in ARM_NODES:
+                    if each in _NODES:
                         self.give(each, name, value, origin)
 
     def _take(self, rule: str) -> None:
         left, sign, text = rule.partition(":=")
         node, _, name = left.rpartition(":")
-        if not sign or not name or (node and node not in ARM_NODES):
-            accepted = f"[NODE:]NAME:=VALUE, NODE one of {', '.join(ARM_NODES)}"
+        if not sign or not name or (node and node not in _NODES):
+            accepted = f"[NODE:]NAME:=VALUE, NODE one of {', '.join(_NODES)}"
             raise ConfigError(f"-p {quoted(rule)}; accepted: {accepted}")
         value = yaml_value(text)
         nodes = [node] if node else [each for each in ARM_NODES if declared(each).has_parameter(name)]
@@ -79,7 +81,7 @@ class GivenParameters:
 
 
 def node_setup(given: GivenParameters) -> list[ShownValue]:
-    """Return what both nodes come to, as they would read it.
+    """Return what both nodes of the arm and the rig's come to, as they would read it.
 
     Raises:
         ConfigError: for what a node would refuse, and for nodes that do not fit each other.
@@ -104,7 +106,19 @@ def node_setup(given: GivenParameters) -> list[ShownValue]:
             else:
                 found.append(ShownValue(f"{node}.{name}", value, "", origin))
     of_setup = setup_values(RobotFiles.named(shared["robot"], **files), chosen)
-    return found + [_with(one, law.get(one.name)) for one in of_setup]
+    return found + [_with(one, law.get(one.name)) for one in of_setup] + _of_rig(given)
+
+
+def _of_rig(given: GivenParameters) -> list[ShownValue]:
+    """Return the parameters of the rig's node and what its file comes to."""
+    values, origins = given.values[RIG_NODE], given.origins[RIG_NODE]
+    parameters = declared(RIG_NODE, values).values
+    chosen = {name: origins[name] if name in values else OF_CODE for name in parameters}
+    rig = str(parameters["rig"])
+    if "baud" not in values:  # what the node takes where it is given none
+        chosen["baud"] = f"rig {rig}"
+    found = [ShownValue(f"{RIG_NODE}.{name}", value, "", chosen[name]) for name, value in parameters.items()]
+    return found + rig_values(rig, chosen["rig"])
 
 
 def _with(one: ShownValue, given: ShownValue | None) -> ShownValue:

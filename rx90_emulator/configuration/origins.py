@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.config import load_yaml, yaml_lines
 from rx90_common.base.entries import LEFT_OUT, Entry
-from rx90_common.base.groups import Either, Entries, Group
+from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.section import ABOUT
-from rx90_common.base.share import config_path
+from rx90_common.base.share import config_path, resolve_config
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction.parameters import SIGNS
 from rx90_emulator.configuration.check import kind_named
@@ -42,19 +42,28 @@ class ShownValue(NamedTuple):
 
 
 class _About(NamedTuple):
-    """What a mapping says of its values, or of each."""
+    """The mappings around a value, from the file on, each with the key that leads on from it."""
 
-    provenance: Any
-    source: Any
+    around: tuple[tuple[Mapping[str, Any], str], ...] = ()
 
     def within(self, content: Mapping[str, Any], key: str) -> _About:
-        """Return what holds in the mapping under `key`."""
-        given = {name: content.get(name) for name in self._fields}
-        return _About(*(_for_key(given[name], key) or getattr(self, name) for name in self._fields))
+        """Return what is around the value under `key` of the innermost mapping."""
+        return _About((*self.around, (content, key)))
 
+    def said(self, word: str) -> str:
+        """Return what the innermost mapping that says it has under `word`, for all its values or for this one.
 
-def _for_key(said: Any, key: str) -> Any:
-    return said.get(key, said.get(_OTHERS)) if isinstance(said, dict) else said
+        Where it says something for each key, that may be any key from there to the value, the last one first.
+        """
+        keys: list[str] = []
+        for content, key in reversed(self.around):
+            keys.append(key)
+            given = content.get(word)
+            if isinstance(given, dict):
+                given = next((given[each] for each in (*keys, _OTHERS) if each in given), None)
+            if given is not None:
+                return str(given)
+        return ""
 
 
 def place_of(path: Path) -> str:
@@ -78,11 +87,11 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
         return []
     found = []
     name = place_of(path)
-    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About(None, None)):
+    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About()):
         line = lines.get(place)
         origin = OF_CODE if line is None else f"{name}:{line}"
-        said = about if line is not None else _About(None, None)
-        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.provenance or "", said.source or "")
+        said = about if line is not None else _About()
+        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.said("provenance"), said.said("source"))
         found.append(_by_itself(one, root.content))
     return found
 
@@ -107,6 +116,9 @@ def _by_itself(one: ShownValue, content: Mapping[str, Any]) -> ShownValue:
 
 def _leaves(entry: Entry, content: Any, path: str, about: _About) -> Iterator[tuple[str, Entry, Any, _About]]:
     """Yield the values of a mapping that are no mappings, and the defaults of those that are left out."""
+    if isinstance(entry, Variants):
+        yield f"{path}.{entry.key}", entry, content[entry.key], about
+        entry = entry.groups[content[entry.key]]
     keys = entry.keys if isinstance(entry, Group) else {}
     names = [name for name in content if name not in ABOUT]
     for key in dict.fromkeys((*names, *keys)):
@@ -141,3 +153,16 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         if role != "urdf" and path is not None:
             found += file_values(role, path)
     return found
+
+
+def rig_values(rig: str, chosen: str) -> list[ShownValue]:
+    """Return the file of a friction rig and the values in it.
+
+    Args:
+        rig: path of the file, or the name of a shipped one.
+        chosen: where the choice of it comes from.
+
+    Raises:
+        ConfigError: for a file that cannot be used.
+    """
+    return [ShownValue("file.rig", rig, "", chosen), *file_values("rig", resolve_config(rig))]

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.comparison import BagComparison, Verdict
-from rx90_common.base.config import load_yaml
-from rx90_common.base.errors import write_text
-from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
+from rx90_common.description.provenance import provenance_of
+from rx90_common.description.robot_files import RobotFiles
+from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
@@ -78,17 +78,8 @@ def write_report(
 
 
 def _provenance(files: RobotFiles) -> dict[str, list[str]]:
-    """Return for each file what its blocks say of where they come from; a URDF says it in a comment."""
-    found: dict[str, list[str]] = {}
-    for role in MODEL_FILES:
-        path: Path | None = getattr(files, role)
-        if path is None or role == "urdf":
-            continue
-        root = load_yaml(path)
-        blocks = {name: root.section(name).provenance for name in root if root.holds_mapping(name)}
-        said = [f"{name} {provenance}" for name, provenance in blocks.items() if provenance]
-        found[path.name] = said or [root.provenance or "not said"]
-    return found
+    """Return what each file says of where its numbers come from, by its name."""
+    return {getattr(files, role).name: said for role, said in provenance_of(files).items()}
 
 
 def _joint_rows(run: RunAnalysis) -> list[tuple[str, float, float, float, float]]:

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rx90_common.base.errors import IdentificationError
+from rx90_common.process.files import write_all, write_text
 from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
 from rx90_emulator.identification.friction_check import check_friction
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
-from rx90_emulator.identification.output.files import check_targets, write_all
+from rx90_emulator.identification.output.files import check_targets
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, report_page
 from rx90_emulator.identification.output.summary import check_summary, identification_summary
@@ -34,7 +35,7 @@ def write_identification(
         OutputError: for files that cannot be written.
     """
     file, page = _targets(Path(output), None if report is None else Path(report), force=force)
-    write_all({file: friction_text(result), page: report_page(result, file.name)})
+    write_all({file: friction_text(result).encode(), page: report_page(result, file.name).encode()})
     return file, page
 
 
@@ -105,7 +106,7 @@ def run_check(
     with steps(2 * len(bags)) as step:
         checks = check_friction(friction, bags, robot, tolerances, step)
     if report is not None:
-        write_all({report: check_page(checks, friction)})
+        write_text(report, check_page(checks, friction))
     print(check_summary(checks))
     if report is not None:
         print(f"report: {report}")

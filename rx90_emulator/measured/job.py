@@ -6,7 +6,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 from rx90_common.description.robot_files import MODEL_FILES, RobotFiles
-from rx90_emulator.identification.output.files import check_targets, write_all
+from rx90_common.process.files import write_text
+from rx90_emulator.identification.output.files import check_targets
 from rx90_emulator.identification.progress import steps
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured.compare import compare_measured
@@ -35,7 +36,7 @@ def write_measured(result: MeasuredComparison, setup: Setup, page: Path | str, *
     page = Path(page)
     check_targets((page,), force=force)
     files = () if setup.files is None else tuple(setup.files.text(role) for role in MODEL_FILES)
-    write_all({page: report_page(result, files, datetime.now(timezone.utc))})
+    write_text(page, report_page(result, files, datetime.now(timezone.utc)))
     return page
 
 

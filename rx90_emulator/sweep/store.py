@@ -56,6 +56,7 @@ def schema_of(sweep: Sweep) -> pa.Schema:
         "identity": sweep.identity,
         "versions": sweep.versions,
         "sources": sweep.sources,
+        "provenance": sweep.provenance,
     }
     units = {field.name: field.metadata[b"unit"].decode() for field in fields}
     return pa.schema(fields, {KEY: json.dumps(about), _PANDAS: json.dumps({"units": units})})

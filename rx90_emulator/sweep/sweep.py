@@ -11,6 +11,7 @@ import numpy as np
 from rx90_common.base.errors import ConfigError, SweepError
 from rx90_common.base.sources import ROOT, sources_hash, with_imports
 from rx90_common.base.versions import versions
+from rx90_common.description.provenance import provenance_of
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import apply
@@ -51,6 +52,7 @@ class Sweep:
         identity: hash of the description.
         versions: of the interpreter and the libraries.
         sources: hash of the emulator's sources.
+        provenance: what the files of the robot say of where their numbers come from.
     """
 
     def __init__(self, plan: SweepPlan) -> None:
@@ -66,6 +68,7 @@ class Sweep:
         self.sources = run_hash()
         self.setup = Setup.load(plan.base.files, plan.base.rates)
         self.task = load_task(plan.base.files.required("task"))
+        self.provenance = provenance_of(plan.base.files)
         self.metrics: tuple[Metric, ...] = metrics_of(self.setup.robot.joint_names, self.setup.friction.names)
         self.runs = RunList(plan, Catalogue(self.setup, self.task))
         self._check_names()

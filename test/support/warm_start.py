@@ -1,8 +1,9 @@
 """Processes of the tests without their slow imports: forked from a process that has done these once.
 
 To a test such a process is any other one: a child of its own, with its own session, environment, working folder,
-signals and streams, that ends as Python ends. It is not quite a user's: what MODULES import is there before the first
-line runs, and options of Python itself, or what Python reads from the environment when it starts, do nothing.
+signals and streams, that ends as Python ends. It is not quite a user's: what MODULES import and the kernels of the
+nodes are there before the first line runs, and options of Python itself, or what Python reads from the environment
+when it starts, do nothing.
 
 What hangs on that is proved where each family of commands starts cold, by its command line as a user does:
 all executables out of an install space (test_packaging.py, simulation and controller together too) and without a
@@ -36,7 +37,17 @@ MODULES = (
     "rx90_emulator.cli.bag_record",
     "rx90_emulator.cli.line",
     "rx90_emulator.cli.node",
+    "rx90_emulator.loop.closed_loop",
     "rx90_emulator.loop.setup",
+    "builtin_interfaces.msg",
+    "diagnostic_msgs.msg",
+    "geometry_msgs.msg",
+    "lifecycle_msgs.srv",
+    "rcl_interfaces.srv",
+    "sensor_msgs.msg",
+    "std_msgs.msg",
+    "std_srvs.srv",
+    "trajectory_msgs.msg",
 )
 """What the processes of the tests import most. Not rclpy: it starts threads, and a fork would leave them behind."""
 _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
@@ -149,6 +160,15 @@ def _serve(connection: socket.socket) -> tuple[dict[str, Any], list[int]]:
             os.close(descriptor)
 
 
+def _load_kernels() -> None:
+    """Compile, or load, what nodes tick with; on new sources once here, and not in each of the first nodes."""
+    from rx90_emulator.loop.setup import Setup
+
+    setup = Setup.load()
+    setup.plant().warm_up()
+    setup.cs7b().warm_up()
+
+
 def _become(request: dict[str, Any], streams: Sequence[int]) -> None:
     """Take over what makes this process the one that was asked for."""
     if request["own_session"]:
@@ -182,6 +202,8 @@ if __name__ == "__main__":
     sys.path[0] = ""
     for name in sys.argv[2:]:
         importlib.import_module(name)
+    if MODULES[0] in sys.modules:
+        _load_kernels()
     assert len(list(Path("/proc/self/task").iterdir())) == 1, "a thread would be missing in each fork"
     gc.freeze()  # or the first collection in each process would copy all that the imports have made
     _become(*(asked := _serve(socket.socket(fileno=int(sys.argv[1])))))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.bags.exporting.columns import STAMP, TIME, array_name, columns, mapping_text
 from rx90_common.bags.joint_series import JointSeries
@@ -115,45 +115,50 @@ class NpzFile:
         self._path, self._counts = path, counts
         self._parts = path.with_name(f"{path.name}.parts")
         self._parts.mkdir()
-        self._arrays: dict[str, Any] = {}
-        self._filled: dict[str, int] = {}
+        self._names: list[str] = []
+        self._begun: set[str] = set()
 
     def add(self, series: JointSeries) -> None:
         """Append a block."""
         blocks = {STAMP: series.stamp_ns, TIME: series.time}
         blocks |= {series.quantities[field]: values for field, values in series.fields.items()}
-        begin = self._filled.get(series.topic, 0)
-        rows = slice(begin, begin + len(series.stamp_ns))
-        self._filled[series.topic] = rows.stop
+        begun = series.topic in self._begun
+        self._begun.add(series.topic)
         for quantity, values in blocks.items():
             name = array_name(series.topic, quantity)
-            if not begin:
+            if not begun:
                 self._begin(name, (self._counts[series.topic], *values.shape[1:]), values.dtype)
-            self._arrays[name][rows] = values
-        if not begin:
+            self._append(name, values)
+        if not begun:
             names = np.array(series.names)
-            self._begin(array_name(series.topic, "names"), names.shape, names.dtype)[:] = names
+            name = array_name(series.topic, "names")
+            self._begin(name, names.shape, names.dtype)
+            self._append(name, names)
 
-    def _begin(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+    def _begin(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         if len(name) > _LONGEST_NAME:
             raise BagError(
                 f"array {name} has {len(name)} characters; accepted: up to {_LONGEST_NAME}, by a shorter topic"
             )
-        if name in self._arrays:
+        if name in self._names:
             raise BagError(f"two topics would be arrays {name}; accepted: one of them, with --topic")
-        file = self._parts / f"{name}.npy"
-        self._arrays[name] = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
-        with file.open("rb+") as place:  # a full disk is an error here; in mapped memory it would end the process
-            os.posix_fallocate(place.fileno(), 0, file.stat().st_size)
-        return self._arrays[name]
+        self._names.append(name)
+        about = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+        with self._part(name).open("xb") as file:
+            np.lib.format.write_array_header_1_0(file, about)
+
+    def _append(self, name: str, values: NDArray[Any]) -> None:
+        with self._part(name).open("ab") as file:
+            file.write(np.ascontiguousarray(values).tobytes())
+
+    def _part(self, name: str) -> Path:
+        return self._parts / f"{name}.npy"
 
     def close(self) -> None:
         """Complete the file."""
-        for array in self._arrays.values():
-            array.flush()
         with zipfile.ZipFile(self._path, "w", zipfile.ZIP_STORED, allowZip64=True) as together:
-            for name in self._arrays:
-                file = self._parts / f"{name}.npy"
+            for name in self._names:
+                file = self._part(name)
                 together.write(file, zipfile.ZipInfo(file.name).filename)
                 file.unlink()
         self._parts.rmdir()

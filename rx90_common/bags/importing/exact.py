@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from itertools import islice
 from pathlib import Path
@@ -10,17 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from rx90_common.bags.block_writing import write_blocks
+from rx90_common.bags.importing.importing import BytesTold, corrupt_text
+from rx90_common.bags.importing.lines import Line, lines_of
 from rx90_common.bags.importing.mapping import SECONDS, UNITS, Column, LogMapping
+from rx90_common.bags.importing.rows import LAST_NS
+from rx90_common.bags.importing.spool import BLOCK, RowSpool
 from rx90_common.bags.importing.table import fields_of
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import absolute
-from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 from rx90_common.base.rates import NANOSECONDS
-
-_BLOCK = 8192  # lines
-_LAST_NS = 2**31 * NANOSECONDS  # stamps of ROS end there
 
 
 def exported_logs(folder: Path) -> list[tuple[Path, LogMapping]]:
@@ -49,67 +54,99 @@ def exported_logs(folder: Path) -> list[tuple[Path, LogMapping]]:
     return pairs
 
 
+@dataclass(frozen=True)
+class ImportedTable:
+    """What came of an exported file.
+
+    Attributes:
+        path: of the file.
+        topics: name, number of joints and number of messages of each.
+        corrupt: number of the line of each row that was left out, and why.
+    """
+
+    path: Path
+    topics: tuple[tuple[str, int, int], ...]
+    corrupt: tuple[tuple[int, str], ...]
+
+
 def import_exact(
     logs: Sequence[tuple[Path, LogMapping]],
     bag: Path,
     storage: str = "mcap",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> list[JointSeries]:
-    """Write a bag with what the logs hold, every bit of it, and return that.
+    *,
+    skip_corrupt: bool = False,
+) -> list[ImportedTable]:
+    """Write a bag with what the logs hold, every bit of it, in memory that does not grow with them.
 
     Args:
         logs: with their mappings, exact ones.
         bag: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
         progress: called with the numbers of bytes that are read and that there are.
+        skip_corrupt: whether lines that do not hold a time and numbers are left out; otherwise they are refused.
 
     Raises:
         BagError: if a log cannot be read, or a topic comes twice.
-        BagWriteError: if the bag cannot be written on.
+        BagWriteError: if the bag cannot be written.
     """
-    total = sum(log.stat().st_size for log, _ in logs)
-    series: list[JointSeries] = []
-    done = 0
+    told = BytesTold([log for log, _ in logs], progress)
+    topics: list[str] = []
+    blocks: list[Iterator[JointSeries]] = []
+    tables: list[ImportedTable] = []
+    with ExitStack() as spools:
+        for log, mapping in logs:
+            lines = lines_of(log, told.more)
+            heads = list(islice(lines, mapping.header))
+            plan = _Plan(log, mapping, fields_of(heads[-1].text, ",") if heads else [])
+            spool = spools.enter_context(RowSpool(bag, plan.width))
+            corrupt = _read(lines, plan, spool, skip_corrupt=skip_corrupt)
+            if not spool.rows:
+                left = f" ({corrupt_text(corrupt)})" if corrupt else ""
+                raise BagError(f"{plain(log)}: holds no row of numbers{left}; accepted: one or more behind the header")
+            names = [absolute(topic) for topic in mapping.topics]
+            topics += names
+            blocks += [plan.series(topic, spool) for topic in mapping.topics]
+            counts = [len(topic.names) for topic in mapping.topics.values()]
+            held = tuple((name, count, spool.rows) for name, count in zip(names, counts, strict=True))
+            tables.append(ImportedTable(log, held, tuple(corrupt)))
+        write_blocks(bag, topics, blocks, storage)
+    return tables
 
-    def told(count: int) -> None:
-        nonlocal done
-        done += count
-        progress(done, total)
 
-    for log, mapping in logs:
-        series += read_exact(log, mapping, told)
-    write_joint_states(bag, series, storage=storage)
-    return series
-
-
-def read_exact(path: Path, mapping: LogMapping, progress: Callable[[int], None]) -> list[JointSeries]:
-    """Return the series that a log holds, in the order of its lines.
-
-    Args:
-        path: of the log.
-        mapping: what its columns hold; an exact one.
-        progress: called with the number of bytes that were read since the call before.
+def _read(lines: Iterator[Line], plan: _Plan, spool: RowSpool, *, skip_corrupt: bool) -> list[tuple[int, str]]:
+    """Put lines into a spool; return those that are left out, and why.
 
     Raises:
         BagError: naming the line that cannot be read.
     """
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            heads = list(islice(file, mapping.header))
-            plan = _Plan(path, mapping, fields_of(heads[-1], ",") if heads else [])
-            stamps: list[Any] = []
-            numbers: list[Any] = []
-            line = len(heads)
-            while lines := list(islice(file, _BLOCK)):
-                stamps.append(plan.stamps(lines, line + 1))
-                numbers.append(plan.numbers(lines, line + 1))
-                line += len(lines)
-                progress(sum(map(len, lines)))
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"{plain(path)}: cannot be read ({getattr(error, 'strerror', None) or 'no UTF-8'})") from error
-    if not stamps:
-        raise BagError(f"{plain(path)}: holds no row of numbers; accepted: one or more behind the header")
-    return list(plan.series(np.concatenate(stamps), np.concatenate(numbers)))
+    corrupt: list[tuple[int, str]] = []
+    while some := list(islice(lines, BLOCK)):
+        if skip_corrupt and not (spool.rows or corrupt):
+            plan.expect_most(some)
+        try:
+            stamps, numbers = plan.stamps(some), plan.numbers(some)
+        except BagError:
+            if not skip_corrupt:
+                raise
+            some = list(_whole(some, plan, corrupt))
+            if not some:
+                continue
+            stamps, numbers = plan.stamps(some), plan.numbers(some)
+        spool.add(stamps, np.array([line.number for line in some], dtype=np.int64), numbers)
+    return corrupt
+
+
+def _whole(lines: Sequence[Line], plan: _Plan, corrupt: list[tuple[int, str]]) -> Iterator[Line]:
+    """Yield the lines that can be read, and note the others."""
+    for line in lines:
+        try:
+            plan.stamps([line])
+            plan.numbers([line])
+        except BagError as error:
+            corrupt.append((line.number, str(error).partition(f":{line.number}: ")[2].partition("; accepted")[0]))
+        else:
+            yield line
 
 
 class _Plan:
@@ -122,48 +159,59 @@ class _Plan:
         fields = [field for topic in mapping.topics.values() for field in topic.fields.values()]
         self._columns = [self._place(column) for field in fields for column in field.columns]
         self._factor = np.array([factor for field in fields for factor in field.factor])
-        self._width = 0  # columns of the first line
+        self.width = len(self._columns)  # of the numbers
+        self._fields = 0  # of the first line
         self._compare_units()
 
-    def stamps(self, lines: Sequence[str], first: int) -> Any:
-        """Return the stamps of lines, ns; `first` is the number of the first one."""
+    def expect_most(self, lines: Sequence[Line]) -> None:
+        """Take as many fields as most of these lines have for those of a whole line, not those of the first."""
+        self._fields = Counter(line.text.count(",") + 1 for line in lines).most_common(1)[0][0]
+
+    def stamps(self, lines: Sequence[Line]) -> Any:
+        """Return the stamps of lines, ns."""
         seconds = Decimal(self._mapping.seconds.numerator) / self._mapping.seconds.denominator * NANOSECONDS
         found = np.zeros(len(lines), dtype=np.int64)
         for k, line in enumerate(lines):
-            text = line.split(",", self._time + 1)[self._time :][:1]
+            text = line.text.split(",", self._time + 1)[self._time :][:1]
             try:
-                stamp = round(Decimal(text[0].strip()) * seconds)
+                stamp = round(Decimal(_plain_number(text[0])) * seconds)
             except (DecimalException, OverflowError, ValueError, IndexError):
                 stamp = -1
-            if not 0 <= stamp < _LAST_NS:
-                raise self._refusal(first + k, "".join(text), f"a time, 0 to {_LAST_NS // NANOSECONDS} s")
+            if not 0 <= stamp < LAST_NS:
+                raise self._refusal(line.number, "".join(text), f"a time, 0 to {LAST_NS // NANOSECONDS} s")
             found[k] = stamp
         return found
 
-    def numbers(self, lines: Sequence[str], first: int) -> Any:
+    def numbers(self, lines: Sequence[Line]) -> Any:
         """Return the numbers of lines in SI units, shape (lines, columns)."""
         rows = []
-        for k, line in enumerate(lines):
-            fields = line.split(",")
-            self._width = self._width or len(fields)
-            if len(fields) != self._width:
-                raise self._refusal(first + k, f"{len(fields)} columns", f"{self._width}, as in the first row")
+        for line in lines:
+            fields = line.text.split(",")
+            self._fields = self._fields or len(fields)
+            if len(fields) != self._fields:
+                raise self._refusal(line.number, f"{len(fields)} columns", f"{self._fields}, as in other rows")
             try:
-                rows.append([float(fields[column]) for column in self._columns])
+                row = [float(fields[column]) for column in self._columns]
             except (ValueError, IndexError):
-                raise self._no_number(first + k, fields) from None
+                raise self._no_number(line.number, fields) from None
+            if "_" in line.text or math.inf in map(abs, row):  # as 1_0 and 1e999, which Python takes for 10 and inf
+                for column in self._columns:
+                    self._check_number(line.number, fields[column])
+            rows.append(row)
         # Where the factor is 1 the product is the number, bit for bit.
         return np.array(rows, dtype=np.float64) * self._factor
 
-    def series(self, stamps: Any, numbers: Any) -> Iterator[JointSeries]:
-        """Yield the series of each topic."""
+    def series(self, name: str, spool: RowSpool) -> Iterator[JointSeries]:
+        """Yield the series of a topic in the order of stamps, block by block."""
         begin = 0
         for topic, mapped in self._mapping.topics.items():
-            fields = {}
-            for field in mapped.fields:
-                fields[field] = np.ascontiguousarray(numbers[:, begin : begin + len(mapped.names)])
-                begin += len(mapped.names)
-            yield JointSeries(absolute(topic), mapped.names, stamps, **fields)
+            count = len(mapped.names)
+            if topic == name:
+                places = {field: begin + k * count for k, field in enumerate(mapped.fields)}
+                for rows in spool.by_stamp():
+                    fields = {f: np.ascontiguousarray(rows.numbers[:, at : at + count]) for f, at in places.items()}
+                    yield JointSeries(absolute(topic), mapped.names, rows.stamp_ns, **fields)
+            begin += count * len(mapped.fields)
 
     def _place(self, column: Column) -> int:
         if isinstance(column, int):
@@ -192,6 +240,11 @@ class _Plan:
                 f"{plain(self._mapping.file)}; accepted: the same unit in both"
             )
 
+    def _check_number(self, line: int, text: str) -> None:
+        """Refuse what Python reads as another number than stands there."""
+        if "_" in text or (math.isinf(float(text)) and any(map(str.isdigit, text))):
+            raise self._refusal(line, text.strip(), "a number of double precision")
+
     def _no_number(self, line: int, fields: Sequence[str]) -> BagError:
         for column in self._columns:
             if column >= len(fields):
@@ -203,4 +256,9 @@ class _Plan:
         return self._refusal(line, fields[column].strip(), f"a number in column {column + 1}")
 
     def _refusal(self, line: int, text: str, accepted: str) -> BagError:
-        return BagError(f"{plain(self._path)}:{line}: {quoted(text, 60)}; accepted: {accepted}")
+        return BagError(f"{plain(self._path)}:{line}: {quoted(text.strip(), 60)}; accepted: {accepted}")
+
+
+def _plain_number(text: str) -> str:
+    """Return the text of a number without blanks around it; none that Python alone takes for one."""
+    return "" if "_" in text else text.strip()

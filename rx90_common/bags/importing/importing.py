@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, DecimalException
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rx90_common.bags.importing.mapping import FieldMapping, LogMapping
-from rx90_common.bags.importing.table import LogTable, number
+from rx90_common.bags.batch import Int64Array
+from rx90_common.bags.block_writing import write_blocks
+from rx90_common.bags.importing.mapping import LogMapping, TopicMapping
+from rx90_common.bags.importing.order import RowFault, disordered
+from rx90_common.bags.importing.rows import RowReader
+from rx90_common.bags.importing.spool import RowSpool
+from rx90_common.bags.importing.table import LogTable, RowBlock
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import absolute
-from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import plain, quoted
+from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 
-_LAST_NS = 2**31 * NANOSECONDS  # stamps of ROS end there
-_LARGEST = 1e9  # rad, rad/s, Nm or A: no joint goes there, and a damaged number may
 _MOST_RANGES = 40
 
 
@@ -64,9 +61,15 @@ class ImportedLog:
 
 
 def import_logs(
-    logs: Sequence[Path], bag: Path, mapping: LogMapping, *, skip_corrupt: bool = False, storage: str = "mcap"
+    logs: Sequence[Path],
+    bag: Path,
+    mapping: LogMapping,
+    *,
+    skip_corrupt: bool = False,
+    storage: str = "mcap",
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ImportedLog:
-    """Write a bag with the joint states that logs in columns hold.
+    """Write a bag with the joint states that logs in columns hold, in memory that does not grow with these.
 
     Args:
         logs: files; of several the rows belong together, one by one.
@@ -74,48 +77,109 @@ def import_logs(
         mapping: what the columns hold.
         skip_corrupt: whether rows that are damaged are left out; otherwise they are refused.
         storage: "mcap" or "sqlite3".
+        progress: called with the numbers of bytes that are read and that there are.
 
     Raises:
         BagError: if a log cannot be read, does not fit the mapping or holds damaged rows.
-        BagWriteError: if the bag cannot be written on.
+        BagWriteError: if the bag cannot be written.
     """
     if len(logs) != mapping.files:
         given = f"{len(logs)} log{'s' * (len(logs) != 1)}"
         raise BagError(f"{given}; accepted: {mapping.files}, those that {plain(mapping.file)} takes columns from")
-    tables = [LogTable.read(path, mapping) for path in logs]
-    counts = {len(table.rows) for table in tables}
-    if len(counts) > 1:
-        each = ", ".join(f"{plain(table.path)} {len(table.rows)}" for table in tables)
-        raise BagError(f"rows: {each}; accepted: logs of as many rows each")
+    told = BytesTold(logs, progress)
+    tables = [LogTable.read(path, mapping, told.more) for path in logs]
     _check_columns(tables, mapping)
-    faults = _torn(tables)
-    columns = {
-        (topic, field): _values(tables[one.file - 1], one, faults)
-        for topic, mapped in mapping.topics.items()
-        for field, one in mapped.fields.items()
-    }
-    stamps = _stamps(tables, mapping, faults)
-    _check_faults(tables[0], faults, skip_corrupt=skip_corrupt)
-    good = np.array([k for k in range(counts.pop()) if k not in faults], dtype=np.intp)
-    series = [
-        JointSeries(
-            absolute(topic),
-            mapped.names,
-            stamps[good],
-            **{field: columns[topic, field][good] for field in mapped.fields},
+    width = sum(len(one.columns) for mapped in mapping.topics.values() for one in mapped.fields.values())
+    with RowSpool(bag, width) as spool:
+        faults = _read_rows(tables, mapping, spool)
+        faults |= disordered(spool, faults, mapping.seconds) if mapping.time is not None else {}
+        corrupt = tuple((faults[k].line, faults[k].reason) for k in sorted(faults))
+        _check_faults(tables[0], corrupt, spool.rows, skip_corrupt=skip_corrupt)
+        good = _GoodRows(spool, np.array(sorted(faults), dtype=np.int64))
+        write_blocks(bag, list(mapping.topics), [good.series(topic, mapping) for topic in mapping.topics], storage)
+        return ImportedLog(
+            told=tuple(f"{plain(table.path)}: {table.told}" for table in tables),
+            topics=tuple((absolute(name), len(one.names)) for name, one in mapping.topics.items()),
+            rows=spool.rows,
+            corrupt=corrupt,
+            seconds=good.span_ns / NANOSECONDS,
+            gap=good.gap_ns / NANOSECONDS,
         )
-        for topic, mapped in mapping.topics.items()
-    ]
-    write_joint_states(bag, series, storage=storage)
-    steps = np.diff(stamps[good])
-    return ImportedLog(
-        told=tuple(f"{plain(table.path)}: {table.told}" for table in tables),
-        topics=tuple((one.topic, len(one.names)) for one in series),
-        rows=len(stamps),
-        corrupt=tuple((tables[0].lines[k], faults[k]) for k in sorted(faults)),
-        seconds=float(stamps[good[-1]] - stamps[good[0]]) / NANOSECONDS,
-        gap=float(steps.max(initial=0)) / NANOSECONDS,
-    )
+
+
+class BytesTold:
+    """Adds up how many bytes of some logs were read."""
+
+    def __init__(self, logs: Sequence[Path], progress: Callable[[int, int], None]) -> None:
+        self._done, self._progress = 0, progress
+        self._total = sum(log.stat().st_size for log in logs if log.is_file())
+
+    def more(self, count: int) -> None:
+        """Tell that so many more were read."""
+        self._done += count
+        self._progress(min(self._done, self._total), self._total)
+
+
+def _read_rows(tables: Sequence[LogTable], mapping: LogMapping, spool: RowSpool) -> dict[int, RowFault]:
+    """Put the rows of all tables side by side into the spool; return those that are damaged by themselves.
+
+    Raises:
+        BagError: if one has more rows than the others.
+    """
+    faults: dict[int, RowFault] = {}
+    counts = [0] * len(tables)
+    for blocks in zip_longest(*(table.blocks for table in tables), fillvalue=RowBlock((), ())):
+        counts = [count + len(block.rows) for count, block in zip(counts, blocks, strict=True)]
+        if len(set(counts)) > 1:
+            continue  # to the end, which tells how many there are
+        part = RowReader(tables, blocks, mapping, spool.rows)
+        spool.add(part.stamp_ns, np.array(blocks[0].lines, dtype=np.int64), part.numbers)
+        faults |= {
+            spool.rows - len(blocks[0].rows) + k: RowFault(blocks[0].lines[k], why) for k, why in part.faults.items()
+        }
+    if len(set(counts)) > 1:
+        each = ", ".join(f"{plain(table.path)} {count}" for table, count in zip(tables, counts, strict=True))
+        raise BagError(f"rows: {each}; accepted: logs of as many rows each")
+    return faults
+
+
+class _GoodRows:
+    """The rows of a spool without those that are left out.
+
+    Attributes:
+        span_ns: from the first to the last stamp, once a series was taken.
+        gap_ns: longest time between two stamps, as span_ns.
+    """
+
+    def __init__(self, spool: RowSpool, left_out: Int64Array) -> None:
+        self._spool, self._left_out = spool, left_out
+        self.span_ns = self.gap_ns = 0
+
+    def series(self, name: str, mapping: LogMapping) -> Iterator[JointSeries]:
+        """Yield the series of a topic, block by block."""
+        begin = 0
+        for topic, mapped in mapping.topics.items():
+            width = len(mapped.names) * len(mapped.fields)
+            if topic == name:
+                yield from self._series(absolute(topic), mapped, begin)
+            begin += width
+
+    def _series(self, topic: str, mapped: TopicMapping, begin: int) -> Iterator[JointSeries]:
+        count, previous, start = len(mapped.names), None, None
+        for block in self._spool.blocks():
+            rows = np.arange(block.first, block.first + len(block.stamp_ns))
+            kept = ~np.isin(rows, self._left_out, assume_unique=True)
+            stamps = block.stamp_ns[kept]
+            if not len(stamps):
+                continue
+            start = int(stamps[0]) if start is None else start
+            steps = np.diff(stamps, prepend=stamps[0] if previous is None else previous)
+            previous = int(stamps[-1])
+            self.span_ns, self.gap_ns = previous - start, max(self.gap_ns, int(steps.max()))
+            numbers = block.numbers[kept]
+            places = {field: begin + k * count for k, field in enumerate(mapped.fields)}
+            fields = {field: np.ascontiguousarray(numbers[:, at : at + count]) for field, at in places.items()}
+            yield JointSeries(topic, mapped.names, stamps, **fields)
 
 
 def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:
@@ -149,93 +213,11 @@ def _check_columns(tables: Sequence[LogTable], mapping: LogMapping) -> None:
                 seen.add(place)
 
 
-def _torn(tables: Sequence[LogTable]) -> dict[int, str]:
-    """Return rows that have not as many fields as the others, with what is wrong with them."""
-    faults: dict[int, str] = {}
-    for table in tables:
-        for k, row in enumerate(table.rows):
-            if len(row) != table.width:
-                there = "" if table is tables[0] else f"in {table.at(k)} "
-                faults.setdefault(k, f"{there}{len(row)} fields, others have {table.width}")
-    return faults
-
-
-def _values(table: LogTable, field: FieldMapping, faults: dict[int, str]) -> Array:
-    """Return the numbers of a field in SI units, shape (rows, joints); add rows without such numbers to `faults`."""
-    found = np.zeros((len(table.rows), len(field.columns)))
-    for joint, (column, factor) in enumerate(zip(field.columns, field.factor, strict=True)):
-        place = table.place(column)
-        for k, row in enumerate(table.rows):
-            if k in faults:
-                continue
-            value = factor * number(row[place], table.decimal)
-            if abs(value) <= _LARGEST:  # False for a NaN
-                found[k, joint] = value
-            else:
-                there = "" if field.file == 1 else f" in {table.at(k)}"
-                faults[k] = f"column {column}{there} is {quoted(row[place], 30)}"
-    return found
-
-
-def _stamps(tables: Sequence[LogTable], mapping: LogMapping, faults: dict[int, str]) -> NDArray[np.int64]:
-    """Return the rows' stamps, ns; add rows without a time, or with one that does not fit the others, to `faults`."""
-    count = len(tables[0].rows)
-    if mapping.time is None:
-        assert mapping.rate is not None
-        return np.asarray(np.rint(np.arange(count) * (NANOSECONDS / mapping.rate)), dtype=np.int64)
-    table = tables[mapping.time[0] - 1]
-    place = table.place(mapping.time[1])
-    stamps = np.zeros(count, dtype=np.int64)
-    for k in range(count):
-        if k in faults:
-            continue
-        text = table.rows[k][place]
-        if not math.isfinite(number(text, table.decimal)):
-            faults[k] = f"time {quoted(text, 30)}"
-            continue
-        try:  # exactly: floating point spoils ns of the wall clock
-            time = Decimal(text.strip().replace(",", ".")) * mapping.seconds.numerator / mapping.seconds.denominator
-            stamp = round(time * NANOSECONDS)
-        except (DecimalException, OverflowError):
-            stamp = -1
-        if 0 <= stamp < _LAST_NS:
-            stamps[k] = stamp
-        else:
-            faults[k] = f"time {quoted(text, 30)}; accepted: 0 to {_LAST_NS // NANOSECONDS} s"
-    rows = [k for k in range(count) if k not in faults]
-    increasing = _increasing([int(stamps[k]) for k in rows])
-    for k in set(rows) - {rows[i] for i in increasing}:
-        faults[k] = f"time {quoted(table.rows[k][place], 30)} does not lie between those around it"
-    return stamps
-
-
-def _increasing(values: Sequence[int]) -> list[int]:
-    """Return the indices of the longest strictly increasing subsequence, of several the one with the shortest steps."""
-    piles: list[list[int]] = []  # of indices; in a pile the values decrease
-    smallest: list[int] = []  # last value of each pile
-    for k, value in enumerate(values):
-        pile = bisect_left(smallest, value)
-        if pile == len(piles):
-            piles.append([])
-            smallest.append(value)
-        piles[pile].append(k)
-        smallest[pile] = value
-    chosen: list[int] = []
-    for members in reversed(piles):
-        if not chosen:
-            chosen.append(members[-1])
-            continue
-        # Of those that come before the one behind, the largest smaller value: the first such in the pile.
-        before = members[: bisect_left(members, chosen[-1])]
-        chosen.append(before[bisect_right(before, -values[chosen[-1]], key=lambda k: -values[k])])
-    return chosen[::-1]
-
-
-def _check_faults(table: LogTable, faults: dict[int, str], *, skip_corrupt: bool) -> None:
-    if not faults:
+def _check_faults(table: LogTable, corrupt: Sequence[tuple[int, str]], rows: int, *, skip_corrupt: bool) -> None:
+    if not corrupt:
         return
-    corrupt = corrupt_text([(table.lines[k], faults[k]) for k in sorted(faults)])
-    if len(faults) == len(table.rows):
-        raise BagError(f"{plain(table.path)}: every row is corrupt: {corrupt}; accepted: columns as the mapping says")
+    told = corrupt_text(corrupt)
+    if len(corrupt) == rows:
+        raise BagError(f"{plain(table.path)}: every row is corrupt: {told}; accepted: columns as the mapping says")
     if not skip_corrupt:
-        raise BagError(f"{plain(table.path)}: {corrupt}; accepted: whole rows, or --skip-corrupt to leave these out")
+        raise BagError(f"{plain(table.path)}: {told}; accepted: whole rows, or --skip-corrupt to leave these out")

@@ -5,11 +5,15 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
+from typing import NamedTuple
 
+from rx90_common.bags.importing.lines import Line, lines_of
 from rx90_common.bags.importing.mapping import DELIMITERS, Column, LogMapping
+from rx90_common.bags.importing.spool import BLOCK
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 
@@ -17,43 +21,54 @@ _COMMENTS = ("#", "%", "//")
 _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
 _CANDIDATES = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
                ("space", ","))  # fmt: skip
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+class RowBlock(NamedTuple):
+    """Some rows of a log, with the number of each one's line in the file."""
+
+    rows: Sequence[Sequence[str]]
+    lines: Sequence[int]
 
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """The rows of a log.
+    """The rows of a log, block by block.
 
     Attributes:
         path: of the log.
         delimiter: between columns, as in DELIMITERS.
         decimal: "." or ",".
         header: names of the columns; empty without a header.
+        head: lines before the first row, blank ones and comments aside.
         width: columns of a whole row.
-        rows: fields of each row.
-        lines: number of each row's line in the file, from 1 on.
+        blocks: the rows, once; each block but the last has BLOCK of them. Raises BagError where the log cannot be read.
     """
 
     path: Path
     delimiter: str
     decimal: str
     header: tuple[str, ...]
+    head: int
     width: int
-    rows: Sequence[Sequence[str]]
-    lines: Sequence[int]
+    blocks: Iterator[RowBlock]
 
     @classmethod
-    def read(cls, path: Path, mapping: LogMapping) -> LogTable:
-        """Read a log.
+    def read(cls, path: Path, mapping: LogMapping, told: Callable[[int], None] = lambda _: None) -> LogTable:
+        """Read the beginning of a log, by which it is found out how the rest is to be read.
+
+        Args:
+            path: of the log.
+            mapping: what its columns hold.
+            told: called now and then with how many bytes were read since the call before.
 
         Raises:
             BagError: if it cannot be read or holds no row.
         """
-        numbered = [(k + 1, line) for k, line in enumerate(_text(path).splitlines()) if line.strip()]
-        comments = [line.strip() for _, line in numbered if line.strip().startswith(_COMMENTS)]
-        numbered = [(k, line) for k, line in numbered if not line.strip().startswith(_COMMENTS)]
-        delimiter, decimal = _dialect([line for _, line in numbered[:_LOOKED_AT]], mapping)
-        split = [fields_of(line, delimiter) for _, line in numbered]
+        comments: list[str] = []
+        numbered = _rows_among(lines_of(path, told), comments)
+        first = list(islice(numbered, BLOCK))
+        delimiter, decimal = _dialect([line for _, line in first[:_LOOKED_AT]], mapping)
+        split = [fields_of(line, delimiter) for _, line in first]
         head = _header_lines(split, decimal) if mapping.header is None else mapping.header
         rows = split[head:]
         if not rows:
@@ -64,17 +79,15 @@ class LogTable:
             said = [fields_of(line.lstrip("#%/ "), delimiter) for line in comments]
             names = [names for names in said if len(names) == width]
         header = tuple(name.strip() for name in names[0]) if names else ()
-        return cls(path, delimiter, decimal, header, width, rows, [k for k, _ in numbered[head:]])
+        blocks = _blocks(chain(first[head:], numbered), delimiter)
+        return cls(path, delimiter, decimal, header, head, width, blocks)
 
     @property
     def told(self) -> str:
         """Return how it was read, for the user."""
         named = f"header {listed(self.header)}" if self.header else "no header"
+        named += f" in {self.head} lines before the first row" if self.head > 1 else ""
         return f"{self.width} columns, delimiter {self.delimiter!r}, decimal {self.decimal!r}, {named}"
-
-    def at(self, row: int) -> str:
-        """Return file and line of a row."""
-        return f"{plain(self.path)}:{self.lines[row]}"
 
     def place(self, column: Column) -> int:
         """Return the index of a column.
@@ -120,13 +133,19 @@ def fields_of(line: str, delimiter: str) -> list[str]:
     return fields[:-1] if len(fields) > 1 and not fields[-1].strip() else fields
 
 
-def _text(path: Path) -> str:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BagError(f"{plain(path)}: cannot be read ({error.strerror})") from error
-    # What is no text in a damaged file makes a corrupt row, not an unreadable file.
-    return content.decode("utf-16" if content[:2] in _UTF16 else "utf-8-sig", "replace")
+def _rows_among(lines: Iterable[Line], comments: list[str]) -> Iterator[Line]:
+    """Yield the lines that are neither blank nor comments; the first comments are added to a list."""
+    for line in lines:
+        text = line.text.strip()
+        if text.startswith(_COMMENTS):
+            comments += [text] * (len(comments) < _LOOKED_AT)
+        elif text:
+            yield Line(line.number, line.text.rstrip("\r\n"))
+
+
+def _blocks(lines: Iterator[Line], delimiter: str) -> Iterator[RowBlock]:
+    while some := list(islice(lines, BLOCK)):
+        yield RowBlock([fields_of(line.text, delimiter) for line in some], [line.number for line in some])
 
 
 def _dialect(lines: Sequence[str], mapping: LogMapping) -> tuple[str, str]:

@@ -10,7 +10,7 @@ import numpy as np
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, picked, read_joint_bag
 from rx90_common.bags.storage import BagReader
-from rx90_common.bags.time_shift import moved, shift_between
+from rx90_common.bags.time_shift import moved, time_shift
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted
 
@@ -42,7 +42,7 @@ def read_chosen(
     bags = [read_joint_bag(path, both if topics is not None else usual) for path in paths]
     found = [bag.series for bag in bags]
     if len(bags) > 1:
-        found[1] = moved(found[1], shift_between(bags[0], bags[1], align))
+        found[1] = moved(found[1], time_shift(align, bags[0], bags[1]))
     names = [name for name in (both if topics is not None else usual) if name in found[0]]
     if topics is None and joints is not None:  # of the usual topics those that have these joints
         names = [name for name in names if all(_has(bag.series[name], joints) for bag in bags)] or names[:1]

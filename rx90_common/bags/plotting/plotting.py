@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -11,12 +11,13 @@ import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting.chosen import pairs, read_chosen
+from rx90_common.bags.robot_name import robot_of
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.report.page import render_page
-from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot
+from rx90_common.report.plot import COLOURS, INK, Curve, Level, Mark, Panel, Plot
 from rx90_common.report.still import PICTURES
 
 _WALL_CLOCK = 10**8 * NANOSECONDS  # later stamps, from 1973 on, are no simulated time
@@ -33,12 +34,14 @@ class TopicPlot:
         messages: of each bag.
         differences: of two bags: quantity, joint, largest difference, its time in s, RMS, and how many messages have
             stamps in common.
+        robots: of two bags of different robots the names of these; then no difference is drawn.
     """
 
     topic: str
     plot: Plot
     messages: tuple[int, ...]
     differences: list[tuple[str, str, float, float, float, int]]
+    robots: tuple[str, ...] = ()
 
 
 def plot_bags(
@@ -51,6 +54,8 @@ def plot_bags(
 ) -> list[TopicPlot]:
     """Return the plots of one bag, or of two and their difference (second less first).
 
+    Bags of different robots, by the descriptions in them, are drawn over each other without a difference.
+
     Args:
         paths: one bag or two.
         topics: JointState topics; by default joint states, friction and tracking error, as far as they are there.
@@ -61,17 +66,37 @@ def plot_bags(
     Raises:
         BagError: as `read_chosen` and `pairs`.
     """
-    return [_topic_plot(paths, both) for both in read_chosen(paths, topics, joints, align, most)]
+    chosen = read_chosen(paths, topics, joints, align, most)
+    if len(paths) == 1:
+        return [_alone(both[0]) for both in chosen]
+    robots = tuple(name for name in map(robot_of, paths) if name is not None)
+    robots = robots if len(set(robots)) > 1 else ()
+    return [_two(_names(paths), both, robots) for both in chosen]
 
 
 def bag_page(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
     """Return the page that shows the plots."""
-    return render_page("rx90_common.bags.plotting", "bag.html.j2", names=_names(paths), paths=paths, plots=plots)
+    return render_page(
+        "rx90_common.bags.plotting",
+        "bag.html.j2",
+        names=_names(paths),
+        paths=paths,
+        plots=plots,
+        robots=robots_text(paths, plots),
+    )
 
 
 def picture_title(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
-    """Return what stands above a picture: bags and topics."""
-    return f"{' against '.join(reversed(_names(paths)))}: {listed(one.topic for one in plots)}"
+    """Return what stands above a picture: bags and topics, or two robots."""
+    names = " against ".join(reversed(_names(paths)))
+    return robots_text(paths, plots) or f"{names}: {listed(one.topic for one in plots)}"
+
+
+def robots_text(paths: Sequence[Path], plots: Sequence[TopicPlot]) -> str:
+    """Return what is to be said of bags of different robots; nothing of others."""
+    robots = next((one.robots for one in plots if one.robots), ())
+    each = " and ".join(f"{plain(name)} of {plain(robot)}" for name, robot in zip(_names(paths), robots, strict=False))
+    return f"two robots, {each}: drawn over each other, without a difference" if robots else ""
 
 
 def joined(plots: Sequence[TopicPlot]) -> Plot:
@@ -97,52 +122,75 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(path) for path in paths]
 
 
-def _topic_plot(paths: Sequence[Path], both: tuple[JointSeries, ...]) -> TopicPlot:
-    first = both[0]
-    start = min(int(series.stamp_ns[0]) for series in both)
-    zero = start if start > _WALL_CLOCK else 0
-    label = "time, s"
-    if zero:
-        date = datetime.fromtimestamp(zero // NANOSECONDS, timezone.utc)
-        label = f"time since {date:%Y-%m-%d %H:%M:%S} and {zero % NANOSECONDS} ns UTC, s"
-    titles = [first.topic, *[""] * len(FIELDS)]
-    if len(both) == 1:
-        fields = list(first.fields)
-        panels = [
-            Panel(_curves(first, field, zero), titles[k], label if field == fields[-1] else "", _axis(first, field))
-            for k, field in enumerate(fields)
-        ]
-        return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), (len(first.stamp_ns),), [])
-    names = [name for name in first.names if name in both[1].names]
-    fields = [field for field in first.fields if field in both[1].fields]
+def _alone(series: JointSeries) -> TopicPlot:
+    zero, label = _times((series,))
+    fields = list(series.fields)
+    titles = [series.topic, *[""] * len(FIELDS)]
+    panels = [
+        Panel(_curves(series, field, zero), titles[k], label if field == fields[-1] else "", _axis(series, field))
+        for k, field in enumerate(fields)
+    ]
+    return TopicPlot(series.topic, Plot(panels, height=_HEIGHT, share_x=True), (len(series.stamp_ns),), [])
+
+
+def _two(words: Sequence[str], both: tuple[JointSeries, ...], robots: tuple[str, ...]) -> TopicPlot:
+    first, second = both
+    zero, label = _times(both)
+    names = [name for name in first.names if name in second.names]
+    fields = [field for field in first.fields if field in second.fields]
     if not names or not fields:
         raise BagError(
-            f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(both[1].names)}; "
-            f"arrays {listed(first.fields) or 'none'} and {listed(both[1].fields) or 'none'}"
+            f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(second.names)}; "
+            f"arrays {listed(first.fields) or 'none'} and {listed(second.fields) or 'none'}"
         )
-    a, b = pairs(both, names)
-    panels, rows = [], []
-    words = _names(paths)
+    apart = None if robots else _Apart.of(both, names)
+    panels: list[Panel] = []
+    rows: list[tuple[str, str, float, float, float, int]] = []
     for field in fields:
         over = [
-            *_curves(both[0].select(names), field, zero, f", {words[0]}"),
-            *_curves(both[1].select(names), field, zero, f", {words[1]}", second=True),
+            *_curves(first.select(names), field, zero, f", {words[0]}"),
+            *_curves(second.select(names), field, zero, f", {words[1]}", second=True),
         ]
-        apart = b.fields[field] - a.fields[field]
-        time = (a.stamp_ns - zero) / NANOSECONDS
-        quantity = a.quantities[field]
-        curves = [Curve(time, apart[:, k], name, COLOURS[k % len(COLOURS)]) for k, name in enumerate(names)]
-        panels.append(Panel(over, first.topic if field == fields[0] else "", "", _axis(first, field)))
-        panels.append(
-            Panel([Level(0.0, colour=INK), *curves], f"{words[1]} less {words[0]}",
-                  label if field == fields[-1] else "", _axis(first, field))
-        )  # fmt: skip
-        for k, name in enumerate(names):
-            at = int(np.nanargmax(np.abs(apart[:, k]))) if np.isfinite(apart[:, k]).any() else 0
-            rms = float(np.sqrt(np.nanmean(apart[:, k] ** 2))) if np.isfinite(apart[:, k]).any() else np.nan
-            rows.append((quantity, name, float(abs(apart[at, k])), float(a.time[at]), rms, len(a.stamp_ns)))
+        title, last = first.topic if field == fields[0] else "", label if field == fields[-1] else ""
+        panels.append(Panel(over, title, last if apart is None else "", _axis(first, field)))
+        if apart is not None:
+            marks: list[Mark] = [Level(0.0, colour=INK), *_curves(apart.second_less_first, field, zero)]
+            panels.append(Panel(marks, f"{words[1]} less {words[0]}", last, _axis(first, field)))
+            rows += apart.rows(field)
     messages = tuple(len(series.stamp_ns) for series in both)
-    return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, rows)
+    return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, rows, robots)
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """The difference of two series, at the stamps that both have."""
+
+    second_less_first: JointSeries
+
+    @classmethod
+    def of(cls, both: tuple[JointSeries, ...], names: Sequence[str]) -> _Apart:
+        a, b = pairs(both, names)
+        fields = {field: b.fields[field] - a.fields[field] for field in a.fields if field in b.fields}
+        return cls(JointSeries(a.topic, a.names, a.stamp_ns, **fields))
+
+    def rows(self, field: str) -> Iterator[tuple[str, str, float, float, float, int]]:
+        """Yield what `TopicPlot.differences` says of each joint."""
+        one = self.second_less_first
+        for k, name in enumerate(one.names):
+            values = one.fields[field][:, k]
+            known = bool(np.isfinite(values).any())
+            at = int(np.nanargmax(np.abs(values))) if known else 0
+            rms = float(np.sqrt(np.nanmean(values**2))) if known else np.nan
+            yield one.quantities[field], name, float(abs(values[at])), float(one.time[at]), rms, len(values)
+
+
+def _times(both: Sequence[JointSeries]) -> tuple[int, str]:
+    """Return the stamp at which the axis of times begins, ns, and what stands below that axis."""
+    start = min(int(series.stamp_ns[0]) for series in both)
+    if start <= _WALL_CLOCK:
+        return 0, "time, s"
+    date = datetime.fromtimestamp(start // NANOSECONDS, timezone.utc)
+    return start, f"time since {date:%Y-%m-%d %H:%M:%S} and {start % NANOSECONDS} ns UTC, s"
 
 
 def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, second: bool = False) -> list[Curve]:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Texts
-from rx90_common.base.errors import IdentificationError, write_text
+from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Group
+from rx90_common.process.files import write_text
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
 INDEX = "experiments.yaml"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from rx90_common.base.errors import IdentificationError, check_place, write_error
-from rx90_common.process.interrupts import interrupts_later
+from rx90_common.process.files import write_all
 
 
 def check_targets(files: Sequence[Path], *, force: bool) -> None:
@@ -37,31 +36,6 @@ def check_targets(files: Sequence[Path], *, force: bool) -> None:
         check_place(file)
 
 
-def write_all(texts: Mapping[Path, str]) -> None:
-    """Write all files or none: beside their places first, then under their names.
-
-    Raises:
-        Rx90Error: if one cannot be written; every file that existed is as it was.
-    """
-    beside = {file: file.with_name(f".{file.name}.{os.getpid()}") for file in texts}
-    current = Path()
-    try:
-        for file, text in texts.items():
-            current = file
-            beside[file].write_text(text, encoding="utf-8")
-        # All names or none; an interrupt that comes so late has nothing left to stop.
-        with suppress(KeyboardInterrupt), interrupts_later():
-            for file, written in beside.items():
-                current = file
-                written.replace(file)
-    except OSError as error:
-        raise write_error(current, error) from error
-    finally:
-        for written in beside.values():
-            with suppress(OSError):
-                written.unlink(missing_ok=True)
-
-
 def check_folder(folder: Path, names: Iterable[str], *, force: bool) -> None:
     """Refuse a folder that these files could not be written into in the end, as `check_targets` does for files.
 
@@ -87,7 +61,7 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     made = not folder.is_dir()
     try:
         folder.mkdir(exist_ok=True)
-        write_all({folder / name: text for name, text in texts.items()})
+        write_all({folder / name: text.encode() for name, text in texts.items()})
     except BaseException as error:
         if made:
             with suppress(OSError):

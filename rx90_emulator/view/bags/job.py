@@ -39,7 +39,7 @@ def open_player(
             print(one_line(f"{path}: {note}"), file=sys.stderr)
     found, shift = None, 0
     if len(recordings) > 1:
-        shift = time_shift(align, paths, lambda number: recordings[number].arm.begin_ns)
+        shift = time_shift(align, *recordings)
         recordings[1] = recordings[1].moved(shift)
         first, second = recordings
         found = difference(first.arm, second.arm, robot.chain, (first.path, second.path))

@@ -59,6 +59,11 @@ class Recording:
     notes: tuple[str, ...]
 
     @property
+    def begin_ns(self) -> int:
+        """Return the first stamp of the arm, ns."""
+        return self.arm.begin_ns
+
+    @property
     def lacking(self) -> tuple[str, ...]:
         """Return in words what a whole bag of the suite has and this one has not."""
         fields = {"velocity": "velocity", "effort": "drive torque"}

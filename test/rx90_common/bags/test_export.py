@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
-import errno
 import itertools
-import os
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,8 @@ from bag_making import joint_state, write_ros2
 from rx90_common.bags.comparison import Verdict, compare_bags
 from rx90_common.bags.exporting import blocks
 from rx90_common.bags.exporting.exporting import export_bag
-from rx90_common.bags.importing import exact
-from rx90_common.bags.importing.exact import read_exact
+from rx90_common.bags.importing import exact, spool
+from rx90_common.bags.importing.exact import import_exact
 from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_bag
@@ -56,7 +55,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make blocks so small that the bag has several."""
     monkeypatch.setattr(blocks, "_BLOCK", 64)
-    monkeypatch.setattr(exact, "_BLOCK", 50)
+    monkeypatch.setattr(exact, "BLOCK", 50)
+    monkeypatch.setattr(spool, "BLOCK", 40)
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -144,18 +144,20 @@ def test_who_interrupts_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_told_before_memory_is_mapped_to_it(
-    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The room of an NPZ file is taken before its numbers come: 3, one line, nothing left, and no bus error."""
-
-    def no_room(*_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "posix_fallocate", no_room)
-    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "all.npz")]) == 3
+@pytest.mark.parametrize("name", ["all.npz", "one.csv", "one.parquet", "folder"])
+def test_a_full_disk_leaves_nothing(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """Where a table has no room, here by a limit of the size of files: 3, one line, nothing left, and no bus error."""
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow", reason="pyarrow is not installed")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        code = run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / name), "--topic", "joint_states"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert code == 3
     (line,) = capsys.readouterr().err.splitlines()
-    assert "all.npz: cannot be written (No space left on device)" in line
+    assert f"{name}: cannot be written (" in line
     assert list(tmp_path.iterdir()) == []
 
 
@@ -203,8 +205,8 @@ def test_a_table_needs_one_set_of_joints(tmp_path: Path) -> None:
     ("line", "text"),
     [
         ("0.5,1.0,x,3.0,4.0", "one.csv:3: 'x'; accepted: a number in column 3"),
-        ("0.5,1.0", "one.csv:3: '2 columns'; accepted: 5, as in the first row"),
-        ("0.5,1.0,2.0,3.0,4.0,5.0", "one.csv:3: '6 columns'; accepted: 5, as in the first row"),
+        ("0.5,1.0", "one.csv:3: '2 columns'; accepted: 5, as in other rows"),
+        ("0.5,1.0,2.0,3.0,4.0,5.0", "one.csv:3: '6 columns'; accepted: 5, as in other rows"),
         ("soon,1.0,2.0,3.0,4.0", "one.csv:3: 'soon'; accepted: a time"),
         ("-1.0,1.0,2.0,3.0,4.0", "one.csv:3: '-1.0'; accepted: a time"),
     ],
@@ -230,10 +232,10 @@ def test_a_header_with_another_unit_than_the_mapping_is_refused(bag: Path, tmp_p
     text = log.read_text()
     log.write_text(text.replace("position [rad]", "position [deg]"))
     with pytest.raises(BagError, match=r"one\.csv:1: '.* position \[deg\]', but rad in .*one\.yaml"):
-        read_exact(log, LogMapping.load(mapping), lambda _: None)
+        import_exact([(log, LogMapping.load(mapping))], tmp_path / "again")
     log.write_text("\ufeff" + text.replace("time [s]", "time [ms]"))
     with pytest.raises(BagError, match=r"one\.csv:1: 'time \[ms\]', but s in "):
-        read_exact(log, LogMapping.load(mapping), lambda _: None)
+        import_exact([(log, LogMapping.load(mapping))], tmp_path / "again")
 
 
 def test_a_long_bag_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

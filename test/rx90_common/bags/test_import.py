@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import resource
+import tracemalloc
+from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from rx90_common.bags.block_writing import write_blocks
+from rx90_common.bags.importing import exact as exact_module
+from rx90_common.bags.importing import spool, table
 from rx90_common.bags.importing.importing import import_logs
 from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.storage import BagReader
+from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError
 from rx90_emulator.cli.frame import run
 
@@ -229,3 +238,147 @@ def test_what_does_not_fit_is_refused(
     assert said in text
     assert text.count("\n") == 1
     assert not (tmp_path / "bag").exists()
+
+
+def hostile(count: int, columns: int = 2) -> tuple[str, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
+    """Return a log of times in ms and numbers that no compression shortens, and the numbers."""
+    numbers = np.random.default_rng(1).standard_normal((count, columns))
+    return "\n".join(f"{k / 1000},{','.join(map(repr, row))}" for k, row in enumerate(numbers.tolist())), numbers
+
+
+@pytest.mark.parametrize("limit", [30_000, 100_000])
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_full_disk_leaves_no_part_of_a_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], limit: int, exact: bool
+) -> None:
+    """Where the rows on their way, or the bag, have no room: 3, one line, and neither bag nor folders above it."""
+    log = write(tmp_path / "log.csv", "t,a,b\n" + hostile(2000)[0])
+    write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+    try:
+        assert run("rx90_bag", ["import", str(log), str(tmp_path / "new" / "bag")]) == 3
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"rx90_bag: {tmp_path}/new/bag: cannot be written (File too large)"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "log.yaml"]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_blocks_make_the_bag_that_whole_series_make(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, storage: str
+) -> None:
+    """Topics with other times, equal ones within and across blocks: the same messages in the same order."""
+    monkeypatch.setattr(spool, "BLOCK", 7)
+    rng = np.random.default_rng(3)
+    whole = [
+        JointSeries(f"/topic_{k}", ("a",), np.sort(rng.integers(0, 30, count)), rng.standard_normal((count, 1)))
+        for k, count in enumerate((100, 1, 40))
+    ]
+
+    def parts(one: JointSeries, size: int) -> Iterator[JointSeries]:
+        return (one.take(slice(k, k + size)) for k in range(0, len(one.stamp_ns), size))
+
+    write_blocks(tmp_path / "blocks", [one.topic for one in whole], [parts(one, 3 + k) for k, one in enumerate(whole)],
+                 storage)  # fmt: skip
+    write_joint_states(tmp_path / "whole", whole, storage=storage)
+    found = []
+    for name in ("blocks", "whole"):
+        with BagReader(tmp_path / name) as bag:
+            found.append([(topic.name, log_ns, bytes(data)) for topic, log_ns, data in bag.messages(bag.topics)])
+    assert found[0] == found[1]
+    assert len(found[0]) == 141
+
+
+def test_what_is_left_out_does_not_depend_on_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows out of order anywhere: as few are left out, and the same ones, as where all rows are looked at at once."""
+    rng = np.random.default_rng(5)
+    times = np.arange(400)
+    times[rng.integers(0, 400, 40)] = rng.integers(0, 400, 40)
+    times[150:160] = times[150:160][::-1]
+    log = "\n".join(f"{time},1,2" for time in times)
+    whole = imported(tmp_path, PLAIN, log, skip_corrupt=True).stamp_ns
+    longest = [0] * 400
+    for k in range(400):  # the textbook's dynamic programme
+        longest[k] = 1 + max((longest[i] for i in range(k) if times[i] < times[k]), default=0)
+    assert len(whole) == max(longest)
+    for module in (spool, table):
+        monkeypatch.setattr(module, "BLOCK", 11)
+    (tmp_path / "second").mkdir()
+    again = imported(tmp_path / "second", PLAIN, log, skip_corrupt=True).stamp_ns
+    assert again.tolist() == whole.tolist()
+
+
+def test_damaged_lines_of_an_exported_file_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """--skip-corrupt leaves out lines of an exact log that hold no time and numbers, also its first, and says which."""
+    write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n")
+    log = write(tmp_path / "log.csv", "t,a,b\n1\n1,1,2\n2,x,2\n\n4,nan,2\n3,1,2\nlater,1,2\n")
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 2
+    assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "bag")]) == 0
+    said = capsys.readouterr().out
+    assert "/joint_states: 2 joints, 3 messages" in said
+    assert f"{log}: left out: 4 corrupt rows, line 2, 4-5, 8 (line 2: '1 columns')" in said
+    found = read_joint_states(tmp_path / "bag", "joint_states")
+    assert found.stamp_ns.tolist() == [10**9, 3 * 10**9, 4 * 10**9]
+    write(log, "t,a,b\nx,1,2\n")
+    assert run("rx90_bag", ["import", "--skip-corrupt", str(log), str(tmp_path / "none")]) == 2
+    assert "holds no row of numbers (1 corrupt row, line 2 (line 2: 'x'))" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_long_log_needs_no_more_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exact: bool) -> None:
+    """While 4000 rows are read, what Python and NumPy hold grows by less than one number for each row."""
+    for module in (spool, table, exact_module):
+        monkeypatch.setattr(module, "BLOCK", 100)
+    write(tmp_path / "log.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
+    log = write(tmp_path / "log.csv", "t,a,b\n" + hostile(4000)[0])
+    held: list[int] = []
+    add = spool.RowSpool.add
+
+    def watched(*arguments: Any) -> None:
+        add(*arguments)
+        held.append(tracemalloc.get_traced_memory()[0])
+
+    monkeypatch.setattr(spool.RowSpool, "add", watched)
+    tracemalloc.start()
+    try:
+        assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
+    finally:
+        tracemalloc.stop()
+    assert len(held) == 40  # the bar of the progress comes later, and is no part of this
+    assert held[39] - held[2] < 8 * 3700
+
+
+@pytest.mark.parametrize(
+    ("exact", "content", "said"),
+    [
+        (False, b"1," * 600_000, "log.csv:1: more than 1048576 characters in a line; accepted: text in lines"),
+        (True, b"t,a,b\n" + bytes(2_000_000), "log.csv:2: more than 1048576 characters in a line"),
+        (False, b"\xff\xfe1", "log.csv: holds no row of numbers"),
+        (True, b"\xff\xfe", "log.csv: holds no row of numbers"),
+        (True, b"t,a,b\n0,1e999,2\n", "log.csv:2: '1e999'; accepted: a number of double precision"),
+        (True, b"t,a,b\n0,1,2\n1,2,3_0\n", "log.csv:3: '3_0'; accepted: a number of double precision"),
+        (True, b"t,a,b\n1_0,1,2\n", "log.csv:2: '1_0'; accepted: a time"),
+        (True, b"t,a,b\n0,1,\0\n", "log.csv:2: '\\x00'; accepted: a number in column 3"),
+    ],
+)
+def test_what_is_no_log_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], exact: bool, content: bytes, said: str
+) -> None:
+    """Lines without an end, torn encodings, and numbers that Python alone would take are refused; nothing is made."""
+    write(tmp_path / "m.yaml", PLAIN + "delimiter: ','\nheader: 1\nexact: true\n" * exact)
+    (tmp_path / "log.csv").write_bytes(content)
+    words = ["import", str(tmp_path / "log.csv"), str(tmp_path / "bag"), "--mapping", str(tmp_path / "m.yaml")]
+    assert run("rx90_bag", words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
+
+
+def test_a_first_row_that_is_taken_for_a_header_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A torn quotation mark makes of a row a line without a number; how many such stood before is told."""
+    write(tmp_path / "log.yaml", PLAIN)
+    log = write(tmp_path / "log.csv", 't,a,b\n"0,1,2\n1,2,3\n')
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
+    assert "header t, a, b in 2 lines before the first row" in capsys.readouterr().out

@@ -11,8 +11,7 @@ import pytest
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting.plotting import TopicPlot, plot_bags
-from rx90_common.bags.writing import write_joint_states
-from rx90_common.base.errors import Rx90Error, write_text
+from rx90_common.bags.writing import RawMessage, string_message, write_joint_states
 from rx90_common.report.plot import Curve, Panel, Plot
 from rx90_common.report.still import write_picture
 from rx90_emulator.cli.frame import run
@@ -144,17 +143,52 @@ def test_one_command_makes_a_page_or_a_picture(
     check_report(tmp_path / "first.html")
 
 
-def test_a_full_disk_leaves_no_half_page_or_picture(tmp_path: Path) -> None:
-    """What cannot be written to its end, here by a limit of the size of files, does not stay."""
-    plot = Plot((Panel((Curve(np.arange(9.0), np.arange(9.0)),)),))
-    write_picture(plot, tmp_path / "good.png")  # with what matplotlib keeps on the disk
+def test_a_full_disk_leaves_the_old_page_or_picture(
+    bags: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What cannot be written to its end, here by a limit of the size of files, does not stay; an old file does."""
+    write_picture(Plot((Panel((Curve(TIME, TIME),)),)), tmp_path / "a.png")  # with what matplotlib keeps on the disk
+    old = {name: f"old {name}".encode() for name in ("a.html", "a.png", "a.pdf")}
+    for name, content in old.items():
+        (tmp_path / name).write_bytes(content)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    try:
-        with pytest.raises(Rx90Error, match=r"page\.html: cannot be written"):
-            write_text(tmp_path / "page.html", "x" * 20_000)
-        with pytest.raises(Rx90Error, match=r"picture\.png: cannot be written"):
-            write_picture(plot, tmp_path / "picture.png")
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
+    for name in (*old, "new.html"):
+        words = ["plot", str(bags["first"]), "--output", str(tmp_path / name), "--force"]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        try:
+            assert run("rx90_bag", words) == 3
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert f"{name}: cannot be written (File too large)" in capsys.readouterr().err
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == old
+
+
+def described(topic: str, robot: str) -> RawMessage:
+    """Return the description of a robot as nodes publish it."""
+    return string_message(topic, f'<?xml version="1.0"?>\n<robot name="{robot}"/>')
+
+
+def test_bags_of_two_robots_are_drawn_without_a_difference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Their motions lie over each other, also where no stamp is equal; page and terminal say whose they are, and why.
+
+    Bags of one robot, and one without a description, are subtracted.
+    """
+    monkeypatch.chdir(tmp_path)
+    for name, robot, start in (("a", "rx90b", 0), ("b", "tx40", 500), ("c", "rx90b", 0)):
+        write_joint_states(
+            name, [series("/joint_states", start=start)], messages=[described("robot_description", robot)]
+        )
+    write_joint_states("none", [series("/joint_states")])
+    assert run("rx90_bag", ["plot", "a", "b"]) == 0
+    said = "two robots, a of rx90b and b of tx40: drawn over each other, without a difference"
+    assert capsys.readouterr().out == f"{said}\npage: {tmp_path / 'a.html'}\n"
+    assert said[1:] in Path("a.html").read_text(encoding="utf-8")
+    (plot,) = plot_bags([Path("a"), Path("b")])
+    assert [panel.y_label for panel in plot.plot.panels if isinstance(panel, Panel)] == ["position, rad", "effort, Nm"]
+    assert len(curves(plot, 0)) == 4
+    assert plot.differences == []
+    for same in ("c", "none"):
+        (plot,) = plot_bags([Path("a"), Path(same)])
+        assert (len(plot.plot.panels), len(plot.differences), plot.robots) == (4, 4, ())

@@ -20,6 +20,8 @@ from rosbags.interfaces import QosDurability, QosReliability
 
 from rx90_common.bags import writing
 from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.bags.whole import SeriesEncoder
 from rx90_common.bags.writing import BagWriter, RawMessage, offered_qos, string_message, write_joint_states
 from rx90_common.base.errors import FAILED, REFUSED, BagError, BagWriteError
 
@@ -134,13 +136,23 @@ class _Usage(NamedTuple):
 def test_bag_is_whole_when_the_disk_is_nearly_full(
     tmp_path: Path, storage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Writing stops with a clear line while index and metadata still fit; what was written can be read."""
+    """Writing stops with a clear line while index and metadata still fit; what was written can be read.
+
+    Of a bag that gets its name at the end nothing stays.
+    """
     monkeypatch.setattr(shutil, "disk_usage", lambda _: _Usage(1 << 40, 1 << 40, 5 << 20))
     monkeypatch.setattr(writing, "_BYTES_PER_SPACE_CHECK", 100_000)
     written = series(3000)
-    with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)") as failure:
-        write_joint_states(tmp_path / "bag", [written], storage=storage)
+    with pytest.raises(BagWriteError, match=r"nearly full \(5 MiB left; accepted: 64 MiB or more\)$") as failure:
+        write_joint_states(tmp_path / "new" / "bag", [written], storage=storage)
     assert failure.value.exit_code == FAILED
+    assert list(tmp_path.iterdir()) == []
+    bag = BagWriter(tmp_path / "bag", storage)
+    numbers = np.full(3000, bag.add_topic("joint_states", JOINT_STATE, [offered_qos()]).id)
+    messages = SeriesEncoder(written).encode(np.arange(3000))
+    with pytest.raises(BagWriteError, match=r"64 MiB or more\); what was written is whole"):
+        bag.write_many(numbers, written.stamp_ns, messages)
+    bag.close()
     read = read_joint_states(tmp_path / "bag", "joint_states")
     assert 0 < len(read.stamp_ns) < 3000
     np.testing.assert_array_equal(read.stamp_ns, written.stamp_ns[: len(read.stamp_ns)])

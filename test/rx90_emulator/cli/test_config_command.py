@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.share import config_path
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
+from rx90_emulator.configuration.kinds import KINDS
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]
@@ -106,13 +107,30 @@ def test_the_kind_of_a_file_is_told_by_its_content(tmp_path: Path, capsys: Captu
     odd = tmp_path / "odd.yaml"
     odd.write_text("mass: 1.0\n", encoding="utf-8")
     assert run("rx90_config", ["check", str(odd)]) == 2
-    assert "cannot be told from its keys, mass; accepted: --kind with one of drives," in capsys.readouterr().err
+    assert "odd.yaml: of no kind that is checked, as MoveIt's own files; accepted: drives," in capsys.readouterr().err
+    both = tmp_path / "both.yaml"
+    both.write_text("tcp: {}\njoint_limits: {}\n", encoding="utf-8")
+    assert run("rx90_config", ["check", str(both)]) == 2
+    assert "both.yaml: its kind cannot be told from its keys; accepted: --kind with" in capsys.readouterr().err
     assert run("rx90_config", ["check", "--kind", "tool", str(odd)]) == 1
     assert f"{odd}:1: mass is not a known key" in capsys.readouterr().out
     assert run("rx90_config", ["check", "--kind", "toll", str(odd)]) == 2
     assert "kind 'toll'; accepted: drives, tool," in capsys.readouterr().err
     assert run("rx90_config", ["check", str(tmp_path / "gone.yaml")]) == 2
     assert "gone.yaml: no such file; accepted" in capsys.readouterr().err
+
+
+def test_moveits_own_files_are_refused_in_short(capsys: Captured) -> None:
+    """Files whose keys are MoveIt's are of no kind of the project; the kinds that there are stand in the line once."""
+    files = [str(path) for path in config_path("moveit").glob("*.yaml")]
+    assert len(files) == 5
+    assert run("rx90_config", ["check", *files]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    kinds = ", ".join([*(kind.name for kind in KINDS), "node_parameters"])
+    assert line.endswith(f"; accepted: {kinds}")
+    assert line.count("accepted") == 1
+    assert all(f"{file}: of no kind that is checked, as MoveIt's own files" in line for file in files)
+    assert len(line) < 300 + sum(map(len, files)) + 60 * len(files)
 
 
 @pytest.mark.parametrize(
@@ -180,14 +198,53 @@ def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show) -> No
                     holder = holder[part]
                 assert one["value"] == pytest.approx(holder[key])
                 assert f"{key}:" in lines[int(line) - 1]
-                about = {**data, **data[above[0]]}
-                assert (one["provenance"], one["source"]) == (about["provenance"], about["source"])
-                assert one["assumed"] == (about["provenance"] == "assumed")
+                around = [data, data[above[0]], holder]
+                for word in ("provenance", "source"):
+                    given = [each[word] for each in around if isinstance(each, dict) and word in each]
+                    said = [each.get(key) if isinstance(each, dict) else each for each in given]
+                    assert one[word] == [each for each in said if each is not None][-1]
+                assert one["assumed"] == (one["provenance"] == "assumed")
                 seen += 1
     assert seen > 60
     assert values["friction.elements.joint_1.alpha"]["origin"] == "default of the code"
     assert values["drives.motor.peak_current"]["unit"] == "A"
     assert values["file.tool"]["value"] == "none"
+
+
+def test_the_rig_is_shown_with_the_lines_that_it_comes_from(show: Show, capsys: Captured) -> None:
+    """Every number of the rig file, also of the friction that its model names, with unit, line and provenance."""
+    path = config_path("rig/gm8224_lugre.yaml")
+    lines, data = path.read_text("utf-8").splitlines(), yaml.safe_load(path.read_text("utf-8"))
+    shown = {name: one for name, one in show("--rig", "rig/gm8224_lugre.yaml").items() if name.startswith("rig.")}
+
+    def leaves(content: dict[str, object], before: str) -> Iterator[tuple[str, object]]:
+        for key, value in content.items():
+            if isinstance(value, dict):
+                yield from leaves(value, f"{before}.{key}")
+            elif key not in {"source", "provenance", "note"}:
+                yield f"{before}.{key}", value
+
+    expected = dict(leaves(data, "rig"))
+    assert {name: one["value"] for name, one in shown.items() if one["origin"] != "default of the code"} == expected
+    for name in expected:
+        file, _, line = str(shown[name]["origin"]).rpartition(":")
+        assert file == "rig/gm8224_lugre.yaml"
+        assert f"{name.rpartition('.')[2]}:" in lines[int(line) - 1]
+    assert shown["rig.gear.ratio"]["provenance"] == "published"
+    assert (shown["rig.emulation.motor.resistance"]["assumed"], shown["rig.emulation.motor.resistance"]["unit"]) == (
+        True, "ohm",
+    )  # fmt: skip
+    usual = show()
+    assert (usual["file.rig"]["value"], usual["file.rig"]["origin"]) == ("rig/gm8224.yaml", "default of the code")
+    assert usual["rig.emulation.joint_friction.model"]["value"] == "coulomb_viscous"
+    of_node = show("-p", "friction_bench:seed:=7", "-p", "friction_bench:rig:=rig/gm8224_lugre.yaml")
+    bench = {name.partition(".")[2]: one for name, one in of_node.items() if name.startswith("friction_bench.")}
+    assert (bench["seed"]["value"], bench["seed"]["origin"]) == (7, "command line")
+    assert (bench["baud"]["value"], bench["baud"]["origin"]) == (19200, "rig rig/gm8224_lugre.yaml")
+    assert of_node["file.rig"]["origin"] == "command line"
+    assert of_node["rig.emulation.joint_friction.model"]["value"] == "lugre"
+    assert run("rx90_config", ["show", "--rig", "none.yaml"]) == 2
+    assert "none.yaml" in capsys.readouterr().err
 
 
 def test_what_the_nodes_are_given_wins_in_the_order_of_ros(show: Show, tmp_path: Path, capsys: Captured) -> None:
@@ -267,6 +324,44 @@ $function_ {program}; printf '%s\\n' "${{COMPREPLY[@]}}"
     assert not [each for each in done.stdout.split() if not each.startswith(words.rpartition(" ")[2])]
 
 
+def test_bash_completes_every_command(tmp_path: Path, bash_script: Path) -> None:
+    """In a real bash each executable offers its options, and where it has verbs these."""
+    code = f"source {bash_script}\n" + "".join(
+        f"COMP_WORDS=({name} --); COMP_CWORD=1; COMPREPLY=()\n"
+        f"$(complete -p {name} | sed 's/.*-F \\([^ ]*\\) .*/\\1/') {name}\n"
+        f'echo {name} "${{COMPREPLY[@]}}"\n'
+        for name in EXECUTABLES
+    )
+    done = subprocess.run(["bash", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    offered = {line.split()[0]: set(line.split()[1:]) for line in done.stdout.splitlines()}
+    assert set(offered) == set(EXECUTABLES), done
+    assert {name for name, words in offered.items() if "--help" not in words} == set()
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("rx90_bag ", {"record", "compare", "info", "import"}),
+        ("rx90_bag record --storage ", {"mcap", "sqlite3"}),
+        ("rx90_run --robot ", {"rx90b", "tx40"}),
+        ("rx90_sweep run sweep/p", {"sweep/payload_and_speed.yaml"}),
+        ("rx90_config check m", {"my_task.yaml"}),
+    ],
+)
+def test_fish_completes_verbs_options_and_files(
+    words: str, expected: set[str], tmp_path: Path, capsys: Captured
+) -> None:
+    """In a real fish each command offers verbs, choices, robots, plans and files."""
+    (tmp_path / "my_task.yaml").touch()
+    assert run("rx90_config", ["completion", "fish"]) == 0
+    (tmp_path / "rx90.fish").write_text(capsys.readouterr().out, encoding="utf-8")
+    code = f"source rx90.fish; complete -C '{words}'"
+    done = subprocess.run(["fish", "-N", "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False,
+                          timeout=60)  # fmt: skip
+    assert {line.split("\t")[0] for line in done.stdout.splitlines()} >= expected, done
+
+
 @pytest.fixture(scope="module")
 def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the file of the completion for bash."""
@@ -279,13 +374,13 @@ def bash_script(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh"])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_completion_knows_every_command(shell: str, capsys: Captured) -> None:
     """Every executable has its completion, and a shell that is there reads the script without an error."""
     assert run("rx90_config", ["completion", shell]) == 0
     script = capsys.readouterr().out
     for name in EXECUTABLES:
-        assert re.search(rf"^(complete|\s*compdef) .*\b{name}$", script, re.MULTILINE), name
+        assert re.search(rf"^(complete|\s*compdef) (-c {name} |.*\b{name}$)", script, re.MULTILINE), name
     if shutil.which(shell):
         done = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stderr) == (0, "")

@@ -15,10 +15,10 @@ import pytest
 from foreign_arms import Curve, Program, drive_torque, urdf_text, write, write_fallback
 
 from rx90_common.base.errors import INTERRUPTED, OutputError
+from rx90_common.process.files import write_all
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification import identify as identify_bags
 from rx90_emulator.identification import job as identify_job
-from rx90_emulator.identification.output.files import write_all
 
 CURVE = Curve(6.0, 5.5, 7.8, 7.0, 0.05, 1.2, 2.5)
 
@@ -57,8 +57,8 @@ def test_an_interrupt_leaves_everything(
 
     if place == "write_all":
         # After the first of the two files.
-        whole = Path.write_text
-        monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
+        whole = Path.write_bytes
+        monkeypatch.setattr(Path, "write_bytes", lambda *a, **k: (whole(*a, **k), interrupted()))
     else:
         monkeypatch.setattr(identify_job if place == "report_page" else identify_bags, place, interrupted)
     assert run("rx90_identify", [*arguments, "--output", str(output), "--force"]) == INTERRUPTED
@@ -82,6 +82,6 @@ def test_a_full_disk_leaves_everything(tmp_path: Path, small_files: int) -> None
     first, second = tmp_path / "a.yaml", tmp_path / "b.html"
     first.write_text("mine", encoding="utf-8")
     with pytest.raises(OutputError, match=r"b\.html: cannot be written \(File too large\)"):
-        write_all({first: "new", second: "x" * (small_files + 1)})
+        write_all({first: b"new", second: bytes(small_files + 1)})
     assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
     assert first.read_text(encoding="utf-8") == "mine"

@@ -98,13 +98,16 @@ def test_the_error_of_the_weights_explains_the_payload(sweeps: Any, arm: RigidAr
 def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) -> None:
     """95 % intervals hold the truth in 90 % of 140 cases or more, and errors are as large as the deviations say."""
     inside, scores = [], []
-    for seed in range(20):
-        record, friction = sweeps([3], 100 + seed, Noise(common=common))
-        for name, found in identify_sliding([record], arm).estimates[3].parameters.items():
-            low, high = found.bounds
-            true = getattr(friction.elements[3], name)
-            inside.append(low <= true <= high)
-            scores.append((found.value - true) / found.deviation)
+    for seed in range(5):
+        record, friction = sweeps([0, 1, 2, 3], 100 + seed, Noise(common=common))
+        estimates = identify_sliding([record], arm).estimates
+        for joint in range(4):
+            for name, found in estimates[joint].parameters.items():
+                low, high = found.bounds
+                true = getattr(friction.elements[joint], name)
+                inside.append(low <= true <= high)
+                scores.append((found.value - true) / found.deviation)
+    assert len(inside) == 140
     assert np.mean(inside) >= 0.9
     assert 0.7 < np.sqrt(np.mean(np.square(scores))) < 1.3
 

@@ -79,7 +79,7 @@ def test_bags_of_other_times_are_aligned(tmp_path: Path, shipped: Setup) -> None
         write_joint_states(tmp_path / name, series)
     first, second = (opened(tmp_path / name, shipped) for name in "ab")
     second = replace(second, changes=(ParameterChange("/rx90_controller", "servo.kp", "[1, 2]", 7_020_000_000),))
-    shift = time_shift(START, (), lambda number: (first, second)[number].arm.begin_ns)
+    shift = time_shift(START, first, second)
     assert shift == -7 * 10**9
     second = second.moved(shift)
     assert second.friction is not None

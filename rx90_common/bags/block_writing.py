@@ -1,0 +1,89 @@
+"""Write bags of series that come block by block, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.topics import JOINT_STATE, absolute
+from rx90_common.bags.whole import SeriesEncoder, encoded, named_at_the_end
+from rx90_common.bags.writing import BagWriter, offered_qos
+from rx90_common.base.errors import BagError
+from rx90_common.base.quoting import listed, plain
+
+
+def write_blocks(
+    path: Path, topics: Sequence[str], blocks: Sequence[Iterator[JointSeries]], storage: str = "mcap"
+) -> None:
+    """Write the bag that `write_joint_states` would of the same series, block by block.
+
+    Args:
+        path: folder to make; must not exist.
+        topics: names, each once.
+        blocks: of each topic, in the order of stamps.
+        storage: "mcap" or "sqlite3".
+
+    Raises:
+        BagError: if the bag cannot be made, or two topics have one name.
+        BagWriteError: if it cannot be written on; nothing stays.
+        ExchangeError: if a joint name or a stamp cannot stand in a message.
+    """
+    names = [absolute(topic) for topic in topics]
+    if len(set(names)) != len(names):
+        raise BagError(f"{plain(path)}: topics {listed(names)}; accepted: each topic once")
+    with named_at_the_end(path) as beside, BagWriter(beside, storage, named=path) as bag:
+        numbers = np.array([bag.add_topic(name, JOINT_STATE, [offered_qos()]).id for name in names], dtype=np.int64)
+        for parts in _merged([_Source(each) for each in blocks]):
+            log_ns = np.concatenate([part.stamp_ns for part in parts])
+            order = np.argsort(log_ns, kind="stable")
+            counts = [len(part.stamp_ns) for part in parts]
+            source = np.repeat(np.arange(len(parts)), counts)[order]
+            row = np.concatenate([np.arange(count) for count in counts])[order]
+            encoders = [SeriesEncoder(part).encode for part in parts]
+            bag.write_many(numbers[source], log_ns[order], encoded(encoders, source, row))
+
+
+class _Source:
+    """What has come of a topic and is still to be written, and the block behind it."""
+
+    def __init__(self, blocks: Iterator[JointSeries]) -> None:
+        self._blocks = blocks
+        self._waiting = next(blocks)
+        self.following = next(blocks, None)
+
+    def take(self, before_ns: int | None) -> JointSeries:
+        """Return what has an earlier stamp, or all, and keep the rest."""
+        stamps = self._waiting.stamp_ns
+        count = len(stamps) if before_ns is None else int(np.searchsorted(stamps, before_ns))
+        taken, self._waiting = self._waiting.take(slice(0, count)), self._waiting.take(slice(count, None))
+        return taken
+
+    def advance(self) -> None:
+        """Put the block that follows behind what is waiting."""
+        if self.following is not None:
+            self._waiting = _joined(self._waiting, self.following)
+            self.following = next(self._blocks, None)
+
+
+def _joined(first: JointSeries, second: JointSeries) -> JointSeries:
+    stamps = np.concatenate([first.stamp_ns, second.stamp_ns])
+    fields = {field: np.concatenate([values, second.fields[field]]) for field, values in first.fields.items()}
+    return JointSeries(first.topic, first.names, stamps, **fields)
+
+
+def _merged(sources: Sequence[_Source]) -> Iterator[list[JointSeries]]:
+    """Yield a part of each series, none of whose messages comes behind a message of a later part."""
+    while True:
+        follow = [int(one.following.stamp_ns[0]) for one in sources if one.following is not None]
+        before = min(follow) if follow else None
+        parts = [one.take(before) for one in sources]
+        if any(len(part.stamp_ns) for part in parts):
+            yield parts
+        if before is None:
+            return
+        for one in sources:
+            if one.following is not None and int(one.following.stamp_ns[0]) == before:
+                one.advance()

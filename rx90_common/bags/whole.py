@@ -1,0 +1,91 @@
+"""What bags that are made of arrays need: the messages of series, and a name when the bag is whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
+from rx90_common.base.quoting import plain
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
+
+_LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
+
+
+@contextmanager
+def named_at_the_end(path: Path) -> Iterator[Path]:
+    """Yield where to write a bag, which the storage file is named after, and give it its name when that is done.
+
+    Raises:
+        BagError: if something has that name, or its place does not take a folder.
+        BagWriteError: if the disk is full.
+    """
+    if os.path.lexists(path):
+        raise BagError(f"{plain(path)} exists already, not overwriting.")
+    made = [folder for folder in path.parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_LONGEST_PREFIX]}.", dir=path.parent))
+    except OSError as error:
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    beside = folder / path.name
+    try:
+        yield beside
+        beside.rename(path)
+    except OSError as error:  # somebody else has taken the name
+        raise BagError(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _remove_empty(made)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+
+
+def encoded(
+    encoders: Sequence[Callable[[Int64Array], MessageBatch]], source: Int64Array, row: Int64Array
+) -> MessageBatch:
+    """Return the messages with these places in these sources, in this order.
+
+    Args:
+        encoders: of each source, that give its messages of some rows.
+        source: of each message, int64 (n,).
+        row: of it in its source, int64 (n,).
+    """
+    by_source = np.argsort(source, kind="stable")
+    found, counts = np.unique(source, return_counts=True)
+    parts = np.split(row[by_source], np.cumsum(counts)[:-1])
+    batch = MessageBatch.join([encoders[which](part) for which, part in zip(found, parts, strict=True)])
+    place = np.empty_like(by_source)
+    place[by_source] = np.arange(len(by_source))
+    return MessageBatch(batch.data, batch.start[place], batch.size[place])
+
+
+class SeriesEncoder:
+    """Gives the messages of a series."""
+
+    def __init__(self, series: JointSeries) -> None:
+        self._codec = JointStateCodec(series.names)
+        self._series = series
+
+    def encode(self, rows: Int64Array) -> MessageBatch:
+        """Return the messages of these rows."""
+        series = self._series
+        fields = (None if field is None else field[rows] for field in (series.position, series.velocity, series.effort))
+        data = self._codec.encode_many(series.stamp_ns[rows], *fields)
+        count, size = data.shape
+        return MessageBatch(data.reshape(-1), np.arange(count) * size, np.full(count, size))
