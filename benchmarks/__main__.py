@@ -2,8 +2,9 @@
 
     python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [friction_parts]
                          [perturbation] [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
-                         [friction_ramp_coverage] [identification] [identification_presliding] [identification_time]
-                         [excitation_coverage] [excitation_time] [wrong_zeros] [published_friction]
+                         [friction_ramp_coverage] [friction_presliding] [identification]
+                         [identification_presliding] [identification_time] [excitation_coverage] [excitation_time]
+                         [wrong_zeros] [published_friction]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -34,6 +35,7 @@ NAMES = (
     "bag_memory",
     "friction_ramp",
     "friction_ramp_coverage",
+    "friction_presliding",
     "identification",
     "identification_presliding",
     "identification_time",

@@ -1,6 +1,6 @@
 /* What this rig's firmware is built for. The host reads these figures from the HELLO reply and
  * refuses to arm a rig whose figures differ from its rig file. Those in #ifndef may be given to the compiler:
- * make DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1" */
+ * make DEFINES="-DCOUNTS_PER_REV=10000u -DCOUNTS_DOWN=1 -DMAX_SPEED=986u" */
 #ifndef RIG_CONFIG_H
 #define RIG_CONFIG_H
 
@@ -20,7 +20,9 @@
 #define CURRENT_LIMIT_CODE 193u   /* 0.189 Nm measured: the limit and 5 % for offset and noise */
 #define CURRENT_LIMIT_TICKS 3u    /* consecutive readings above it */
 #define WATCHDOG_TICKS 7u         /* the stage goes off 120..140 ms after the last heartbeat */
+#ifndef MAX_SPEED
 #define MAX_SPEED 400u            /* counts per tick: 249 rad/s at the motor */
+#endif
 #define MAX_TRAVEL 781u           /* 256 counts each, after arming: 12.8 turns of the load shaft */
 
 #endif

@@ -6,10 +6,10 @@ from typing import Protocol
 
 from friction_bench.protocol.errors import RigInputError
 from friction_bench.rig.native import NativeBoard, native_library
-from friction_bench.rig.plant import RigPlant
+from friction_bench.rig.plant import PART_PERIOD, RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
 
-SLICE_US = 1000
+SLICE_US = round(PART_PERIOD * 1e6)
 """Firmware and plant exchange DAC, ADC and encoder this often."""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from rx90_common.kernels.lanes import lane, load
 Record = NDArray[np.void]
 
 
-class JointRecord(NamedTuple):
+class RigJoint(NamedTuple):
     """One joint as compiled code has it, each of shape (1,): element, its parts, and their state."""
 
     element: Record
@@ -27,7 +27,7 @@ class JointRecord(NamedTuple):
     state: Record
 
 
-def joint_record(element: FrictionElement, gear_ratio: float, period: float, seed: int) -> JointRecord:
+def joint_record(element: FrictionElement, gear_ratio: float, period: float, seed: int) -> RigJoint:
     """Return the record of a joint that has not moved.
 
     Args:
@@ -36,16 +36,14 @@ def joint_record(element: FrictionElement, gear_ratio: float, period: float, see
         period: for which the torque is held, s.
         seed: of the scatter.
     """
-    record = JointRecord(
-        element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1))
-    )
+    record = RigJoint(element_arrays((element,)), np.zeros(1, parts_dtype(1)), np.zeros(1, parts_state_dtype(1)))
     fill_parts(record.parts[0], (element,), (gear_ratio,), period, seed)
     start(record)
     return record
 
 
 @kernel
-def start(joint: JointRecord) -> None:
+def start(joint: RigJoint) -> None:
     """Begin anew: nothing is transmitted, no bristle is bent."""
     state = joint.state[0]
     state.transmitted[0] = 0.0
@@ -53,18 +51,17 @@ def start(joint: JointRecord) -> None:
 
 
 @kernel
-def friction_over(joint: JointRecord, z: float, angle: float, velocity: float, step: float) -> tuple[float, float]:
+def friction_over(joint: RigJoint, z: float, angle: float, velocity: float, step: float) -> tuple[float, float]:
     """Advance the joint's bristles for a velocity that is held; angle, rad, and velocity, rad/s, of the joint.
 
     Returns:
         The new deflection, rad, and the mean friction torque, Nm.
     """
     state = joint.state[0]
-    place = np.array([z, angle, velocity])
+    lanes = 0.0 * load(state.transmitted, 1)
     new, torque = parts_step(
-        joint.element[0], joint.parts[0], state,
-        load(place[0:1], 1), load(place[1:2], 1), load(place[2:3], 1), step, 1,
-    )  # fmt: skip
+        joint.element[0], joint.parts[0], state, lanes + z, lanes + angle, lanes + velocity, step, 1
+    )
     return lane(new, 0), lane(torque, 0)
 
 
@@ -75,7 +72,7 @@ def turn_with_parts(
     shaft: Shaft,
     gear: tuple[float, float],
     load_inertia: float,
-    joint: JointRecord,
+    joint: RigJoint,
     dt: float,
 ) -> tuple[float, float, float]:
     """Advance as `turn_with_joint`, with a joint that has parts.
@@ -100,8 +97,3 @@ def turn_with_parts(
         advance_load(joint.parts[0].load, state, load(state.transmitted, 1), step, 1)
     advance_scatter(joint.parts[0].scatter, state)
     return angle, speed, z
-
-
-def bend(joint: JointRecord) -> Any:
-    """Return the state of blocks of Maxwell slip, shape (2, blocks), which `friction_over` advances."""
-    return joint.state[0]["bristles"]["blocks"][0]

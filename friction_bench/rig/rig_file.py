@@ -17,7 +17,6 @@ from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import read_element
-from rx90_common.friction.friction_set import refuse_parts
 from rx90_common.friction.parameters import ELEMENT
 
 CODES = 255
@@ -178,7 +177,9 @@ class Rig:
     @property
     def firmware_figures(self) -> dict[str, int]:
         """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
-        return {"COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1} if self.counts_down else {}
+        if not self.counts_down:
+            return {}
+        return {"COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1, "MAX_SPEED": self.limit_codes()[1]}
 
     @property
     def joint_step(self) -> float:
@@ -243,9 +244,7 @@ class Rig:
 
 def _friction(section: Section, content: dict[str, Any]) -> JointFriction | FrictionElement:
     if content["model"] == "lugre":
-        element = read_element(section.section("lugre"))
-        refuse_parts({"lugre": element}, "the emulated rig", section.where(""))
-        return element
+        return read_element(section.section("lugre"))
     return JointFriction(content["coulomb"], content["viscous"])
 
 
