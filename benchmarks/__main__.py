@@ -4,7 +4,7 @@
                          [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
                          [friction_ramp_coverage]
                          [identification] [identification_presliding] [identification_time]
-                         [excitation_coverage] [excitation_time] [wrong_zeros]
+                         [excitation_coverage] [excitation_time] [wrong_zeros] [published_friction]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -40,6 +40,7 @@ NAMES = (
     "excitation_coverage",
     "excitation_time",
     "wrong_zeros",
+    "published_friction",
 )
 
 

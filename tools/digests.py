@@ -78,8 +78,8 @@ def _aside() -> RobotModel:
 
 
 def _constants(record: np.ndarray[Any, Any]) -> Iterator[np.ndarray[Any, Any]]:
-    """Yield the fields of a record; what is off leaves no bytes: friction parts, elasticity, viscous exponents of 1."""
-    switches = {"parts": "used", "transmission": "flexible"}
+    """Yield the fields of a record one after the other; what is off, by default, leaves no bytes."""
+    switches = {"parts": "used", "transmission": "flexible", "model": "parts"}
     for name in record.dtype.names or ():
         field = record[name]
         if name in switches and not field[switches[name]].any():

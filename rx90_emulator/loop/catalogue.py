@@ -59,7 +59,9 @@ CONTROLLER_UNITS = {
     "start_tolerance": "rad",
     "max_acceleration": "rad/s^2",
 }
-FEED_FORWARD_UNITS = dict.fromkeys(("velocity", "acceleration", "coulomb", "viscous"), SWITCH)
+FEED_FORWARD_UNITS = dict.fromkeys(
+    ("velocity", "acceleration", "coulomb", "viscous", "inverse_dynamics", "friction_model"), SWITCH
+)
 ARM_UNITS = {"mass": "kg", "com": "m", "inertia": "kg m^2"}
 TASK_UNITS = {
     "start": "m",

@@ -14,7 +14,7 @@ from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
@@ -106,8 +106,8 @@ class PerturbationModel:
             controllers: one for each run, or None for the setup's own in all of them.
 
         Raises:
-            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, or an element has a
-                part.
+            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, an element has a part,
+                or a controller feeds forward by a model.
         """
         runs = len(frictions)
         if runs == 0:
@@ -134,6 +134,10 @@ class PerturbationModel:
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
+        for controller in controllers or [self.setup.controller]:
+            for name in MODEL_PARTS:
+                if getattr(controller.feed_forward, name):
+                    raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
         if controllers is None:
             return [self.setup.controller.record(robot, drives, rates)] * runs
         return [controller.record(robot, drives, rates) for controller in controllers]

@@ -22,7 +22,7 @@ from rx90_emulator.loop.catalogue import Catalogue, Leaf
         ("friction.joint_5_6", FrictionElement, set(PARTS)),
         ("drives", DriveParameters, {"elasticity"}),
         ("drives.elasticity", Elasticity, {"friction_side"}),
-        ("controller", CS7BParameters, {"feed_forward"}),
+        ("controller", CS7BParameters, {"feed_forward", "model"}),
         ("controller.feed_forward", FeedForward, set()),
         ("task", LineTask, {"branch"}),
     ],

@@ -49,10 +49,10 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "said"),
     [
-        ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0, 0.95]"),
-        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05; acc"),
+        ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
+        ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
-        ("friction.joint_1.load.driving", 0.1, "accepted: friction.joint_1.load.driving names nothing"),
+        ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there"),
         ("seed", 0.5, "seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
     ],
 )  # fmt: skip
@@ -60,7 +60,7 @@ def test_wrong_values_of_parts_are_refused(parted: Setup, path: str, value: floa
     """A value that a part does not take is refused with element, part and range; so is a part that is not there."""
     with pytest.raises(ConfigError) as caught:
         rx.with_parameters(parted, {path: value})
-    assert said.removeprefix("accepted: friction.joint_1.load.driving names nothing") in str(caught.value)
+    assert said in str(caught.value)
 
 
 def test_the_seed_is_the_plants(parted: Setup) -> None:

@@ -253,3 +253,12 @@ def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: Perturbation
         assert "\n" not in str(refusal.value)
     with pytest.raises(TrajectoryError, match="accepted"):
         prepare(shipped, stay(), HOME + 0.01, 0.1)
+
+
+@pytest.mark.parametrize("name", ["inverse_dynamics", "friction_model"])
+def test_feed_forward_by_a_model_is_refused(model: PerturbationModel, shipped: Setup, name: str) -> None:
+    """The controller's own model, whose bristles have a state, is refused by its switch, in every run of a batch."""
+    switches = dataclasses.replace(shipped.controller.feed_forward, **{name: True})
+    other = dataclasses.replace(shipped.controller, feed_forward=switches)
+    with pytest.raises(ConfigError, match=f"feed_forward.{name} is true; accepted: false, by the perturbation method"):
+        model.run([shipped.friction] * 2, [shipped.controller, other])

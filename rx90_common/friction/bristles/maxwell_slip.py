@@ -1,0 +1,228 @@
+"""Generalised Maxwell slip: blocks on springs side by side, each of which sticks or slips; the memory is not local.
+
+Lampaert, Al-Bender, Swevers, "A generalized Maxwell-slip friction model appropriate for control purposes", IEEE Physics
+and Control (2003). Block i carries the part k_i of the stiffness c0 and the part a_i of the sliding torque
+T(v) = c0 g(v), equation 19; both add up to 1. With its deflection z_i, torque F_i = k_i c0 z_i, and v > 0 (mirrored
+below 0):
+
+    sticking: dz_i/dt = v until F_i = a_i T(v), then it slips,
+    slipping: dF_i/dt = C (a_i - F_i / T(v)), but dz_i/dt <= v; it sticks again when the velocity turns round,
+    tau_f = sum of F_i + c1(v) sum of k_i dz_i/dt + viscous torque.
+
+C is the attraction, Nm/s: after a change of velocity the torque comes to the sliding curve at the rate C / T(v). The
+damping c1 is shared by the blocks as the stiffness is.
+
+The bound dz_i/dt <= v is not in the paper. Without it a slipping block whose torque lags behind a rising T(v), as while
+a joint comes to rest, would be loaded by the attraction faster than the joint moves: it would slip backwards, against
+its friction, and create energy. With it such a block sticks. Where the attraction asks for no more than v, the
+equations are the paper's; at v = 0 no block moves, to the last bit, and no sticking joint creeps.
+
+**The step is exact for a velocity held over it.** With r_i = a_i g / k_i, the block's deflection in steady sliding, and
+the rate C / T, common to all blocks, a block sticks until its deflection is r_i, or, if it slips already, until it is
+r_i - |v| T / C, where the attraction asks for exactly v. The time until then is known; what remains of the step is an
+exponential approach of r_i. So every step length is stable, and mean torques are those of these solutions.
+
+**Passivity.** The stored energy is c0 times the sum of k_i z_i^2 / 2. A block that sticks, or slips with F_i <= a_i T,
+takes power. One that slips with F_i = (1 + d) a_i T gives v F_i + A_i d F_i, A_i = C a_i / (k_i c0), while c1 takes
+-c1 k_i A_i d v of it; the least of this over d > 0 is not negative where
+
+    c1(v) |v| k_i <= a_i T(v) (1 + sqrt(|v| / A_i))^2    for every block.
+
+With an attraction without bound that is c1 |v| <= T(v) a_i / k_i; LuGre's bound is 4 T(v).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.entries import ListOf
+from rx90_common.base.entries import Number as NumberEntry
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
+from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous_torque
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
+
+MOST_BLOCKS = 10
+"""Blocks of an element."""
+
+_SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
+
+
+def _parts(about: str) -> ListOf:
+    number = NumberEntry(about, "1", low=0.0, high=1.0, above=True)
+    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MOST_BLOCKS} numbers", least=1)
+
+
+MAXWELL_SLIP = Group(
+    "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003).",
+    keys={
+        "stiffness": _parts("Stiffness of each block in parts of c0; they sum to 1."),
+        "share": _parts("Share of each block in the sliding torque; they sum to 1."),
+        "attraction": NumberEntry(
+            "Attraction of the sliding curve: the torque comes to it at the rate attraction / sliding torque.",
+            "Nm/s", low=0.0, above=True,
+        ),
+    },
+)  # fmt: skip
+"""What stands in a file beside `kind: maxwell_slip`."""
+
+
+@dataclass(frozen=True)
+class MaxwellSlip:
+    """Blocks that stick or slip.
+
+    Attributes:
+        stiffness: of 1 to MOST_BLOCKS blocks in parts of c0, above 0; they sum to 1.
+        share: of each block in the sliding torque, above 0; they sum to 1.
+        attraction: C, Nm/s.
+
+    Raises:
+        ConfigError: for another number of blocks, another sum, or a value out of its range.
+    """
+
+    stiffness: tuple[float, ...]
+    share: tuple[float, ...]
+    attraction: float
+
+    def __post_init__(self) -> None:
+        count = len(self.stiffness)
+        if not 1 <= count <= MOST_BLOCKS:
+            raise ConfigError(f"stiffness has {count} numbers; accepted: 1 to {MOST_BLOCKS}, one for each block")
+        if len(self.share) != count:
+            raise ConfigError(f"share has {len(self.share)} numbers; accepted: {count}, as stiffness has")
+        for name, whole in (("stiffness", "c0"), ("share", "the sliding torque")):
+            values = getattr(self, name)
+            for i, value in enumerate(values):
+                if not 0.0 < value <= 1.0:
+                    raise ConfigError(f"{name}[{i}] is {value}; accepted: a number in (0, 1]")
+            if not abs(sum(values) - 1.0) <= _SUM_ERROR:
+                raise ConfigError(f"{name} sums to {sum(values):.10g}; accepted: 1, they are parts of {whole}")
+        if not 0.0 < self.attraction < np.inf:
+            raise ConfigError(f"attraction is {self.attraction}; accepted: a finite number > 0")
+
+    def least_sliding(self, c0: float, speed: ArrayLike) -> Array:
+        """Return the least of a_i / k_i (1 + sqrt(|v| / A_i))^2: c1 |v| below it times T(v) is passive, 1.
+
+        Args:
+            c0: of the element, Nm/rad.
+            speed: rad/s.
+        """
+        ratio = np.divide(self.share, self.stiffness)
+        above = 1.0 + np.sqrt(np.asarray(speed)[..., None] * c0 / (self.attraction * ratio))
+        return np.asarray(np.min(ratio * above**2, axis=-1))
+
+
+class Blocks(NamedTuple):
+    """The blocks of one element in compiled code, a lane for each of MOST_BLOCKS: those that are not there carry 0.
+
+    Attributes:
+        stiffness: in parts of c0.
+        reach: deflection of steady sliding in parts of g(v), share / stiffness.
+        attraction: Nm/s, a plain number.
+    """
+
+    stiffness: Lanes
+    reach: Lanes
+    attraction: float
+
+
+def blocks_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the blocks of `width` elements, the element the first index."""
+    each = (width, MOST_BLOCKS)
+    return np.dtype(
+        [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, width)], align=True
+    )
+
+
+def block_arrays(kinds: Sequence[MaxwellSlip | None]) -> np.ndarray[Any, Any]:
+    """Return the blocks of elements, shape (1,), dtype `blocks_dtype(len(kinds))`; None for one that has none."""
+    arrays = np.zeros(1, blocks_dtype(len(kinds)))
+    arrays["reach"] = arrays["attraction"] = 1.0
+    for e, kind in enumerate(kinds):
+        if kind is not None:
+            used = slice(len(kind.stiffness))
+            arrays["stiffness"][0, e, used] = kind.stiffness
+            arrays["reach"][0, e, used] = np.divide(kind.share, kind.stiffness)
+            arrays["attraction"][0, e] = kind.attraction
+    return arrays
+
+
+@inlined
+def load_blocks(arrays: Any, index: int) -> Blocks:
+    """Return the blocks of one element of such a record."""
+    return Blocks(
+        load(arrays.stiffness[index], MOST_BLOCKS), load(arrays.reach[index], MOST_BLOCKS), arrays.attraction[index]
+    )
+
+
+@inlined
+def _total(parts: Lanes) -> float:
+    return lane(prefix_sum(parts), MOST_BLOCKS - 1)
+
+
+@kernel
+def maxwell_slip_torque(element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float) -> float:
+    """Return the friction torque at one instant, Nm; arguments as those of `maxwell_slip_step`."""
+    blocks, z = load_blocks(arrays, index), load(state[0], MOST_BLOCKS)
+    sliding = sliding_torque(element, velocity)
+    sense = 1.0 if velocity >= 0.0 else -1.0
+    lacking = blocks.reach * (sliding / element.c0) - sense * z
+    attracted = (blocks.attraction / sliding) * lacking
+    speed = abs(velocity)
+    bound = select(attracted < speed, attracted, speed)
+    slips = select(load(state[1], MOST_BLOCKS) * sense > 0.0, bound, select(lacking > 0.0, speed, bound))
+    z_dot = sense * slips if speed > 0.0 else 0.0 * z
+    rate = _total(blocks.stiffness * z_dot)
+    bristles: float = element.c0 * _total(blocks.stiffness * z) + damping(element, velocity) * rate
+    return bristles + viscous_torque(element, velocity)
+
+
+@kernel
+def maxwell_slip_step(
+    element: Any, arrays: Any, index: int, state: NDArray[np.float64], velocity: float, step: float
+) -> tuple[float, float]:
+    """Advance the blocks of one element by `step` seconds at constant velocity.
+
+    Args:
+        element: an `Elements` of rx90_common.friction.bristle, in plain numbers.
+        arrays: record of `blocks_dtype`.
+        index: of the element in it.
+        state: deflections, rad, and the sense of the velocity with which a block slips, 0 if it sticks, shape
+            (2, MOST_BLOCKS); advanced in place.
+        velocity: rad/s.
+        step: s.
+
+    Returns:
+        The blocks' new mean deflection, by their stiffness, rad, and the mean friction torque over the step, Nm.
+    """
+    blocks, z, slipping = load_blocks(arrays, index), load(state[0], MOST_BLOCKS), load(state[1], MOST_BLOCKS)
+    before = _total(blocks.stiffness * z)
+    if velocity == 0.0:
+        return before, element.c0 * before
+    sliding = sliding_torque(element, velocity)
+    sense, speed = (1.0, velocity) if velocity > 0.0 else (-1.0, -velocity)
+    steady, rate = blocks.reach * (sliding / element.c0), blocks.attraction / sliding
+    y, already = sense * z, slipping * sense > 0.0
+    room = select(already, steady - speed / rate, steady) - y
+    stuck = room / speed
+    stuck = select(room > 0.0, select(stuck < step, stuck, step), 0.0)
+    loaded = speed * stuck
+    rest, left = steady - (y + loaded), step - stuck
+    phi, psi = decay(rate * left)
+    approached = rest * (rate * left) * phi
+    moved = loaded + approached
+    # Integrals of the deflection over the time that a block sticks, and over the time that it slips.
+    over = stuck * (y + 0.5 * loaded) + left * (y + loaded + rest * (rate * left) * psi)
+    store(state[0], sense * (y + moved))
+    store(state[1], select(left > 0.0, sense, select(already, slipping, 0.0)))
+    change = sense * _total(blocks.stiffness * moved)
+    mean = sense * _total(blocks.stiffness * over) / step
+    torque = element.c0 * mean + damping(element, velocity) * change / step + viscous_torque(element, velocity)
+    return before + change, torque
