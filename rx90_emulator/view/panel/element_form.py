@@ -40,6 +40,7 @@ class ElementForm:
     def __init__(self, page: Page, file: FrictionFile, start_with: Callable[[str], None]) -> None:
         self._page, self._file, self._start_with = page, file, start_with
         self._result, self._missing = file, ""
+        self._number = 0  # of the newest values
         names = list(file.elements)
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
@@ -57,7 +58,7 @@ class ElementForm:
         self._done = page.gui.add_html(
             sentence("A simulation reads its friction when it is configured: time begins again at 0.")
         )
-        self._drawing: NewestOnly[tuple[str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
+        self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
         self._element.on_update(from_user(self._chosen, page))
         self._slid_one.on_update(from_user(lambda: put(self._factor, 1.0), page))
         self._factor.on_update(from_user(self._slid, page))
@@ -91,33 +92,43 @@ class ElementForm:
         self._give()
 
     def _give(self) -> None:
-        self._drawing.give((self._element.value, tuple(field.value for field in self._fields), self._way.value))
+        self._verdict.content = sentence("checking ...")
+        self._write.disabled = self._start.disabled = True  # the file would be of other values
+        self._number += 1
+        texts = tuple(field.value for field in self._fields)
+        self._drawing.give((self._number, self._element.value, texts, self._way.value))
 
-    def _compute(self, item: tuple[str, tuple[str, ...], float]) -> None:
+    def _compute(self, item: tuple[int, str, tuple[str, ...], float]) -> None:
         """Compute on a thread of its own: the first time, kernels are compiled."""
-        name, texts, way = item
+        number, name, texts, way = item
         try:
             file = changed(self._file, name, read_values(texts))
         except ConfigError as error:
             text = str(error)
-            self._page.later(lambda: self._refused(text))
+            self._page.later(lambda: self._refused(number, text))
             return
         before, after = self._file.elements[name], file.elements[name]
         top, amplitude = _TOP * before.omega_s, way * break_away(before)
         curves = [stribeck_curve(element, top) for element in (before, after)]
         loops = [presliding_loop(element, amplitude) for element in (before, after)]
         plots = (curves[0].velocity, *(curve.torque for curve in curves)), _together(loops)
-        self._page.later(lambda: self._show(name, file, *plots))
+        self._page.later(lambda: self._show(number, name, file, *plots))
 
-    def _refused(self, text: str) -> None:
-        self._verdict.content = sentence(text, wrong=True)
-        self._write.disabled = self._start.disabled = True
+    def _refused(self, number: int, text: str) -> None:
+        if number == self._number:
+            self._verdict.content = sentence(text, wrong=True)
 
-    def _show(self, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]) -> None:
+    def _show(
+        self, number: int, name: str, file: FrictionFile, curve: tuple[Array, ...], loop: tuple[Array, ...]
+    ) -> None:
+        if number != self._number:
+            return  # of other values than those in the fields
         self._result = file
         self._write.disabled = False
         self.follow(self._missing)
-        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}")
+        parts = ", ".join(file.elements[name].parts)
+        without = f"; the plots are without {parts}" * bool(parts)
+        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}{without}")
         self._curve.data, self._loop.data = curve, loop
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
         self._yaml.content = f"```yaml\n{_without_comments(one)}```"

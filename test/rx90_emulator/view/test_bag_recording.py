@@ -96,6 +96,7 @@ def _states(topic: str, names: list[str], stamps: range, value: float = 0.1) -> 
     [
         (_states("/joint_states", ["a", "b", "c", "d", "e", "f"], range(5)), {}, "is of a, b, c"),
         (_states("/joint_states", JOINTS[:5], range(5)), {}, "--names"),
+        (_states("/joint_states", [f"a{k}" for k in range(7)], range(5)), {}, "every arm here has 6 joints"),
         (_states("/a/joint_states", JOINTS, range(3)) + _states("/b/joint_states", JOINTS, range(3)), {}, "--topic"),
         (_states("/tool", JOINTS, range(3)), {}, "neither joint_states nor motor_states; JointState topics"),
         (_states("/joint_states", JOINTS, range(3)), {"topic": "nothing"}, "no messages in /nothing"),

@@ -22,6 +22,7 @@ from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.panel import element_form
 from rx90_emulator.view.panel.operator import NodeNames
 from rx90_emulator.view.panel.panel import DoPanel
 from rx90_emulator.view.panel.typed_line import LineDesk, LinePreview, TypedLine
@@ -77,7 +78,7 @@ def test_what_is_done_on_the_page_happens(
     _a_slider_moves_its_joint(shown)
     press(shown, "Pause")
     shown.wait_until(lambda: "time stands still" in shown.text(), "the simulation's answer")
-    _an_element_is_changed(shown)
+    _an_element_is_changed(shown, monkeypatch)
     cell.signal(signal.SIGINT)
     press(shown, "Move")
     shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
@@ -167,7 +168,7 @@ def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
     client.close()
 
 
-def _an_element_is_changed(shown: BrowserPage) -> None:
+def _an_element_is_changed(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) -> None:
     press(shown, "Element")
     title = "steady torque [Nm]"
     shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
@@ -184,6 +185,15 @@ def _an_element_is_changed(shown: BrowserPage) -> None:
     for at, coulomb in ((0.5, 20.0), (-0.5, -28.0)):
         assert np.interp(at, velocity, after) == pytest.approx(coulomb + 14.0 * at, abs=0.02)
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
+    may_end, curve = threading.Event(), element_form.stribeck_curve
+    monkeypatch.setattr(element_form, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
+    fill(shown, "tau", "20 27")
+    shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
+    write = shown.page.get_by_role("button", name="Write the file")
+    shown.wait_until(lambda: not write.is_enabled(), "no file of other values")
+    assert "changed by hand" not in shown.text().split("tau_c, Nm")[0]
+    may_end.set()
+    shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 27.0}" in shown.text(), "the other YAML")
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
 
