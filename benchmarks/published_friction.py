@@ -13,12 +13,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.report import merge, print_table
 from rx90_common.base.arrays import Array
-from rx90_common.friction.element import FrictionElement
+from rx90_common.friction import ELEMENT_COUNT
+from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
 from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
 from rx90_common.report.still import write_picture
 
@@ -34,24 +41,47 @@ TEMPERATURES = (30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
 SAME_SPEED = (SPEED_LOAD - SPEED) / SPEED_TEMPERATURE
 """The temperature at which both Stribeck speeds are the same, degrees Celsius."""
 SPEEDS = np.geomspace(0.1, 280.0, 400)
+_LONG = 1e6
+"""s; a bristle's step is exact however long it is."""
 
 
-def published(speed: Array, load: float, temperature: float) -> Array:
+def published(speed: Array, torque: float, temperature: float) -> Array:
     """Return the friction of the paper's model for speeds above 0, rad/s."""
-    of_load = STATIC_LOAD * load * np.exp(-((speed / SPEED_LOAD) ** EXPONENT))
+    of_load = STATIC_LOAD * torque * np.exp(-((speed / SPEED_LOAD) ** EXPONENT))
     stribeck_speed = SPEED + SPEED_TEMPERATURE * temperature
     stribeck = (STATIC + STATIC_TEMPERATURE * temperature) * np.exp(-((speed / stribeck_speed) ** EXPONENT))
     viscous = VISCOUS + VISCOUS_TEMPERATURE * np.exp(-temperature / TEMPERATURE_SCALE)
-    return np.asarray(COULOMB + COULOMB_LOAD * load + of_load + stribeck + viscous * speed)
+    return np.asarray(COULOMB + COULOMB_LOAD * torque + of_load + stribeck + viscous * speed)
 
 
-def element_at(load: float, temperature: float) -> FrictionElement:
-    """Return the element that a load and a temperature come to: one Stribeck speed, for both of its shares."""
-    coulomb = COULOMB + COULOMB_LOAD * load
-    static = coulomb + STATIC_LOAD * load + STATIC + STATIC_TEMPERATURE * temperature
+def element_at(temperature: float) -> FrictionElement:
+    """Return an element of this temperature with the paper's load; one Stribeck speed for both of its shares."""
+    static = COULOMB + STATIC + STATIC_TEMPERATURE * temperature
     viscous = VISCOUS + VISCOUS_TEMPERATURE * float(np.exp(-temperature / TEMPERATURE_SCALE))
     speed = SPEED + SPEED_TEMPERATURE * temperature
-    return FrictionElement(coulomb, coulomb, static, static, speed, EXPONENT, 1.0, 0.0, viscous)
+    part = LoadPart(COULOMB_LOAD, COULOMB_LOAD, STATIC_LOAD, STATIC_LOAD)
+    return FrictionElement(COULOMB, COULOMB, static, static, speed, EXPONENT, 1e3, 0.0, viscous, load=part)
+
+
+def of_element(torque: float, temperature: float) -> Array:
+    """Return the friction of that element in steady motion at SPEEDS under a load, as the plant's kernel has it."""
+    elements = [element_at(temperature)] * ELEMENT_COUNT
+    parts, states = np.zeros(1, parts_dtype(ELEMENT_COUNT)), np.zeros(1, parts_state_dtype(ELEMENT_COUNT))
+    fill_parts(parts[0], elements, np.ones(ELEMENT_COUNT).tolist(), 1.0, 0)
+    friction = np.empty((len(SPEEDS), ELEMENT_COUNT))
+    _steady(element_arrays(elements), parts, states, np.full(ELEMENT_COUNT, torque), SPEEDS, friction)
+    return friction[:, 0]
+
+
+@kernel
+def _steady(elements: Any, parts: Any, states: Any, transmitted: Array, speeds: Array, torque: Array) -> None:
+    """Write the torque of seven elements at each speed after a long time, shape (n, 7)."""
+    reset_parts(parts[0], states[0], load(transmitted, 7))
+    still = 0.0 * load(transmitted, 7)
+    for k in range(len(speeds)):
+        z, _ = parts_step(elements[0], parts[0], states[0], still, still, still + speeds[k], _LONG, 7)
+        _, mean = parts_step(elements[0], parts[0], states[0], z, still, still + speeds[k], _LONG, 7)
+        store(torque[k], mean)
 
 
 def trends() -> dict[str, float]:
@@ -71,20 +101,19 @@ def trends() -> dict[str, float]:
         "published_friction_minimum_cold": minimum[0],
         "published_friction_minimum_hot": minimum[1],
         "published_friction_error_temperature": max(error(0.0, t) for t in TEMPERATURES),
-        "published_friction_error_load": max(error(load, SAME_SPEED) for load in LOADS),
-        "published_friction_error_both": max(error(load, t) for load in LOADS for t in TEMPERATURES),
+        "published_friction_error_load": max(error(each, SAME_SPEED) for each in LOADS),
+        "published_friction_error_both": max(error(each, t) for each in LOADS for t in TEMPERATURES),
     }
 
 
-def error(load: float, temperature: float) -> float:
+def error(torque: float, temperature: float) -> float:
     """Return the largest deviation of the element from the paper over all speeds, as a share of the paper's value."""
-    ours, theirs = element_at(load, temperature).steady_torque(SPEEDS), published(SPEEDS, load, temperature)
-    return float(np.max(np.abs(ours / theirs - 1.0)))
+    return float(np.max(np.abs(of_element(torque, temperature) / published(SPEEDS, torque, temperature) - 1.0)))
 
 
 def plot() -> Plot:
     """Return curves over speed, for loads at 40 degrees and for temperatures without load; published ones are solid."""
-    over_load = list(_curves([(load, 40.0, f"{load:g}") for load in LOADS]))
+    over_load = list(_curves([(each, 40.0, f"{each:g}") for each in LOADS]))
     over_temperature = list(_curves([(0.0, t, f"{t:g}") for t in TEMPERATURES]))
     x, y = "speed of the motor, rad/s", "friction over largest torque"
     return Plot(
@@ -98,9 +127,9 @@ def plot() -> Plot:
 
 
 def _curves(states: list[tuple[float, float, str]]) -> Iterator[Curve]:
-    for k, (load, temperature, label) in enumerate(states):
-        yield Curve(SPEEDS, published(SPEEDS, load, temperature), label, COLOURS[k])
-        yield Curve(SPEEDS, element_at(load, temperature).steady_torque(SPEEDS), "", COLOURS[k], 1.8, "dotted")
+    for k, (torque, temperature, label) in enumerate(states):
+        yield Curve(SPEEDS, published(SPEEDS, torque, temperature), label, COLOURS[k])
+        yield Curve(SPEEDS, of_element(torque, temperature), "", COLOURS[k], 1.8, "dotted")
 
 
 def main() -> None:

@@ -58,6 +58,8 @@ def test_the_table_marks_what_is_assumed_and_names_the_sources(capsys: Captured)
     lines = told(capsys, "puma560:joint_3", "rx90b:joint_3").splitlines()
     assert lines[2].split()[:4] == ["puma560:joint_3", "7.089/5.639", "7.089/5.639*", "0.05*"]
     assert lines[3].split()[:3] == ["rx90b:joint_3", "18*", "23*"]
+    assert lines[2].split()[-1] == "-"
+    assert told(capsys, "erob80_50:m3").splitlines()[2].split()[-1] == "load"
     heads = [k for k, line in enumerate(lines) if line.endswith("friction.yaml)") or line.endswith("puma560.yaml)")]
     assert [lines[k] for k in heads] == ["puma560 (friction/puma560.yaml)", "rx90b (robots/rx90b/friction.yaml)"]
     assert lines[heads[0] + 1].startswith("  tau_c, c2: derived; Corke and Armstrong-Helouvry")
@@ -152,7 +154,7 @@ def test_refusals_name_what_is_accepted(
 
 
 def test_curves_have_a_panel_for_each_name_and_a_colour_for_each_file() -> None:
-    """Elements of one name share a panel, single elements all one; the curves are the elements' own torque."""
+    """Elements of one name share a panel, single ones and those of one file all one; the curves are their torque."""
     from rx90_emulator.configuration.friction_comparison import comparison_plot
     from rx90_emulator.configuration.friction_sets import FrictionChoice
 
@@ -162,6 +164,8 @@ def test_curves_have_a_panel_for_each_name_and_a_colour_for_each_file() -> None:
     every = panels("puma560", "rx90b", "ur10")
     assert [len(panel.marks) for panel in every] == [2] * 6 + [1] * 7
     assert {panel.marks[-1].colour for panel in every[:7]} == {every[0].marks[1].colour}
+    (whole,) = panels("erob80_50")
+    assert [curve.label for curve in whole.marks] == [f"erob80_50:m{k}" for k in range(1, 7)]
     (single,) = panels("puma560:joint_3", "ur10:elbow_joint")
     assert [curve.label for curve in single.marks] == ["puma560:joint_3", "ur10:elbow_joint"]
     curve = single.marks[0]
