@@ -50,17 +50,48 @@ def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: 
         torque: on the joints, Nm, shape (6,); the friction is taken off.
         step: s.
     """
-    inputs = element_inputs(velocity)
+    friction = _advance_elements(plant, state, angle, velocity, step)
+    if state.brakes_closed:
+        friction = friction + _advance_brakes(plant, state, velocity, step)
+    _take_off(torque, friction)
+
+
+@kernel
+def add_element_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+    """Do the same without the brakes, which then act elsewhere."""
+    _take_off(torque, _advance_elements(plant, state, angle, velocity, step))
+
+
+@kernel
+def add_brakes(plant: Any, state: Any, velocity: Array, torque: Array, step: float) -> None:
+    """Advance the bristles of closed brakes, and take their torques off; arguments as above."""
+    if state.brakes_closed:
+        _take_off(torque, _advance_brakes(plant, state, velocity, step))
+
+
+@inlined
+def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> Lanes:
+    """Advance the bristles of the elements; return their torques, Nm."""
     if plant.parts.used:
         _parted_friction(plant, state, angle, velocity, step)
-        friction = load(state.parts.friction, 7)
-    else:
-        z, friction = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), inputs, step)
-        store(state.z, z)
-    if state.brakes_closed:
-        z, brake_torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), inputs, step)
-        store(state.brake_z, z)
-        friction = friction + brake_torque
+        return load(state.parts.friction, 7)
+    z, friction = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), element_inputs(velocity), step)
+    store(state.z, z)
+    return friction
+
+
+@inlined
+def _advance_brakes(plant: Any, state: Any, velocity: Array, step: float) -> Lanes:
+    """Advance the bristles of the brakes; return their torques, Nm."""
+    inputs = element_inputs(velocity)
+    z, torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), inputs, step)
+    store(state.brake_z, z)
+    return torque
+
+
+@inlined
+def _take_off(torque: Array, friction: Lanes) -> None:
+    """Take the torques of the elements off those of the joints."""
     store(torque, load(torque, 6) - first(friction, 6))
     wrist = lane(friction, 6)
     torque[4] -= wrist
@@ -79,14 +110,17 @@ def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step
 
 
 @kernel
-def friction_now(plant: Any, state: Any, torque: Array) -> None:
-    """Write the friction torques of the seven elements at this instant, without the brakes', Nm, shape (7,)."""
-    velocity, z = element_inputs(state.v), load(state.z, 7)
+def friction_now(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array) -> None:
+    """Write the friction torques of the seven elements at this instant, without the brakes', Nm, shape (7,).
+
+    The angles, rad, and the velocities, rad/s, are those of the joints, shape (6,).
+    """
+    inputs, z = element_inputs(velocity), load(state.z, 7)
     if plant.parts.used:
-        angle = element_inputs(state.q)
-        store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angle, velocity, 7))
+        angles = element_inputs(angle)
+        store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angles, inputs, 7))
     else:
-        store(torque, friction_torque(load_elements(plant.friction, 7), z, velocity))
+        store(torque, friction_torque(load_elements(plant.friction, 7), z, inputs))
 
 
 @kernel

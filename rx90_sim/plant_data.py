@@ -10,6 +10,7 @@ import numpy as np
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
@@ -17,6 +18,7 @@ from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
@@ -36,6 +38,7 @@ PLANT_DTYPE = np.dtype(
         ("period", np.float64),
         ("substeps", np.int64),
         ("speed_limit", np.float64, 6),
+        ("transmission", TRANSMISSION_DTYPE),
     ],
     align=True,
 )
@@ -62,6 +65,7 @@ STATE_DTYPE = np.dtype(
         ("q_mid", np.float64, 6),
         ("v_mid", np.float64, 6),
         ("rhs", np.float64, 6),
+        ("transmission", TRANSMISSION_STATE_DTYPE),
         # Of friction elements with parts alone.
         ("parts", parts_state_dtype(ELEMENT_COUNT)),
         ("after_friction", np.float64, 6),  # workspace: drive torque less friction, Nm
@@ -100,6 +104,9 @@ def plant_record(
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     plant["arm"] = manipulator_record(robot.chain, drives)[0]
+    _fill_transmission(plant["transmission"], drives)
+    if plant["transmission"]["flexible"]:
+        plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
     _fill_brakes(plant["brake"], drives)
@@ -114,6 +121,17 @@ def plant_record(
     plant["period"], plant["substeps"] = rates.period, substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
     return record
+
+
+def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
+    elasticity = drives.elasticity
+    elastic = elasticity.elastic
+    transmission["flexible"], transmission["elastic"] = elastic.any(), elastic
+    transmission["link_friction"] = elasticity.friction_side == LINK
+    transmission["rotor"] = drives.rotor_inertia
+    transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
+    transmission["damping"] = elasticity.damping
+    transmission["half_play"] = 0.5 * elasticity.backlash
 
 
 def _fill_parts(

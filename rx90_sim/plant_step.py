@@ -20,6 +20,8 @@ from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_sim.drives import encoder_reading, observe
+from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
+from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import (
     add_friction,
     advance_loads,
@@ -34,17 +36,28 @@ from rx90_sim.joint_friction import (
 
 @kernel
 def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -> None:
-    """Put the arm at rest at `position`, rad, shape (6,), brakes closed, in static equilibrium."""
+    """Put the arm at rest, brakes closed, in static equilibrium, with the motors where `position` has the joints.
+
+    Args:
+        plants: constants, shape (1,), PLANT_DTYPE.
+        states: state, shape (1,), STATE_DTYPE, overwritten.
+        position: rad, shape (6,). Links that hang in elastic gears are a little off it.
+    """
     plant, state = plants[0], states[0]
     for i in range(6):
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
     state.brakes_closed = 1
+    if plant.transmission.flexible:
+        hang_links(plant, state)
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
     reset_friction(plant, state)
     to_motor(plant.gear, state.q, state.observer)
+    if plant.transmission.flexible:
+        elastic_reset(plant, state)
+        add_twists(plant, state, state.observer)
     store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
         state.motor_velocity[i] = 0.0
@@ -66,8 +79,12 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     plant, state = plants[0], states[0]
     _actuate(plant, state, command, powered)
     step = plant.period / plant.substeps
+    flexible = plant.transmission.flexible
     for _ in range(plant.substeps):
-        _substep(plant, state, step)
+        if flexible:
+            elastic_substep(plant, state, step)
+        else:
+            _substep(plant, state, step)
     if plant.parts.used:
         advance_walks(plant, state)
     for i in range(6):
@@ -83,6 +100,8 @@ def sample_drives(plants: Record, states: Record) -> None:
     """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
     plant, state = plants[0], states[0]
     to_motor(plant.gear, state.q, state.motor_position)
+    if plant.transmission.flexible:
+        add_twists(plant, state, state.motor_position)
     angle = load(state.motor_position, 6)
     position, velocity = observe(
         angle,
@@ -116,8 +135,11 @@ def _worst_joint(plant: Any, state: Any) -> int:
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
-    store(velocity, element_inputs(state.v))
-    friction_now(plant, state, torque)
+    angle, speed = state.q, state.v
+    if plant.transmission.flexible and not plant.transmission.link_friction:
+        angle, speed = on_motor_side(state)
+    store(velocity, element_inputs(speed))
+    friction_now(plant, state, angle, speed, torque)
 
 
 @kernel
@@ -136,6 +158,8 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
         state.motor_torque[i] = torque
         state.rhs[i] = -state.drive_torque[i]
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
+    if plant.transmission.flexible:
+        return
     for i in range(6):
         state.rhs[i] += state.drive_torque[i]
     solve(state.factor, state.rhs)
@@ -157,7 +181,7 @@ def _substep(plant: Any, state: Any, step: float) -> None:
     if plant.parts.used:
         for i in range(6):
             state.after_friction[i] = state.rhs[i]
-    _add_stops(plant, state)
+    add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
     for i in range(6):
         state.rhs[i] -= state.bias[i]
@@ -170,15 +194,3 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.acceleration[i] = acceleration
     if plant.parts.used:
         advance_loads(plant, state, state.after_friction, state.acceleration, step)
-
-
-@kernel
-def _add_stops(plant: Any, state: Any) -> None:
-    """Add the mechanical end stops: a spring and damper beyond the limits that only push back."""
-    for i in range(6):
-        q, push = state.q_mid[i], 0.0
-        if q > plant.upper[i]:
-            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        elif q < plant.lower[i]:
-            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        state.rhs[i] += push

@@ -36,6 +36,14 @@ def to_joint_torque(gear: NDArray[np.float64], motor: NDArray[np.float64], joint
     joint[4] += joint[5]
 
 
+@kernel
+def to_motor_torque(gear: NDArray[np.float64], joint: NDArray[np.float64], motor: NDArray[np.float64]) -> None:
+    """Write the motor torques that make joint torques, all shape (6,), Nm."""
+    for i in range(6):
+        motor[i] = joint[i] / gear[i]
+    motor[4] = (joint[4] - joint[5]) / gear[4]
+
+
 def coupling_matrix() -> NDArray[np.float64]:
     """Return motor turns for joint turns without the gears, shape (6, 6)."""
     coupling = np.eye(6)

@@ -11,8 +11,10 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor
+from rx90_common.friction import ELEMENT_COUNT
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
+from rx90_controller.law.model_torque import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
 from rx90_controller.law.supervision import beyond_limits
 
@@ -29,6 +31,7 @@ LAW_STATE_DTYPE = np.dtype(
         ("command", np.float64, 6),  # torque constant times current
         ("limited", np.float64, 6),  # sign of the amplifier's saturation in the last tick, 0 if none
         ("saturated", np.float64, 6),  # ticks in saturation
+        ("model", MODEL_STATE_DTYPE),
     ],
     align=True,
 )
@@ -36,7 +39,7 @@ LAW_STATE_DTYPE = np.dtype(
 
 @kernel
 def law_reset(states: Record) -> None:
-    """Set integrators, currents and errors to zero."""
+    """Set integrators, currents, errors and the model's bristles to zero."""
     state = states[0]
     for i in range(6):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
@@ -45,11 +48,14 @@ def law_reset(states: Record) -> None:
         state.limited[i] = state.saturated[i] = 0
         for k in range(3):
             state.reference[k, i] = 0.0
+    state.model.parts = FRESH
+    for i in range(ELEMENT_COUNT):
+        state.model.z[i] = 0.0
 
 
 @kernel
 def position_loop(laws: Record, states: Record, setpoint: Array, position: Array, velocity: Array) -> bool:
-    """Run PI, FF and the supervision for one position tick.
+    """Run PI, FF, with what a model of arm and friction adds to it, and the supervision for one position tick.
 
     Args:
         laws: constants, shape (1,), CONTROLLER_DTYPE.
@@ -63,6 +69,9 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
         Whether the following error or the speed of a joint is beyond its limit: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
+    other_parts = law.model.parts != state.model.parts
+    if other_parts:
+        begin_parts(state)
     for k in range(3):
         to_motor(law.gear, setpoint[k], state.reference[k])
     loop = position_servo(
@@ -80,6 +89,10 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
     store(state.integrator, loop.integrator)
     store(state.position_torque, loop.position_torque)
     store(state.feed_forward, loop.feed_forward)
+    if law.model.parts != 0:
+        add_model_torque(law, state, setpoint)
+    if other_parts:
+        hand_over(law, state)
     return beyond_limits(law, loop.error, measured)
 
 

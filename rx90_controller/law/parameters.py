@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,12 +15,15 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Number, Numbers, Switch
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.base.quoting import plain
 from rx90_common.base.rates import Rates
 from rx90_common.base.section import Section
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction.parameters import ALPHA_BOUNDS
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of, powers
+from rx90_controller.law.model import MODEL, ModelFiles
+from rx90_controller.law.model_torque import FRICTION, INVERSE_DYNAMICS, MODEL_DTYPE
 from rx90_controller.trajectory import JointLimits
 
 CONTROLLER_DTYPE = np.dtype(
@@ -42,10 +45,13 @@ CONTROLLER_DTYPE = np.dtype(
         ("following_error", np.float64, 6),  # supervised, motor side, rad
         ("over_speed", np.float64, 6),  # supervised, motor side, rad/s
         ("viscous_exponent", np.float64, 6),
+        ("model", MODEL_DTYPE),  # feed-forward by a model of arm and friction
     ],
     align=True,
 )
 
+MODEL_PARTS: Final = {"inverse_dynamics": INVERSE_DYNAMICS, "friction_model": FRICTION}
+"""Switches of the feed-forward by a model of arm and friction, and their bits in `parts` of MODEL_DTYPE."""
 
 _six = partial(Numbers, count=6, low=0.0)
 _positive = partial(Number, low=0.0, above=True)
@@ -71,6 +77,13 @@ CONTROLLER = Group(
                 "acceleration": Switch("Inertia times acceleration of the set-point."),
                 "coulomb": Switch("Coulomb friction compensation."),
                 "viscous": Switch("Viscous friction compensation."),
+                "inverse_dynamics": Switch(
+                    "Inverse dynamics of the model, weight included, in place of inertia times acceleration.",
+                    default=False,
+                ),
+                "friction_model": Switch(
+                    "Friction of the model, in place of Coulomb and viscous friction compensation.", default=False
+                ),
                 "coulomb_torque": _six("Coulomb friction to compensate.", "Nm"),
                 "coulomb_velocity": _positive(
                     "Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s"
@@ -82,6 +95,7 @@ CONTROLLER = Group(
                 ),
             },
         ),
+        "model": MODEL,
         "current_loop": Group(
             "Amplifiers.",
             keys={
@@ -121,12 +135,21 @@ class FeedForward:
         acceleration: nominal inertia times acceleration set-point.
         coulomb: Coulomb friction compensation by the sign of the velocity set-point.
         viscous: viscous friction compensation.
+        inverse_dynamics: those of the controller's model, weight included, in place of `acceleration`.
+        friction_model: the friction of the controller's model, in place of `coulomb` and `viscous`.
     """
 
     velocity: bool = True
     acceleration: bool = True
     coulomb: bool = True
     viscous: bool = True
+    inverse_dynamics: bool = False
+    friction_model: bool = False
+
+    @property
+    def model_parts(self) -> int:
+        """Return which of MODEL_PARTS are on, as `parts` of MODEL_DTYPE."""
+        return sum(bit * getattr(self, name) for name, bit in MODEL_PARTS.items())
 
     @classmethod
     def off(cls) -> FeedForward:
@@ -158,6 +181,7 @@ class CS7BParameters:
         start_tolerance: how far a trajectory may start from the held set-point, rad.
         max_acceleration: the most that a set-point may ask of each joint, rad/s^2.
         viscous_exponent: of the viscous friction to compensate, 1.
+        model: the controller's own, for the parts of the feed-forward that need one.
     """
 
     inertia: Array
@@ -176,9 +200,10 @@ class CS7BParameters:
     start_tolerance: float
     max_acceleration: Array
     viscous_exponent: Array = field(default_factory=lambda: np.ones(6))
+    model: ModelFiles | None = None
 
     def __post_init__(self) -> None:
-        for name in (each.name for each in fields(self) if each.name != "feed_forward"):
+        for name in (each.name for each in fields(self) if each.name not in ("feed_forward", "model")):
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if not np.all(np.isfinite(value)) or np.any(value < 0):
                 raise ConfigError(f"{name} is {value.tolist()}; accepted: finite numbers >= 0")
@@ -197,6 +222,9 @@ class CS7BParameters:
         if np.any(self.viscous_exponent < least) or np.any(self.viscous_exponent > most):
             accepted = f"numbers in [{least:g}, {most:g}]"
             raise ConfigError(f"viscous_exponent is {self.viscous_exponent.tolist()}; accepted: {accepted}")
+        for name in MODEL_PARTS:
+            if getattr(self.feed_forward, name) and self.model is None:
+                raise ConfigError(f"{name} is true without a model; accepted: with one, or false")
 
     def limits(self, robot: RobotModel) -> JointLimits:
         """Return the limits that the set-points of an arm must keep."""
@@ -222,11 +250,12 @@ class CS7BParameters:
         law["integral"] = self.inertia * self.ki / gear_squared * rates.position_period
         law["integrator_limit"] = self.integrator_limit / gear
         law["velocity_weight"] = float(switch.velocity)
-        law["inertia"] = self.inertia / gear_squared * switch.acceleration
-        law["coulomb"] = self.coulomb / gear * switch.coulomb
+        law["inertia"] = self.inertia / gear_squared * (switch.acceleration and not switch.inverse_dynamics)
+        law["coulomb"] = self.coulomb / gear * (switch.coulomb and not switch.friction_model)
         law["coulomb_velocity"] = self.coulomb_velocity * gear
         # A torque tau_v |v|^a of the joint, at the motor: 1/n of it, at a velocity n times as fast.
-        law["viscous"] = self.viscous / powers(np.abs(gear), 1.0 + self.viscous_exponent) * switch.viscous
+        viscous = switch.viscous and not switch.friction_model
+        law["viscous"] = self.viscous / powers(np.abs(gear), 1.0 + self.viscous_exponent) * viscous
         law["viscous_exponent"] = self.viscous_exponent
         law["torque_constant"] = drives.torque_constant
         law["peak_current"] = drives.peak_current
@@ -234,7 +263,19 @@ class CS7BParameters:
         law["current_gain"] = -exponential_less_one_of(-2.0 * math.pi * self.current_bandwidth * rates.period)
         law["following_error"] = self.following_error * gear
         law["over_speed"] = self.over_speed * robot.max_velocity * gear
+        if switch.model_parts:
+            self._fill_model(law, rates)
         return record
+
+    def _fill_model(self, law: Any, rates: Rates) -> None:
+        assert self.model is not None
+        model = law["model"]
+        model["parts"] = self.feed_forward.model_parts
+        model["arm"], model["friction"] = (constants[0] for constants in self.model.constants)
+        model["period"] = rates.position_period
+        # The current follows by (1 - gain) of what is missing, tick by tick: in the mean so many ticks later.
+        late = rates.period * (1.0 - law["current_gain"]) / law["current_gain"]
+        model["lead"] = 0.5 * rates.position_period + late
 
 
 def load_controller(path: Path) -> CS7BParameters:
@@ -246,8 +287,12 @@ def load_controller(path: Path) -> CS7BParameters:
     return read_controller(load_yaml(path))
 
 
-def read_controller(root: Section) -> CS7BParameters:
+def read_controller(root: Section, model: ModelFiles | None = None) -> CS7BParameters:
     """Check and return what a controller file holds.
+
+    Args:
+        root: the file's content.
+        model: instead of what the file says of one.
 
     Raises:
         ConfigError: naming file, key, value and accepted range.
@@ -258,6 +303,12 @@ def read_controller(root: Section) -> CS7BParameters:
         return np.array(content[block][key])
 
     forward = content["feed_forward"]
+    model = model or ModelFiles.of(root)
+    if "model" in root or any(forward[name] for name in MODEL_PARTS):
+        try:
+            _ = model.constants  # read once
+        except ConfigError as error:
+            raise ConfigError(f"{plain(root.file)}: {error}") from error
     return CS7BParameters(
         inertia=six("servo", "inertia"),
         kp=six("servo", "kp"),
@@ -275,4 +326,5 @@ def read_controller(root: Section) -> CS7BParameters:
         start_tolerance=content["trajectory"]["start_tolerance"],
         max_acceleration=six("trajectory", "max_acceleration"),
         viscous_exponent=six("feed_forward", "viscous_exponent"),
+        model=model,
     )

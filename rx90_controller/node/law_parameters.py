@@ -62,7 +62,7 @@ class LawParameters:
     def __init__(self, node: ManagedNode, path: Path, record: Callable[[CS7BParameters], Any]) -> None:
         self._node, self._record = node, record
         root = load_yaml(path)
-        read_controller(root)
+        self._model = read_controller(root).model  # whose files are read once
         self._content = CONTROLLER.read(root)
         given = {name: declare(node, name, self._of_file(name), _about(shape)) for name, shape in LAW_ENTRIES.items()}
         self.parameters = self._read(given)
@@ -84,4 +84,4 @@ class LawParameters:
         for name, value in values.items():
             section, _, key = name.partition(".")
             content[section][key] = value if isinstance(value, bool | float) else list(value)
-        return read_controller(Section(content, Path("parameter")))
+        return read_controller(Section(content, Path("parameter")), self._model)

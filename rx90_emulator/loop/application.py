@@ -15,7 +15,7 @@ from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
-from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.catalogue import Catalogue, Key, Leaf, Value
@@ -75,7 +75,7 @@ def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
-        new["drives"] = _replaced("drives", setup.drives, sections["drives"])
+        new["drives"] = _with_blocks("drives", setup.drives, sections["drives"])
     if "controller" in sections:
         new["controller"] = _controller(setup, sections["controller"])
     links = dict(sections.get("arm", {}))
@@ -114,22 +114,22 @@ def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
     for (name, *field), entries in changes.items():
         by_element[name][tuple(field)] = entries
     elements = tuple(
-        _element(f"friction.{name}", element, by_element[name]) if name in by_element else element
+        _with_blocks(f"friction.{name}", element, by_element[name]) if name in by_element else element
         for name, element in zip(friction.names, friction.elements, strict=True)
     )
     return replace(friction, elements=elements)
 
 
-def _element(where: str, element: FrictionElement, changes: Changes) -> FrictionElement:
-    """Return an element with changed values, and with parts of which values are changed."""
+def _with_blocks(where: str, holder: Any, changes: Changes) -> Any:
+    """Return a dataclass with changed values of its own, and of the blocks in it: parts of an element, of drives."""
     own: Changes = {key: entries for key, entries in changes.items() if len(key) == 1}
-    parts: dict[str, Changes] = defaultdict(dict)
+    blocks: dict[str, Changes] = defaultdict(dict)
     for (name, *field), entries in changes.items():
         if field:
-            parts[name][tuple(field)] = entries
-    new = {name: _replaced(where, getattr(element, name), part) for name, part in parts.items()}
+            blocks[name][tuple(field)] = entries
+    new = {name: _replaced(where, getattr(holder, name), block) for name, block in blocks.items()}
     try:
-        return replace(element, **_fields(element, own), **new)
+        return replace(holder, **_fields(holder, own), **new)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
 

@@ -15,7 +15,7 @@ from rx90_controller.law.parameters import CONTROLLER_DTYPE
 FEW, MANY = 4, 16
 """Runs that go through the formulas together: one vector of the processor, or several to hide latency."""
 
-_SERVO_NAMES = tuple(name for name in CONTROLLER_DTYPE.names or () if name != "gear")
+_SERVO_NAMES = tuple(name for name in CONTROLLER_DTYPE.names or () if name not in ("gear", "model"))
 _STATE_ROWS = {
     "q": 6,  # deviation of the joints, rad
     "v": 6,

@@ -14,7 +14,7 @@ from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
@@ -106,8 +106,8 @@ class PerturbationModel:
             controllers: one for each run, or None for the setup's own in all of them.
 
         Raises:
-            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, or an element has a
-                part.
+            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, an element has a part,
+                or a controller feeds forward by a model.
         """
         runs = len(frictions)
         if runs == 0:
@@ -134,6 +134,10 @@ class PerturbationModel:
 
     def _laws(self, controllers: Sequence[CS7BParameters] | None, runs: int) -> list[Record]:
         robot, drives, rates = self.setup.robot, self.setup.drives, self.setup.rates
+        for controller in controllers or [self.setup.controller]:
+            for name in MODEL_PARTS:
+                if getattr(controller.feed_forward, name):
+                    raise ConfigError(f"feed_forward.{name} is true; accepted: false, by the perturbation method")
         if controllers is None:
             return [self.setup.controller.record(robot, drives, rates)] * runs
         return [controller.record(robot, drives, rates) for controller in controllers]
@@ -159,13 +163,16 @@ def prepare(
 
     Raises:
         ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
-            not six numbers within the joint limits.
+            not six numbers within the joint limits, or a drive is elastic.
         TrajectoryError: if the trajectory is refused.
     """
     rates = setup.rates
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
+    for i in np.flatnonzero(setup.drives.elasticity.elastic):
+        found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
+        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]

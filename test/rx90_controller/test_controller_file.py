@@ -136,7 +136,9 @@ def test_a_key_that_stands_twice_is_refused(shipped_files: RobotFiles, tmp_path:
         load_controller(path)
 
 
-@pytest.mark.parametrize("name", [f.name for f in dataclasses.fields(CS7BParameters) if f.name != "feed_forward"])
+@pytest.mark.parametrize(
+    "name", [f.name for f in dataclasses.fields(CS7BParameters) if f.name not in {"feed_forward", "model"}]
+)
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
 def test_parameters_built_in_python_are_checked(shipped: Setup, name: str, bad: float) -> None:
     """CS7BParameters refuses negative and undefined values by name when no file is involved."""
@@ -151,3 +153,54 @@ def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles)
     for block in ("servo", "feed_forward", "current_loop", "supervision", "trajectory"):
         assert data[block]["provenance"] == "assumed"
     assert np.all(load_controller(shipped_files.controller).inertia > 0)
+
+
+MODEL_SWITCHES = ("inverse_dynamics", "friction_model")
+
+
+@pytest.mark.parametrize("switch", MODEL_SWITCHES)
+def test_what_needs_a_model_takes_the_files_beside(shipped_files: RobotFiles, edited_yaml: Edit, switch: str) -> None:
+    """The parts by a model are off unless switched on; then the files beside are read, and a missing one is refused."""
+    assert not getattr(load_controller(shipped_files.controller).feed_forward, switch)
+    place = ("feed_forward", switch)
+    said = refusal(edited_yaml(shipped_files.controller, place, "on"))
+    assert f"{'.'.join(place)} is 'on'; accepted: true or false" in said
+    path = edited_yaml(shipped_files.controller, place, True)
+    assert "needs" in (said := refusal(path))
+    assert f"{path.parent}/robot.urdf, which is not there; accepted: robot.urdf beside" in said
+    for role in ("urdf", "drives", "friction"):
+        source = getattr(shipped_files, role)
+        (path.parent / source.name).write_bytes(source.read_bytes())
+    law = load_controller(path)
+    assert getattr(law.feed_forward, switch)
+    assert law.model is not None
+    assert (law.model.friction, law.model.tool) == (path.parent / "friction.yaml", None)
+
+
+def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path) -> None:
+    """A named file is beside the controller file or below config/; what is wrong in it is refused in any case."""
+    shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
+    other = tmp_path / "other.yaml"
+    other.write_bytes(shipped_files.friction.read_bytes())
+    named = edited_yaml(shipped_files.controller, ("model",), {**shared, "tool": "none", "friction": "other.yaml"})
+    model = load_controller(named).model
+    assert model is not None
+    assert (model.tool, model.friction, model.drives) == (None, other, shipped_files.drives)
+    for role, name, accepted in (
+        ("friction", "nowhere.yaml", "is 'nowhere.yaml'; accepted: a friction file: beside this file"),
+        ("drives", 3, "is 3; accepted: a text"),
+        ("gears", "x", "is not a known key; accepted: drives, friction, tool, urdf"),
+    ):
+        said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
+        assert f"model.{role} {accepted}" in said
+    other.write_text(other.read_text().replace("tau_c: 25.0", "tau_c: -25.0"))
+    said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
+    assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said
+
+
+@pytest.mark.parametrize("switch", MODEL_SWITCHES)
+def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None:
+    """Parameters built in Python without a model refuse the parts that need one."""
+    on = dataclasses.replace(shipped.controller.feed_forward, **{switch: True})
+    with pytest.raises(ConfigError, match=f"{switch} is true without a model; accepted: with one"):
+        dataclasses.replace(shipped.controller, feed_forward=on, model=None)

@@ -58,12 +58,14 @@ def run_both_ways(
     composed: bool = False,
     burners: int = 0,
     rests: int = 0,
+    switches: Sequence[str] = (),
 ) -> BagComparison:
     """Run the line of a shipped robot's setup both ways and compare all that was recorded, bit by bit.
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
     process. So many `burners` take the processors while the simulation runs, which is deactivated and activated so many
-    times in between: `rests`. Then it is paced, and the pace is changed each time.
+    times in between: `rests`. Then it is paced, and the pace is changed each time. `switches` of the feed-forward are
+    on, in the setup too.
     """
     files = setup.files
     assert files is not None
@@ -80,6 +82,7 @@ def run_both_ways(
         "friction": files.text("friction"), "seed": setup.seed,
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
+    of_controller |= {f"feed_forward.{name}": True for name in switches}
     sections = {"rx90_sim": of_simulation, "rx90_controller": of_controller}
     parameters.write_text(
         yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"

@@ -8,6 +8,7 @@ import pytest
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import Elasticity
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.table import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -19,8 +20,9 @@ from rx90_emulator.loop.catalogue import Catalogue, Leaf
     ("prefix", "kind", "without"),
     [
         ("friction.joint_5_6", FrictionElement, set(PARTS)),
-        ("drives", DriveParameters, set()),
-        ("controller", CS7BParameters, {"feed_forward"}),
+        ("drives", DriveParameters, {"elasticity"}),
+        ("drives.elasticity", Elasticity, {"friction_side"}),
+        ("controller", CS7BParameters, {"feed_forward", "model"}),
         ("controller.feed_forward", FeedForward, set()),
         ("task", LineTask, {"branch"}),
     ],

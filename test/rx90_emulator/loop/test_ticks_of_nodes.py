@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_model import by_model
 
 from rx90_common.base.arrays import Array
 from rx90_controller.law import cs7b
@@ -23,7 +24,9 @@ _WARM = """
 import gc
 import numpy as np
 from numba.core.dispatcher import Dispatcher
+from rx90_controller.law.parameters import MODEL_PARTS
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.setup import Setup
 
 def compiled():
@@ -36,7 +39,8 @@ def compiled():
             pass
     return found
 
-setup = Setup.load()
+by_model = {f"controller.feed_forward.{name}": True for name in MODEL_PARTS}
+setup = with_parameters(Setup.load(), by_model)
 plant, controller = setup.plant(), setup.cs7b()
 plant.warm_up()
 controller.warm_up()
@@ -89,7 +93,8 @@ REQUESTS: dict[str, Callable[[cs7b.CS7B, Array, int], object]] = {
 @given(st.data())
 def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> None:
     """Whatever comes between two ticks, commands and set-points are those of a controller that samples each tick."""
-    several, single = shipped.cs7b(), shipped.cs7b()
+    setup = data.draw(st.sampled_from([shipped, by_model(shipped)]))
+    several, single = setup.cs7b(), setup.cs7b()
     both = (several, single)
     home = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
     motor = home * shipped.drives.gear

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from rx90_common.bags.changes import read_values
-from rx90_controller.law.parameters import CS7BParameters
+from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_emulator.loop.setup import Setup
 
 SIMULATION, CONTROLLER = NODES = ("rx90_sim", "rx90_controller")
@@ -176,19 +176,25 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
     assert "servo.ki[0] is -1.0" in reason
 
     # Changed, one by one and together, from one position tick on.
+    switched = {
+        f"feed_forward__{part}": part != "coulomb" for part in ("coulomb", "inverse_dynamics", "friction_model")
+    }
     assert client.set_parameters(SIMULATION, step_ticks=CHANGED_AT) == [""]
     client.simulation.step()
     assert client.set_parameters(SIMULATION, step_ticks=TICKS - CHANGED_AT) == [""]
     assert client.set_parameters(CONTROLLER, servo__kp=[1.0], servo__inertia=inertia) == [ANY, ""]
-    assert client.set_parameters(CONTROLLER, atomically=True, servo__kp=[80] * 6, feed_forward__coulomb=False) == [""]
+    assert client.set_parameters(CONTROLLER, atomically=True, servo__kp=[80] * 6, **switched) == [""]
     client.simulation.step()
     client.spin_until(lambda: len(events) == 3, "two changes")
     effect = -(-CHANGED_AT // 4) * 4
     assert [message.stamp.nanosec for message in events[1:]] == [effect * 250_000] * 2
-    assert [p.name for p in events[2].changed_parameters] == ["servo.kp", "feed_forward.coulomb"]
+    assert [p.name for p in events[2].changed_parameters] == [
+        "servo.kp",
+        *(name.replace("__", ".") for name in switched),
+    ]
     client.spin_until(lambda: len(commands) == TICKS, "all commands")
     before = dataclasses.replace(shipped.controller, viscous=np.array(viscous))
-    forward = dataclasses.replace(before.feed_forward, coulomb=False)
+    forward = FeedForward(coulomb=False, inverse_dynamics=True, friction_model=True)
     after = dataclasses.replace(before, kp=np.array(kp), inertia=np.array(inertia), feed_forward=forward)
     assert [list(m.effort) for m in commands] == commands_of_two_laws(shipped, before, after, effect)
     recorder.signal(signal.SIGINT)

@@ -1,0 +1,213 @@
+"""Feed-forward by the controller's own model: inverse dynamics against Pinocchio, friction against the plant's."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lugre_oracle import LuGreOracle
+from numpy.typing import NDArray
+from own_model import by_model, with_friction
+from scipy.integrate import solve_ivp
+
+from rx90_common.description.rigid_torque import rigid_torque
+from rx90_common.description.robot import load_robot
+from rx90_common.description.wrist import coupling_matrix, element_matrix
+from rx90_common.friction.tracing import prescribed_torque
+from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
+from rx90_emulator.loop.closed_loop import run_ticks
+from rx90_emulator.loop.result import empty_series
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+INPUTS = element_matrix()
+
+
+def lead(setup: Setup) -> float:
+    """Return how much later than its set-point a torque acts in the mean, s: held, and behind the current loop."""
+    rates = setup.rates
+    gain = 1.0 - math.exp(-2.0 * math.pi * setup.controller.current_bandwidth * rates.period)
+    shares = gain * (1.0 - gain) ** np.arange(200)  # of the answer to a pulse
+    return 0.5 * rates.position_period + rates.period * float(np.arange(200) @ shares)
+
+
+def fed_forward(setup: Setup, setpoints: Array) -> Array:
+    """Return what a controller that begins at rest feeds forward at the joints, Nm, shape (n, 6)."""
+    law, state = setup.controller.record(setup.robot, setup.drives, setup.rates), np.zeros(1, LAW_STATE_DTYPE)
+    law_reset(state)
+    torque = np.empty((len(setpoints), 6))
+    for k, setpoint in enumerate(setpoints):
+        position_loop(law, state, setpoint, np.zeros(6), np.zeros(6))
+        torque[k] = coupling_matrix().T @ (setup.drives.gear * state["feed_forward"][0])
+    return torque
+
+
+def moving(setup: Setup, velocity: Array) -> Array:
+    """Return set-points of these velocities, rad/s, shape (n, 6), that do not accelerate in their ticks."""
+    setpoints = np.zeros((len(velocity), 3, 6))
+    setpoints[:, 1] = velocity
+    setpoints[:, 0] = np.cumsum(velocity, axis=0) * setup.rates.position_period
+    return setpoints
+
+
+@pytest.mark.parametrize("robot", ["shipped", "tx40"])
+def test_the_inverse_dynamics_are_those_of_the_model(request: pytest.FixtureRequest, robot: str) -> None:
+    """At 50 set-points: Pinocchio's torque with tool, rotors, coupling and spring, where the set-point will be."""
+    setup: Setup = request.getfixturevalue(robot)
+    rng, late = np.random.default_rng(13), lead(setup)
+    low, high = setup.robot.lower, setup.robot.upper
+    q, v = rng.uniform(low, high, (50, 6)), rng.uniform(-1.0, 1.0, (50, 6)) * setup.robot.max_velocity
+    a = rng.uniform(-20.0, 20.0, (50, 6))
+    got = fed_forward(by_model(setup, friction_model=False), np.stack([q, v, a], axis=1))
+    own = setup.controller
+    without = dataclasses.replace(own.feed_forward, acceleration=False)
+    friction = fed_forward(
+        dataclasses.replace(setup, controller=dataclasses.replace(own, feed_forward=without)),
+        np.stack([q, v, a], axis=1),
+    )
+    drives, model = setup.drives, setup.robot.model
+    at = (q + late * (v + 0.5 * late * a), v + late * a, a)
+    want = rigid_torque(model, drives.rotor_matrix, drives.spring_torque, *at)
+    assert np.abs(got - friction - want).max() < 1e-12 * np.abs(want).max()
+
+
+def test_a_controller_has_a_tool_of_its_own(shipped: Setup) -> None:
+    """With a model without the tool, it is Pinocchio's torque without the tool."""
+    model = shipped.controller.model
+    assert model is not None
+    bare = dataclasses.replace(shipped.controller, model=dataclasses.replace(model, tool=None))
+    setup = by_model(dataclasses.replace(shipped, controller=bare), friction_model=False)
+    pose = np.array([[0.1, 0.5, 1.2, 0.2, 0.9, 0.3]])
+    got = fed_forward(setup, np.stack([pose, 0.0 * pose, 0.0 * pose], axis=1))
+    rest, drives = 0.0 * pose, shipped.drives
+    want = rigid_torque(load_robot(model.urdf).model, drives.rotor_matrix, drives.spring_torque, pose, rest, rest)
+    assert got == pytest.approx(want, abs=1e-10)
+
+
+def test_steady_sliding_is_compensated_by_the_stribeck_curve(shipped: Setup) -> None:
+    """After 2 s at constant velocities: equation 19 and the viscous part of all seven elements, on their joints."""
+    rng = np.random.default_rng(5)
+    setup = by_model(shipped, inverse_dynamics=False)
+    for speed in np.geomspace(0.04, 2.0, 6):
+        velocity = speed * rng.uniform(0.5, 1.0, 6) * rng.choice([-1.0, 1.0], 6)
+        got = fed_forward(setup, moving(shipped, np.tile(velocity, (2000, 1))))[-1]
+        steady = [
+            float(element.steady_torque(v))
+            for element, v in zip(shipped.friction.elements, INPUTS @ velocity, strict=True)
+        ]
+        assert got == pytest.approx(INPUTS.T @ np.array(steady), abs=1e-5)
+
+
+def test_the_bristles_of_the_model_are_the_plant_s(shipped: Setup) -> None:
+    """Through reversals: the torque of the plant's own law at the same velocities, held for the same periods."""
+    ticks = np.arange(600)
+    velocity = 0.05 * np.sin(2.0 * math.pi * ticks[:, None] / (100.0 + 40.0 * np.arange(6)))
+    got = fed_forward(by_model(shipped, inverse_dynamics=False), moving(shipped, velocity))
+    steps = np.full(len(ticks), shipped.rates.position_period)
+    want = prescribed_torque(shipped.friction.elements, velocity @ INPUTS.T, steps) @ INPUTS
+    assert np.abs(got - want).max() < 1e-9
+
+
+def test_the_friction_that_is_fed_forward_is_the_one_met_half_a_period_later(shipped: Setup) -> None:
+    """Along a reversing motion it is the mean of a SciPy solution over the period in which it acts, to 0.2 Nm of 58."""
+    rates, late = shipped.rates, lead(shipped)
+    period, turn = rates.position_period, 2.0 * math.pi / 0.3
+    times = np.arange(0.0, 0.45, period)
+    amplitude = 0.08 * np.ones(6)
+    setpoints = np.stack(
+        [
+            -amplitude / turn * np.cos(turn * times)[:, None],
+            amplitude * np.sin(turn * times)[:, None],
+            amplitude * turn * np.cos(turn * times)[:, None],
+        ],
+        axis=1,
+    )
+    setup = by_model(shipped, inverse_dynamics=False)
+    plain = dataclasses.replace(setup.controller.feed_forward, acceleration=False)
+    setup = dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=plain))
+    got = fed_forward(setup, setpoints)
+    oracle = LuGreOracle(shipped.friction.elements)
+
+    def velocity(t: float) -> Array:
+        return np.asarray(INPUTS @ amplitude * math.sin(turn * t))
+
+    begin = late - 0.5 * period
+    solved = solve_ivp(
+        lambda t, z: oracle.rates(z, velocity(t))[0],
+        (begin, times[-1] + late + period),
+        np.zeros(7),
+        "Radau",
+        dense_output=True,
+        rtol=1e-6,
+        atol=1e-11,
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    for k in range(0, len(times), 7):
+        middle = times[k] + late
+        met = [oracle.rates(solved.sol(t), velocity(t))[1] for t in middle + 0.5 * period * nodes]
+        assert np.abs(got[k] - INPUTS.T @ (0.5 * weights @ np.array(met))).max() < 0.2
+
+
+def test_at_rest_nothing_of_it_moves(shipped: Setup) -> None:
+    """Once the set-points rest, what is fed forward keeps its bits: the bristles stay deflected, as the plant's do."""
+    velocity = np.zeros((500, 6))
+    velocity[:100] = 0.02
+    torque = fed_forward(by_model(shipped), moving(shipped, velocity))
+    # The weight is that of the pose, which no longer changes.
+    setpoints = moving(shipped, velocity)
+    assert np.array_equal(setpoints[100:, 0], np.tile(setpoints[100, 0], (400, 1)))
+    assert np.array_equal(torque[100:], np.tile(torque[100], (400, 1)))
+    friction = fed_forward(by_model(shipped, inverse_dynamics=False), setpoints)[-1]
+    assert np.all(friction[:4] > 0.9 * np.array([e.tau_c_positive for e in shipped.friction.elements[:4]]))
+
+
+def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
+    """Hold a pose for ticks, then for as many with another controller's constants.
+
+    Returns how far the joints go from the switch on, rad, shape (n, 6), and the controller's state.
+    """
+    plant, controller = setup.plant(), setup.cs7b()
+    pose = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
+    plant.reset(pose)
+    controller.reset(plant.motor_states()[0])
+    setpoints = controller.trajectory.setpoints(0, ticks // 2)
+    fast, slow = empty_series(2 * ticks, 4, record_fast=False)
+    for first, law in ((0, controller.law), (ticks, other.cs7b().law)):
+        run_ticks(plant.constants, plant.state, law, controller.state, setpoints, 4, first, ticks, fast, slow)
+    moved = slow.joint_states[:, 0] - slow.joint_states[ticks // 4, 0]
+    return moved[ticks // 4 :], controller.state[0]
+
+
+def test_switching_it_on_and_off_does_not_move_the_arm(shipped: Setup) -> None:
+    """The integrators hand the weight over to the model and take it back, and the arm stays within the counts' play."""
+    on = by_model(shipped)
+    for before, after, carried in ((shipped, on, False), (on, shipped, True)):
+        (still, _), (moved, state) = held(before, before, 8000), held(before, after, 8000)
+        assert np.abs(moved).max() < 1.2 * np.abs(still).max() + 1e-6
+        assert (np.abs(state["integrator"] * shipped.drives.gear)[1] > 20.0) == carried
+
+
+def test_it_counts_for_saturation_and_anti_windup(shipped: Setup, tmp_path: Path) -> None:
+    """Where the model asks for more than the amplifier gives, the current stays at its limit, the integrator too."""
+    elements = [dataclasses.replace(e, tau_c_positive=1e4, tau_s_positive=1e4) for e in shipped.friction.elements]
+    setup = with_friction(by_model(shipped), elements, tmp_path / "friction.yaml")
+    law, state = setup.cs7b().law, np.zeros(1, LAW_STATE_DTYPE)
+    law_reset(state)
+    setpoints = moving(shipped, np.full((200, 6), 0.1))
+    integrators = []
+    for setpoint in setpoints:
+        # The arm is behind: the errors ask for more, too.
+        position_loop(law, state, setpoint, np.zeros(6), np.zeros(6))
+        integrators.append(state["integrator"][0].copy())
+        for _ in range(4):
+            velocity_loop(law, state, np.zeros(6))
+    one = state[0]
+    assert np.array_equal(one["limited"], np.ones(6))
+    assert np.array_equal(one["current"].round(9), shipped.drives.peak_current.round(9))
+    assert np.all(one["error"] > 0.0)
+    assert np.array_equal(integrators[100:], np.tile(integrators[100], (100, 1)))
+    assert np.all(integrators[100] < law["integrator_limit"][0])

@@ -1,0 +1,122 @@
+"""What feed-forward by the controller's model does for the arm: on the reference task, at rest, over joins."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from own_model import by_model, scaled, with_friction
+
+from rx90_common.description.rigid_torque import rigid_torque
+from rx90_common.description.wrist import element_matrix
+from rx90_common.friction.tracing import prescribed_torque
+from rx90_controller.lines.task import load_task
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.line import LineRun, run_line
+from rx90_emulator.loop.result import MotionCommand
+from rx90_emulator.loop.setup import Setup
+
+Array = NDArray[np.float64]
+HOME = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
+
+
+@pytest.fixture(scope="module")
+def own(shipped: Setup) -> LineRun:
+    """Return the reference task with the CS7B's own feed-forward."""
+    return run_line(shipped, load_task())
+
+
+def test_with_the_right_model_the_path_error_is_below_30_micrometres(shipped: Setup, own: LineRun) -> None:
+    """The reference task: 0.085 mm with the CS7B's own feed-forward, at most 0.03 mm with both parts of the model."""
+    assert own.path_accuracy.worst == pytest.approx(0.0847e-3, rel=0.01)
+    both = run_line(by_model(shipped), load_task()).path_accuracy
+    assert both.worst < 0.03e-3
+    assert both.rms < 0.05 * own.path_accuracy.rms
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_friction_model_30_percent_off_is_better_than_none(
+    shipped: Setup, own: LineRun, tmp_path: Path, factor: float
+) -> None:
+    """Too weak or too strong by 30 %, the model leaves less than the CS7B's own compensation with the right values."""
+    setup = with_friction(by_model(shipped), scaled(shipped.friction, factor), tmp_path / "friction.yaml")
+    assert run_line(setup, load_task()).path_accuracy.worst < 0.6 * own.path_accuracy.worst
+
+
+def test_a_model_that_is_too_strong_does_not_hunt_at_rest(shipped: Setup, own: LineRun, tmp_path: Path) -> None:
+    """2 s after the line with friction 30 % too strong: no joint swings by more than with the CS7B's own."""
+    task = dataclasses.replace(load_task(), rest_after=2.5)
+    setup = with_friction(by_model(shipped), scaled(shipped.friction, 1.3), tmp_path / "friction.yaml")
+    runs = [run_line(each, task).slow for each in (own.setup, setup)]
+    swing = [np.ptp(run.joint_states[-1000:, 0], axis=0) for run in runs]
+    assert np.all(swing[1] <= swing[0] + 1e-6), swing
+    assert np.ptp(runs[1].reference[-1000:, 2], axis=0).max() == 0.0
+
+
+def commands(setup: Setup) -> tuple[MotionCommand, ...]:
+    """Return a motion, another one that takes over in its middle, and a stop in the middle of that."""
+    names = setup.robot.joint_names
+    rest = [0.0] * 6
+
+    def to(offset: float, seconds: float) -> TrajectoryPoints:
+        return TrajectoryPoints.create(names, names, [seconds], [(HOME + offset).tolist()], [rest], [rest])
+
+    return MotionCommand(20, to(0.08, 0.6)), MotionCommand(270, to(-0.02, 0.6)), MotionCommand(500, None)
+
+
+def test_joins_leave_the_model_as_it_is(shipped: Setup) -> None:
+    """Over pre-emption and stop, what is fed forward follows from the set-points alone, as in one motion."""
+    run = simulate_commands(by_model(shipped), commands(shipped), HOME, 1.0)
+    position, velocity = run.slow.reference[:, 0], run.slow.reference[:, 1]
+    acceleration = run.slow.details[:, 0]
+    late = by_model(shipped).cs7b().law[0]["model"]["lead"]
+    at = velocity + late * acceleration
+    steps = np.full(len(at), shipped.rates.position_period)
+    inputs = element_matrix()
+    friction = prescribed_torque(shipped.friction.elements, at @ inputs.T, steps) @ inputs
+    drives, there = shipped.drives, position + late * (velocity + 0.5 * late * acceleration)
+    rigid = rigid_torque(shipped.robot.model, drives.rotor_matrix, drives.spring_torque, there, at, acceleration)
+    assert np.abs(velocity[270:]).max() > 0.1
+    assert np.abs(run.slow.reference[:, 2] - friction - rigid).max() < 1e-9
+    # And it does not jump where velocities and accelerations do not.
+    assert np.abs(np.diff(friction, axis=0)).max() < 6.0
+
+
+def test_the_controller_of_the_nodes_feeds_forward_the_same_bits(shipped: Setup) -> None:
+    """Ticked from outside, as the nodes do, plant and controller give the closed loop's commands, over joins too."""
+    setup = by_model(shipped)
+    ticks, motions = 2800, commands(setup)
+    run = simulate_commands(setup, motions, HOME, ticks * setup.rates.period, record_fast=True)
+    plant, controller = setup.plant(), setup.cs7b()
+    plant.reset(HOME)
+    controller.reset(plant.motor_states()[0])
+    waiting = list(motions)
+    sent = np.empty((ticks, 6))
+    for k in range(ticks):
+        while waiting and 4 * waiting[0].start == k:
+            start, points = waiting.pop(0)
+            if points is None:
+                controller.trajectory.stop(start, start)
+            else:
+                controller.trajectory.accept(points, start, start)
+        position, speed, _ = plant.motor_states()
+        sent[k] = controller.step(position, speed)
+        plant.step(controller.command)
+    assert run.fast is not None
+    assert np.array_equal(sent, run.fast.motor_commands)
+
+
+def test_a_sweep_switches_the_parts(shipped: Setup) -> None:
+    """By its path each part is switched on alone, and the plant's parameters leave the controller's model as it is."""
+    law = with_parameters(shipped, {"controller.feed_forward.friction_model": True}).cs7b().law[0]
+    changed = {"friction.*.tau_c": 1.2, "arm.link_6.mass": 9.0, "controller.feed_forward.inverse_dynamics": True}
+    both = with_parameters(with_parameters(shipped, {"controller.feed_forward.friction_model": True}), changed)
+    other = both.cs7b().law[0]
+    assert (law["model"]["parts"], other["model"]["parts"]) == (2, 3)
+    assert np.array_equal(law["model"]["friction"], other["model"]["friction"])
+    assert np.array_equal(law["model"]["arm"], other["model"]["arm"])

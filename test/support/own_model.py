@@ -1,0 +1,38 @@
+"""Setups whose controller feeds forward by a model of its own, right or wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_controller.law.model import ModelFiles
+from rx90_controller.law.parameters import FeedForward
+from rx90_emulator.loop.setup import Setup
+
+
+def by_model(setup: Setup, *, inverse_dynamics: bool = True, friction_model: bool = True) -> Setup:
+    """Return the setup with a controller that feeds forward by its model."""
+    switches = FeedForward(inverse_dynamics=inverse_dynamics, friction_model=friction_model)
+    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=switches))
+
+
+def with_friction(setup: Setup, elements: Sequence[FrictionElement], path: Path) -> Setup:
+    """Return the setup with a controller whose model has other friction, written to a file."""
+    names = setup.friction.names
+    path.write_text(FrictionFile(dict(zip(names, elements, strict=True))).text(), encoding="utf-8")
+    model = setup.controller.model
+    assert isinstance(model, ModelFiles)
+    other = dataclasses.replace(model, friction=path)
+    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, model=other))
+
+
+def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
+    """Return elements whose torques are so many times as large at every velocity and deflection."""
+    names = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+    return tuple(
+        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in names})
+        for element in friction.elements
+    )
