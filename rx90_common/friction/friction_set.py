@@ -71,24 +71,23 @@ class FrictionSet:
 
 
 def refuse_parts(
-    elements: Mapping[str, FrictionElement], what: str, where: object = None, held: Container[str] = ()
+    elements: Mapping[str, FrictionElement], what: str, where: str = "friction.", held: Container[str] = ()
 ) -> None:
     """Refuse elements with parts that something cannot hold.
 
     Args:
         elements: by their names.
         what: cannot hold them, such as "the perturbation method".
-        where: the file that they come from, if any.
+        where: what stands before their names in the message: the file and the path in it.
         held: the parts that it can.
 
     Raises:
-        ConfigError: naming file, element and part.
+        ConfigError: naming element and part.
     """
     for name, element in elements.items():
         for part in element.parts:
             if part not in held:
-                file = "" if where is None else f"{where}: "
-                raise ConfigError(f"{file}elements.{name}.{part}: {what} cannot hold this part; accepted: left out")
+                raise ConfigError(f"{where}{name}.{part}: {what} cannot hold this part; accepted: left out")
 
 
 def element_names(joint_names: Sequence[str]) -> tuple[str, ...]:
