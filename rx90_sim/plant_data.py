@@ -10,17 +10,22 @@ import numpy as np
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
 from rx90_common.friction.element import element_arrays, elements_dtype
+from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 
 PLANT_DTYPE = np.dtype(
     [
         ("arm", MANIPULATOR_DTYPE),
         ("friction", elements_dtype(ELEMENT_COUNT)),
         ("brake", elements_dtype(ELEMENT_COUNT)),  # a closed brake is a stiff bristle element on its motor
+        ("parts", parts_dtype(ELEMENT_COUNT)),
         ("gear", np.float64, 6),
         ("peak_torque", np.float64, 6),
         ("resolution", np.float64, 6),  # of the encoder, motor side, rad
@@ -33,6 +38,7 @@ PLANT_DTYPE = np.dtype(
         ("period", np.float64),
         ("substeps", np.int64),
         ("speed_limit", np.float64, 6),
+        ("transmission", TRANSMISSION_DTYPE),
     ],
     align=True,
 )
@@ -59,6 +65,10 @@ STATE_DTYPE = np.dtype(
         ("q_mid", np.float64, 6),
         ("v_mid", np.float64, 6),
         ("rhs", np.float64, 6),
+        ("transmission", TRANSMISSION_STATE_DTYPE),
+        # Of friction elements with parts alone.
+        ("parts", parts_state_dtype(ELEMENT_COUNT)),
+        ("after_friction", np.float64, 6),  # workspace: drive torque less friction, Nm
     ],
     align=True,
 )
@@ -68,12 +78,21 @@ _MOST_SUBSTEPS = 1000
 
 
 def plant_record(
-    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int = 1
+    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int = 1, seed: int = 0
 ) -> np.ndarray[Any, Any]:
     """Return the plant's constants, shape (1,), dtype PLANT_DTYPE.
 
+    Args:
+        robot: the arm.
+        drives: gears, motors, brakes, spring, end stops.
+        friction: the seven elements.
+        rates: of the loops.
+        substeps: plant steps in a tick.
+        seed: of all that is random in the plant.
+
     Raises:
-        ConfigError: if `substeps` is not at least 1 or the observer is faster than the tick allows.
+        ConfigError: if `substeps` is not at least 1, the observer is faster than the tick allows, the friction follows
+            the load faster than the step, or the seed is not a whole number from 0 to LARGEST_SEED.
     """
     if not isinstance(substeps, int | np.integer) or not 1 <= substeps <= _MOST_SUBSTEPS:
         raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {_MOST_SUBSTEPS}")
@@ -85,7 +104,11 @@ def plant_record(
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     plant["arm"] = manipulator_record(robot.chain, drives)[0]
+    _fill_transmission(plant["transmission"], drives)
+    if plant["transmission"]["flexible"]:
+        plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
+    _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque
@@ -98,6 +121,32 @@ def plant_record(
     plant["period"], plant["substeps"] = rates.period, substeps
     plant["speed_limit"] = 10.0 * robot.max_velocity
     return record
+
+
+def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
+    elasticity = drives.elasticity
+    elastic = elasticity.elastic
+    transmission["flexible"], transmission["elastic"] = elastic.any(), elastic
+    transmission["link_friction"] = elasticity.friction_side == LINK
+    transmission["rotor"] = drives.rotor_inertia
+    transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
+    transmission["damping"] = elasticity.damping
+    transmission["half_play"] = 0.5 * elasticity.backlash
+
+
+def _fill_parts(
+    parts: Any, drives: DriveParameters, friction: FrictionSet, period: float, substeps: int, seed: int
+) -> None:
+    """Write the friction elements' parts; the angle of a motor is that of its element times the gear ratio."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
+        raise ConfigError(f"seed is {seed}; accepted: a whole number from 0 to {LARGEST_SEED}")
+    for name, element in zip(friction.names, friction.elements, strict=True):
+        if element.load is not None and element.load.relax_time < period / substeps:
+            raise ConfigError(
+                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
+                f"step, {period / substeps:g} s"
+            )
+    fill_parts(parts, friction.elements, [*drives.gear, drives.gear[5]], period, seed)
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

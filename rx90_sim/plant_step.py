@@ -14,36 +14,50 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array, Record
+from rx90_common.base.arrays import Record
 from rx90_common.description.wrist import to_joint_torque, to_motor
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
-from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
-from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
 from rx90_sim.drives import encoder_reading, observe
+from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
+from rx90_sim.end_stops import add_stops
+from rx90_sim.joint_friction import (
+    add_friction,
+    advance_loads,
+    advance_walks,
+    element_inputs,
+    friction_now,
+    reset_friction,
+)
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 
 
 @kernel
 def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -> None:
-    """Put the arm at rest at `position`, rad, shape (6,), brakes closed, in static equilibrium."""
+    """Put the arm at rest, brakes closed, in static equilibrium, with the motors where `position` has the joints.
+
+    Args:
+        plants: constants, shape (1,), PLANT_DTYPE.
+        states: state, shape (1,), STATE_DTYPE, overwritten.
+        position: rad, shape (6,). Links that hang in elastic gears are a little off it.
+    """
     plant, state = plants[0], states[0]
     for i in range(6):
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
-    for i in range(7):
-        state.z[i] = 0.0
     state.brakes_closed = 1
+    if plant.transmission.flexible:
+        hang_links(plant, state)
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
-    for i in range(6):
-        # Brake 6, the seventh element, holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
-        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
-        element = i if i < 5 else 6
-        state.brake_z[element] = -carried / plant.brake.c0[element]
+    reset_friction(plant, state)
     to_motor(plant.gear, state.q, state.observer)
+    if plant.transmission.flexible:
+        elastic_reset(plant, state)
+        add_twists(plant, state, state.observer)
     store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
         state.motor_velocity[i] = 0.0
@@ -65,8 +79,14 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
     plant, state = plants[0], states[0]
     _actuate(plant, state, command, powered)
     step = plant.period / plant.substeps
+    flexible = plant.transmission.flexible
     for _ in range(plant.substeps):
-        _substep(plant, state, step)
+        if flexible:
+            elastic_substep(plant, state, step)
+        else:
+            _substep(plant, state, step)
+    if plant.parts.used:
+        advance_walks(plant, state)
     for i in range(6):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
@@ -80,6 +100,8 @@ def sample_drives(plants: Record, states: Record) -> None:
     """Sample the resolvers at the present position, once in a tick: counts, and the converters' velocity."""
     plant, state = plants[0], states[0]
     to_motor(plant.gear, state.q, state.motor_position)
+    if plant.transmission.flexible:
+        add_twists(plant, state, state.motor_position)
     angle = load(state.motor_position, 6)
     position, velocity = observe(
         angle,
@@ -113,9 +135,11 @@ def _worst_joint(plant: Any, state: Any) -> int:
 def friction_states(plants: Record, states: Record, velocity: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Write input velocity, rad/s, and friction torque, Nm, of the seven elements, shape (7,)."""
     plant, state = plants[0], states[0]
-    inputs = _element_velocities(state.v)
-    store(velocity, inputs)
-    store(torque, friction_torque(load_elements(plant.friction, 7), load(state.z, 7), inputs))
+    angle, speed = state.q, state.v
+    if plant.transmission.flexible and not plant.transmission.link_friction:
+        angle, speed = on_motor_side(state)
+    store(velocity, element_inputs(speed))
+    friction_now(plant, state, angle, speed, torque)
 
 
 @kernel
@@ -134,6 +158,8 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
         state.motor_torque[i] = torque
         state.rhs[i] = -state.drive_torque[i]
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
+    if plant.transmission.flexible:
+        return
     for i in range(6):
         state.rhs[i] += state.drive_torque[i]
     solve(state.factor, state.rhs)
@@ -151,8 +177,11 @@ def _substep(plant: Any, state: Any, step: float) -> None:
     for i in range(6):
         state.rhs[i] = state.drive_torque[i]
     # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
-    _add_friction(plant, state, step)
-    _add_stops(plant, state)
+    add_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
+    if plant.parts.used:
+        for i in range(6):
+            state.after_friction[i] = state.rhs[i]
+    add_stops(plant, state)
     mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
     for i in range(6):
         state.rhs[i] -= state.bias[i]
@@ -163,37 +192,5 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.q[i] += step * (state.v[i] + half * acceleration)
         state.v[i] += step * acceleration
         state.acceleration[i] = acceleration
-
-
-@inlined
-def _element_velocities(v: Array) -> Lanes:
-    """Return the input velocities of the seven friction elements, which are also the brakes'."""
-    return append(load(v, 6), v[4] + v[5])
-
-
-@kernel
-def _add_friction(plant: Any, state: Any, step: float) -> None:
-    """Advance the bristles of the seven elements, and of closed brakes, and add their torques."""
-    velocity = _element_velocities(state.v_mid)
-    z, torque = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), velocity, step)
-    store(state.z, z)
-    if state.brakes_closed:
-        z, brake_torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), velocity, step)
-        store(state.brake_z, z)
-        torque = torque + brake_torque
-    store(state.rhs, load(state.rhs, 6) - first(torque, 6))
-    wrist = lane(torque, 6)
-    state.rhs[4] -= wrist
-    state.rhs[5] -= wrist
-
-
-@kernel
-def _add_stops(plant: Any, state: Any) -> None:
-    """Add the mechanical end stops: a spring and damper beyond the limits that only push back."""
-    for i in range(6):
-        q, push = state.q_mid[i], 0.0
-        if q > plant.upper[i]:
-            push = min(0.0, plant.stop_stiffness[i] * (plant.upper[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        elif q < plant.lower[i]:
-            push = max(0.0, plant.stop_stiffness[i] * (plant.lower[i] - q) - plant.stop_damping[i] * state.v_mid[i])
-        state.rhs[i] += push
+    if plant.parts.used:
+        advance_loads(plant, state, state.after_friction, state.acceleration, step)

@@ -79,9 +79,10 @@ def _aside() -> RobotModel:
 
 def _constants(record: np.ndarray[Any, Any]) -> Iterator[np.ndarray[Any, Any]]:
     """Yield the fields of a record one after the other; what is off, by default, leaves no bytes."""
+    switches = {"parts": "used", "transmission": "flexible", "model": "parts"}
     for name in record.dtype.names or ():
         field = record[name]
-        if name == "model" and not field["parts"].any():
+        if name in switches and not field[switches[name]].any():
             continue
         if field.dtype.names is not None:
             yield from _constants(field)

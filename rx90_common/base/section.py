@@ -130,14 +130,14 @@ class Section(CheckedMapping):
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
         """Return a finite number in [low, high], or in (low, high] with `above`."""
-        accepted = _range_text(low, high, above)
+        accepted = range_text(low, high, above)
         return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
 
     def numbers(
         self, key: str, count: int, low: float = -math.inf, high: float = math.inf, *, above: bool = False
     ) -> tuple[float, ...]:
         """Return `count` finite numbers, each in [low, high] (or (low, high] with `above`)."""
-        accepted = f"{count} numbers, each {_range_text(low, high, above)}"
+        accepted = f"{count} numbers, each {range_text(low, high, above)}"
         values = self._get(key, accepted)
         if not isinstance(values, Sequence) or isinstance(values, str) or len(values) != count:
             self.refuse(key, values, accepted)
@@ -198,7 +198,8 @@ class Section(CheckedMapping):
         return number
 
 
-def _range_text(low: float, high: float, above: bool) -> str:
+def range_text(low: float, high: float, above: bool) -> str:
+    """Return an interval in words; `above` for one that does not hold its least number."""
     if math.isinf(low) and math.isinf(high):
         return "a finite number"
     if math.isinf(high):

@@ -4,6 +4,7 @@ __all__ = [
     "branch",
     "chain",
     "drives",
+    "elasticity",
     "inverse",
     "kinematics",
     "link_transforms",

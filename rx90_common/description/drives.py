@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.description.elasticity import ELASTICITY, Elasticity
 from rx90_common.description.wrist import coupled_inertia
 
 _six = partial(Numbers, count=6, low=0.0)
@@ -65,6 +68,7 @@ DRIVES = Group(
                 "damping": _six("Damping of the end stops.", "Nm s/rad"),
             },
         ),
+        "elasticity": ELASTICITY,
     },
 )  # fmt: skip
 """What a drives file holds."""
@@ -87,6 +91,7 @@ class DriveParameters:
         spring_torque: gravity-compensation springs: torque -k sin(q) on each joint, amplitude k, Nm; 0 for none.
         stop_stiffness: stiffness of the mechanical end stops, Nm/rad.
         stop_damping: damping of the mechanical end stops, Nm s/rad.
+        elasticity: between the motors and what they move; rigid if left out.
     """
 
     gear: Array
@@ -101,16 +106,19 @@ class DriveParameters:
     spring_torque: Array
     stop_stiffness: Array
     stop_damping: Array
+    elasticity: Elasticity = field(default_factory=Elasticity)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = np.asarray(getattr(self, field.name))
-            accepted, wrong = ("other than 0", value == 0) if field.name == "gear" else (">= 0", value < 0)
+        for name in (one.name for one in fields(self) if one.default_factory is MISSING):
+            value = np.asarray(getattr(self, name))
+            accepted, wrong = ("other than 0", value == 0) if name == "gear" else (">= 0", value < 0)
             if not np.all(np.isfinite(value)) or np.any(wrong):
-                raise ConfigError(f"{field.name} is {value.tolist()}; accepted: finite numbers {accepted}")
-            shape = () if field.name == "velocity_bandwidth" else (6,)
+                raise ConfigError(f"{name} is {value.tolist()}; accepted: finite numbers {accepted}")
+            shape = () if name == "velocity_bandwidth" else (6,)
             if value.shape != shape:
-                raise ConfigError(f"{field.name} has shape {value.shape}; accepted: {shape}")
+                raise ConfigError(f"{name} has shape {value.shape}; accepted: {shape}")
+        for i in np.flatnonzero(self.elasticity.elastic & (np.asarray(self.rotor_inertia) == 0)):
+            raise ConfigError(f"rotor_inertia[{i}] is 0; accepted: a number > 0 where the drive is elastic")
         for name in ("torque_constant", "peak_current", "encoder_counts", "velocity_bandwidth"):
             if np.any(np.asarray(getattr(self, name)) <= 0):
                 raise ConfigError(f"{name} is {getattr(self, name)}; accepted: numbers > 0")
@@ -132,8 +140,15 @@ def load_drives(path: Path) -> DriveParameters:
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
-    content = DRIVES.read(load_yaml(path))
+    root = load_yaml(path)
+    content = DRIVES.read(root)
+    try:
+        return _parameters(content)
+    except ConfigError as error:
+        raise ConfigError(f"{root.where('')[:-2]}: {error}") from error
 
+
+def _parameters(content: Mapping[str, Any]) -> DriveParameters:
     def six(block: str, key: str) -> Array:
         return np.array(content[block][key])
 
@@ -150,4 +165,5 @@ def load_drives(path: Path) -> DriveParameters:
         spring_torque=six("spring", "torque"),
         stop_stiffness=six("end_stops", "stiffness"),
         stop_damping=six("end_stops", "damping"),
+        elasticity=Elasticity.of_file(content.get("elasticity")),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, SIGNS
+from rx90_common.friction.parts.bristles import LUGRE_SHARE, BristlesPart
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.friction.parts.ripple import RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.table import PARTS
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,12 @@ class FrictionElement:
         c2: viscous friction, Nm (s/rad)^alpha.
         omega_d: velocity in the fading c1 exp(-(v/omega_d)^2), rad/s.
         alpha: viscous exponent, 1.
+        load: friction that grows with the transmitted torque; None is off, as for the parts below.
+        ripple: friction that changes with the angles of joint and motor.
+        scatter: a slow random walk of the friction.
+        bristles: of another kind than LuGre's, in place of equation 17.
+
+    The curves below are those without load, in the mean over angle and scatter.
 
     Raises:
         ConfigError: for a value that is not finite or not in its range.
@@ -53,6 +65,10 @@ class FrictionElement:
     c2: float
     omega_d: float = math.inf
     alpha: float = 1.0
+    load: LoadPart | None = None
+    ripple: RipplePart | None = None
+    scatter: ScatterPart | None = None
+    bristles: BristlesPart | None = None
 
     def __post_init__(self) -> None:
         for parameter in FRICTION_PARAMETERS:
@@ -62,6 +78,19 @@ class FrictionElement:
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
                 raise ConfigError(f"tau_s_{sign} is {static}; accepted: a number >= tau_c_{sign} = {coulomb} Nm")
+        for name, kind in PARTS.items():
+            part = getattr(self, name)
+            if part is not None and not isinstance(part, kind):
+                raise ConfigError(f"{name} is {part}; accepted: a {kind.__name__}, or None")
+
+    @property
+    def parts(self) -> dict[str, FrictionPart]:
+        """Return the parts that are on, by their names."""
+        return {name: part for name in PARTS if (part := getattr(self, name)) is not None}
+
+    def without_parts(self) -> FrictionElement:
+        """Return the element with all parts off."""
+        return replace(self, **dict.fromkeys(PARTS))  # type: ignore[arg-type]  # names of fields, each optional
 
     def sliding_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c0 g(v), equation 19, without a sign: the Stribeck curve less the viscous part, Nm."""
@@ -88,9 +117,10 @@ class FrictionElement:
         return np.asarray(np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v))
 
     def passivity_limit(self, max_velocity: float) -> float:
-        """Return the speed, rad/s, from which c1(v) |v| > 4 c0 g(v); infinite if none up to `max_velocity`.
+        """Return the speed, rad/s, from which the element is not passive; infinite if none up to `max_velocity`.
 
-        The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000).
+        The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000); Maxwell slip has
+        another number there (`BristlesPart.passive_share`).
         """
         speed = np.geomspace(1e-4, max_velocity, 4000)
         broken = self.damping(speed) * speed >= self._least_dissipation(speed)
@@ -104,8 +134,10 @@ class FrictionElement:
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 
     def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 4 c0 g of the sign of the velocity that has less of it, Nm."""
-        return 4.0 * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
+        """Return 4 c0 g, or what other bristles have there, Nm, with the sign and the parts that leave least of it."""
+        least = math.prod(part.least_factor for part in self.parts.values())
+        share = LUGRE_SHARE if self.bristles is None else self.bristles.passive_share(self.c0, speed)
+        return share * least * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

@@ -12,10 +12,11 @@ from rx90_common.base.entries import LEFT_OUT
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Entries, Group
 from rx90_common.base.quoting import quoted
-from rx90_common.base.section import PROVENANCE, Section
+from rx90_common.base.section import ABOUT, PROVENANCE, Section
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_set import FrictionSet, element_names
 from rx90_common.friction.parameters import ELEMENT, FRICTION_PARAMETERS, SIGNS, legend
+from rx90_common.friction.parts.table import PARTS
 
 FRICTION = Group(
     "LuGre friction, joint side, SI units (equations 17 to 19 of the paper).",
@@ -29,6 +30,9 @@ FRICTION = Group(
 )  # fmt: skip
 """What a friction file holds."""
 
+ALL_ELEMENTS = ""
+"""The name under which `FrictionFile.about` holds what is said of all elements."""
+
 
 @dataclass(frozen=True)
 class FrictionFile:
@@ -40,6 +44,8 @@ class FrictionFile:
         source: the sentence that names the source; None where there is none.
         identification: how the values were found and how well they are known, for readers; None where there is none.
         path: where it was read, if it was.
+        about: what the file says below that of its values: provenance, source and note of all elements under
+            ALL_ELEMENTS, of single ones under their names, each for the whole or by parameter, as they stand.
     """
 
     elements: Mapping[str, FrictionElement]
@@ -47,6 +53,7 @@ class FrictionFile:
     source: str | None = None
     identification: Mapping[str, Any] | None = None
     path: Path | None = field(default=None, compare=False)
+    about: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.provenance is not None and self.provenance not in PROVENANCE:
@@ -64,7 +71,10 @@ class FrictionFile:
         content = FRICTION.read(root)
         section = root.section("elements")
         elements = {name: read_element(section.section(name)) for name in section}
-        return cls(elements, root.provenance, root.source, content.get("identification"), path)
+        mappings = {ALL_ELEMENTS: section.content, **{name: section.section(name).content for name in section}}
+        about = {name: {key: one[key] for key in ABOUT if key in one} for name, one in mappings.items()}
+        about = {name: said for name, said in about.items() if said}
+        return cls(elements, root.provenance, root.source, content.get("identification"), path, about)
 
     def select(self, names: Sequence[str]) -> tuple[FrictionElement, ...]:
         """Return the elements of these names.
@@ -88,12 +98,16 @@ class FrictionFile:
         content = {
             "provenance": self.provenance,
             "source": self.source,
-            "elements": {name: _values(element) for name, element in self.elements.items()},
+            "elements": {
+                **self.about.get(ALL_ELEMENTS, {}),
+                **{name: {**self.about.get(name, {}), **_values(one)} for name, one in self.elements.items()},
+            },
             "identification": self.identification,
         }
         head = "# LuGre friction, joint side, SI units (equations 17 to 19 of the paper).\n#\n"
         given = {key: value for key, value in content.items() if value is not None}
-        return head + legend() + remarks + yaml_text(given)
+        parts = {part for element in self.elements.values() for part in element.parts}
+        return head + legend(parts) + remarks + yaml_text(given)
 
 
 def load_friction(path: Path, joint_names: Sequence[str]) -> FrictionSet:
@@ -118,12 +132,13 @@ def read_element(section: Section) -> FrictionElement:
         ConfigError: naming file, element, value and accepted range.
     """
     content = ELEMENT.read(section)
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for parameter in FRICTION_PARAMETERS:
         given = content[parameter.name]
         numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
         values |= zip(parameter.attributes, numbers, strict=True)
     try:
+        values |= {name: part.read(content[name]) for name, part in PARTS.items() if name in content}
         return FrictionElement(**values)
     except ConfigError as error:
         raise ConfigError(f"{section.where('')[:-1]}: {error}") from error
@@ -138,4 +153,4 @@ def _values(element: FrictionElement) -> dict[str, Any]:
             values[parameter.name] = dict(zip(SIGNS, numbers, strict=True))
         elif numbers[0] != parameter.default:
             values[parameter.name] = numbers[0]
-    return values
+    return values | {name: part.values() for name, part in element.parts.items()}

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
+from rx90_common.friction.parts.table import PARTS
 
 SIGNS = ("positive", "negative")
 """Of the velocity, in the order in which everything keeps them."""
@@ -103,7 +105,8 @@ FRICTION_PARAMETERS = (
 
 ELEMENT = Group(
     "A LuGre friction element (equations 17 to 19), joint side.",
-    keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS},
+    keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS}
+    | {name: part.entry() for name, part in PARTS.items()},
 )
 """What stands in a file for one element."""
 
@@ -111,12 +114,12 @@ FRICTION_UNITS = {name: parameter.unit for parameter in FRICTION_PARAMETERS for 
 """Units of the attributes of FrictionElement."""
 
 
-def legend() -> str:
-    """Return the table as lines of comment, as they stand at the head of friction files."""
+def legend(parts: Iterable[str] = ()) -> str:
+    """Return the table as lines of comment, as they stand at the head of friction files, and those of some parts."""
     lines = ""
     for parameter in FRICTION_PARAMETERS:
         signed = "; one value, or {positive: x, negative: y}" if parameter.signed else ""
         optional = "" if parameter.default is None else f"; {parameter.default:g} if it is left out"
         accepted = parameter.accepted.rpartition("number ")[2]
         lines += f"# {parameter.name:<8} {parameter.meaning}, {parameter.unit}, {accepted}{signed}{optional}\n"
-    return lines
+    return lines + "".join(part.legend() for name, part in PARTS.items() if name in parts)

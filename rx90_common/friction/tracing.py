@@ -17,7 +17,7 @@ def prescribed_torque(elements: Sequence[FrictionElement], velocity: Array, step
     """Return the friction torque of each element, the mean over each step, from undeflected bristles on, Nm.
 
     Args:
-        elements: e elements.
+        elements: e elements; of their parts nothing is seen, which is for the caller to refuse or to say.
         velocity: their input velocities, each held over its step, rad/s, shape (m, e).
         steps: s, shape (m,).
 

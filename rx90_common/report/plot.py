@@ -187,19 +187,28 @@ def simplified(
 
     The line through them is right to a dot on a canvas of so many dots, or on the largest on which they are enough.
     """
-    values = [
-        np.where(v > 0.0, np.log10(np.where(v > 0.0, v, 1.0)), np.nan) if scale == "log" else v
-        for v, scale in ((curve.x, panel.x_scale), (curve.y, panel.y_scale))
-    ]
+    values = [_on_axis(curve.x, panel.x_scale, panel.smallest), _on_axis(curve.y, panel.y_scale, panel.smallest)]
     width, height = canvas
     points = _simplified(values, width, height)
     while len(points) > max(most, _FEWEST_POINTS):
         width, height = 0.7 * width, 0.7 * height
         points = _simplified(values, width, height)
-    x, y = (
-        10.0**v if scale == "log" else v for v, scale in ((points[:, 0], panel.x_scale), (points[:, 1], panel.y_scale))
-    )
-    return x, y
+    x, y = points.T
+    return _off_axis(x, panel.x_scale, panel.smallest), _off_axis(y, panel.y_scale, panel.smallest)
+
+
+def _on_axis(values: Array, scale: Scale, smallest: float) -> Array:
+    """Return where values lie on an axis; NaN for those that a logarithmic one does not have."""
+    if scale == "log":
+        return np.where(values > 0.0, np.log10(np.where(values > 0.0, values, 1.0)), np.nan)
+    return symlog(values, smallest) if scale == "symlog" else values
+
+
+def _off_axis(places: Array, scale: Scale, smallest: float) -> Array:
+    """Return the values that lie there: the inverse of `_on_axis`."""
+    if scale == "symlog":
+        return np.asarray(symlog_transform(smallest).inverted().transform(places), dtype=np.float64)
+    return 10.0**places if scale == "log" else places
 
 
 def points_for_each(plots: Sequence[Plot], together: int) -> int:

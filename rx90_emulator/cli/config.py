@@ -1,4 +1,4 @@
-"""Check configuration files, show what a setup comes to, and print the completion for a shell."""
+"""Check configuration files, show what a setup comes to, compare friction, and print the completion for a shell."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rx90_common.base.errors import DONE, VERDICT_NO, ConfigError
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import SHIPPED_RIG
 from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_emulator.cli import config_friction
 from rx90_emulator.cli.completion import SHELLS, completion
 from rx90_emulator.cli.options import CommandParser, add_robot_arguments
 
@@ -49,6 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     complete.add_argument("shell", choices=SHELLS)
     complete.set_defaults(verb=_completion)
     _add_show(verbs.add_parser("show", help=about, description=_SHOW))
+    friction = verbs.add_parser("friction", help=config_friction.HELP, description=config_friction.__doc__)
+    config_friction.add_arguments(friction)
+    friction.set_defaults(verb=config_friction.main)
 
 
 def _add_show(show: argparse.ArgumentParser) -> None:

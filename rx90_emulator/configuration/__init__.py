@@ -1,3 +1,3 @@
 """The project's configuration files as a whole: which kinds there are, what is wrong in them, what they come to."""
 
-__all__ = ["check", "node_values", "origins", "showing"]
+__all__ = ["check", "friction_comparison", "friction_sets", "node_values", "origins", "showing"]

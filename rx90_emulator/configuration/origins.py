@@ -42,19 +42,28 @@ class ShownValue(NamedTuple):
 
 
 class _About(NamedTuple):
-    """What a mapping says of its values, or of each."""
+    """The mappings around a value, from the file on, each with the key that leads on from it."""
 
-    provenance: Any
-    source: Any
+    around: tuple[tuple[Mapping[str, Any], str], ...] = ()
 
     def within(self, content: Mapping[str, Any], key: str) -> _About:
-        """Return what holds in the mapping under `key`."""
-        given = {name: content.get(name) for name in self._fields}
-        return _About(*(_for_key(given[name], key) or getattr(self, name) for name in self._fields))
+        """Return what is around the value under `key` of the innermost mapping."""
+        return _About((*self.around, (content, key)))
 
+    def said(self, word: str) -> str:
+        """Return what the innermost mapping that says it has under `word`, for all its values or for this one.
 
-def _for_key(said: Any, key: str) -> Any:
-    return said.get(key, said.get(_OTHERS)) if isinstance(said, dict) else said
+        Where it says something for each key, that may be any key from there to the value, the last one first.
+        """
+        keys: list[str] = []
+        for content, key in reversed(self.around):
+            keys.append(key)
+            given = content.get(word)
+            if isinstance(given, dict):
+                given = next((given[each] for each in (*keys, _OTHERS) if each in given), None)
+            if given is not None:
+                return str(given)
+        return ""
 
 
 def place_of(path: Path) -> str:
@@ -78,11 +87,11 @@ def file_values(role: str, path: Path) -> list[ShownValue]:
         return []
     found = []
     name = place_of(path)
-    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About(None, None)):
+    for place, entry, value, about in _leaves(kind.entry, root.content, "", _About()):
         line = lines.get(place)
         origin = OF_CODE if line is None else f"{name}:{line}"
-        said = about if line is not None else _About(None, None)
-        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.provenance or "", said.source or "")
+        said = about if line is not None else _About()
+        one = ShownValue(f"{role}.{place}", value, entry.unit, origin, said.said("provenance"), said.said("source"))
         found.append(_by_itself(one, root.content))
     return found
 

@@ -9,6 +9,7 @@ from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.identify import check_range
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
@@ -62,6 +63,7 @@ def check_friction(
             raise IdentificationError(
                 f"{file.path or '--friction'}: element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             )
+    refuse_parts(file.elements, "a validation by recorded torques", f"{file.path or '--friction'}: elements.")
     records = []
     for bag in paths:
         progress(bag.name)

@@ -16,6 +16,7 @@ from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.catalogue import Catalogue, Key, Leaf, Value
 from rx90_emulator.loop.setup import Setup
@@ -71,10 +72,12 @@ def _sections(values: Mapping[Leaf, Value]) -> dict[str, Changes]:
 
 def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     new: dict[str, Any] = {}
+    if "seed" in sections:
+        new["seed"] = _seed(sections["seed"][()][None])
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
-        new["drives"] = _replaced("drives", setup.drives, sections["drives"])
+        new["drives"] = _with_blocks("drives", setup.drives, sections["drives"])
     if "controller" in sections:
         new["controller"] = _controller(setup, sections["controller"])
     if "arm" in sections:
@@ -106,13 +109,33 @@ def _replaced(section: str, holder: Any, changes: Changes) -> Any:
 
 def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
     by_element: dict[str, Changes] = defaultdict(dict)
-    for (name, field), entries in changes.items():
-        by_element[name][(field,)] = entries
+    for (name, *field), entries in changes.items():
+        by_element[name][tuple(field)] = entries
     elements = tuple(
-        _replaced(f"friction.{name}", element, by_element[name]) if name in by_element else element
+        _with_blocks(f"friction.{name}", element, by_element[name]) if name in by_element else element
         for name, element in zip(friction.names, friction.elements, strict=True)
     )
     return replace(friction, elements=elements)
+
+
+def _with_blocks(where: str, holder: Any, changes: Changes) -> Any:
+    """Return a dataclass with changed values of its own, and of the blocks in it: parts of an element, of drives."""
+    own: Changes = {key: entries for key, entries in changes.items() if len(key) == 1}
+    blocks: dict[str, Changes] = defaultdict(dict)
+    for (name, *field), entries in changes.items():
+        if field:
+            blocks[name][tuple(field)] = entries
+    new = {name: _replaced(where, getattr(holder, name), block) for name, block in blocks.items()}
+    try:
+        return replace(holder, **_fields(holder, own), **new)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def _seed(value: Value) -> int:
+    if value != int(value):
+        raise ConfigError(f"seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
+    return int(value)
 
 
 def _controller(setup: Setup, changes: Changes) -> Any:

@@ -1,8 +1,9 @@
 """Names of everything that can be changed: dotted paths to single values of a setup and a task.
 
-`friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `controller.kp[*]`, `arm.link_3.mass`,
-`controller.feed_forward.coulomb`, `task.speed`. A `*` stands for every name or index in its place; an index
-counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
+`friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `drives.elasticity.stiffness[0]`,
+`controller.kp[*]`, `arm.link_3.mass`, `controller.feed_forward.coulomb`, `task.speed`, `seed`, and where an element has
+that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`. A `*` stands for every name
+or index in its place; an index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ DRIVES_UNITS = {
     "stop_stiffness": "Nm/rad",
     "stop_damping": "Nm s/rad",
 }
+ELASTICITY_UNITS = {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"}
 CONTROLLER_UNITS = {
     "inertia": "kg m^2",
     "kp": "1/s",
@@ -129,13 +131,17 @@ class Catalogue:
         check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
+        self._add((), setup, {"seed": "1"})
         self._add(("drives",), setup.drives, DRIVES_UNITS)
+        self._add(("drives", "elasticity"), setup.drives.elasticity, ELASTICITY_UNITS)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)
         self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
         if task is not None:
             self._add(("task",), task, TASK_UNITS)
         for name, element in zip(setup.friction.names, setup.friction.elements, strict=True):
             self._add(("friction", name), element, FRICTION_UNITS)
+            for part_name, part in element.parts.items():
+                self._add(("friction", name, part_name), part, part.units())
         chain = setup.robot.chain
         for i in range(len(setup.robot.joint_names)):
             for field, unit in ARM_UNITS.items():

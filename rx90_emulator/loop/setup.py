@@ -27,6 +27,7 @@ class Setup:
         controller: gains, limits and switches.
         rates: of the loops.
         files: where they were read from, and the robot's own task and poses; None if they were not read.
+        seed: of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits.
     """
 
     robot: RobotModel
@@ -35,9 +36,10 @@ class Setup:
     controller: CS7BParameters
     rates: Rates
     files: RobotFiles | None = None
+    seed: int = 0
 
     @classmethod
-    def load(cls, files: RobotFiles | None = None, rates: Rates | None = None) -> Setup:
+    def load(cls, files: RobotFiles | None = None, rates: Rates | None = None, seed: int = 0) -> Setup:
         """Read the files, by default the shipped ones.
 
         Raises:
@@ -53,11 +55,12 @@ class Setup:
             load_controller(files.controller),
             rates,
             files,
+            seed,
         )
 
     def plant(self, substeps: int = 1) -> Plant:
         """Return a new plant, at rest in the zero pose."""
-        return Plant(self.robot, self.drives, self.friction, self.rates, substeps)
+        return Plant(self.robot, self.drives, self.friction, self.rates, substeps, self.seed)
 
     def cs7b(self) -> CS7B:
         """Return a new controller."""
@@ -73,6 +76,7 @@ def load_setup(
     friction: Path | str | None = None,
     controller: Path | str | None = None,
     rates: Rates | None = None,
+    seed: int = 0,
 ) -> Setup:
     """Read the files of a setup: a robot's, but for those that are named, by a path or a shipped name below config/.
 
@@ -84,10 +88,11 @@ def load_setup(
         friction: the seven elements.
         controller: gains and feed-forward.
         rates: of the loops, 4 kHz and 1 kHz if left out.
+        seed: of all that is random in the arm.
 
     Raises:
         ConfigError: naming file, key, value and accepted range.
     """
     names = {"urdf": urdf, "tool": tool, "drives": drives, "friction": friction, "controller": controller}
     given = {role: None if name is None else str(name) for role, name in names.items()}
-    return Setup.load(RobotFiles.named(None if robot is None else str(robot), **given), rates)
+    return Setup.load(RobotFiles.named(None if robot is None else str(robot), **given), rates, seed)

@@ -13,6 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_controller.law.parameters import MODEL_PARTS, CS7BParameters
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
@@ -105,14 +106,16 @@ class PerturbationModel:
             controllers: one for each run, or None for the setup's own in all of them.
 
         Raises:
-            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, or a controller feeds
-                forward by a model.
+            ConfigError: if the batch is empty, the numbers of frictions and controllers differ, an element has a part,
+                or a controller feeds forward by a model.
         """
         runs = len(frictions)
         if runs == 0:
             raise ConfigError("a batch of 0 runs; accepted: at least one")
         if controllers is not None and len(controllers) != runs:
             raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
+        for friction in frictions:
+            refuse_parts(dict(zip(friction.names, friction.elements, strict=True)), "the perturbation method")
         lanes = lanes_for(runs)
         groups = pack(frictions, self._laws(controllers, runs), lanes)
         states, motion = groups.states, self.motion
@@ -160,13 +163,16 @@ def prepare(
 
     Raises:
         ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
-            not six numbers within the joint limits.
+            not six numbers within the joint limits, or a drive is elastic.
         TrajectoryError: if the trajectory is refused.
     """
     rates = setup.rates
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
+    for i in np.flatnonzero(setup.drives.elasticity.elastic):
+        found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
+        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
@@ -44,7 +45,7 @@ def simulated_elements(
 
 
 def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:
-    found = {parameter: one.value for parameter, one in known.items() if one.identifiable}
+    found: dict[str, Any] = {parameter: one.value for parameter, one in known.items() if one.identifiable}
     for sign in ("positive", "negative"):
         coulomb = f"tau_c_{sign}"
         if found.get(coulomb, 0.0) <= 0.0:

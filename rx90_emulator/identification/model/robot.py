@@ -17,6 +17,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.topics import MOTOR_STATES
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_emulator.identification.model.options import RobotOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.layout import BagLayout
@@ -141,4 +142,10 @@ def _other(options: RobotOptions, urdf: Path, *, massless: bool) -> RecordedRobo
 def _fallback(name: str, arm: RigidArm) -> tuple[tuple[FrictionElement, ...] | None, str | None]:
     if name == "none":
         return None, None
-    return FrictionFile.read(resolve_config(name)).select(arm.element_names), name
+    elements = FrictionFile.read(resolve_config(name)).select(arm.element_names)
+    refuse_parts(
+        dict(zip(arm.element_names, elements, strict=True)),
+        "an identification with it as --fallback",
+        f"{name}: elements.",
+    )
+    return elements, name

@@ -149,4 +149,5 @@ def _rounded(value: float) -> float:
 
 
 def _rounded_element(element: FrictionElement) -> FrictionElement:
-    return replace(element, **{name: _rounded(value) for name, value in vars(element).items()})
+    values: dict[str, Any] = {name: _rounded(getattr(element, name)) for name in FRICTION_UNITS}
+    return replace(element, **values)

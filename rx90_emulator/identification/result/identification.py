@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement, FrictionSet
@@ -137,7 +138,7 @@ def _merged(
 ) -> FrictionElement:
     """Return the element; parameters that are not identifiable come from `given`, else from the fallback."""
     estimates = {**sliding.parameters, **presliding}
-    values = dict(given)
+    values: dict[str, Any] = dict(given)
     for name in PARAMETERS:
         estimate = estimates.get(name)
         if estimate is not None and estimate.identifiable:

@@ -70,7 +70,7 @@ def changed(file: FrictionFile, name: str, values: Mapping[str, float]) -> Frict
         ConfigError: for a value that the element refuses, with what is accepted.
     """
     before = file.elements[name]
-    element = replace(before, **values)
+    element = replace(before, **values)  # type: ignore[arg-type]  # of the parameters that are numbers
     edits = [
         f"{name}.{key} from {getattr(before, key):g} to {getattr(element, key):g} {unit}"
         for key, unit in FRICTION_UNITS.items()

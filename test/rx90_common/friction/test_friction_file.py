@@ -16,12 +16,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal_by
 
+from rx90_common.base.entries import REQUIRED
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
+from rx90_common.friction.parts.bristles import KINDS, BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.ripple import RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.table import PARTS
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -191,10 +197,20 @@ def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles)
     """Table, attributes, their description and the head of the shipped file name the same parameters and units."""
     attributes = [name for parameter in FRICTION_PARAMETERS for name in parameter.attributes]
     fields = {field.name: field.default for field in dataclasses.fields(FrictionElement)}
-    assert list(fields) == attributes
+    assert list(fields) == [*attributes, *PARTS]
     for parameter in FRICTION_PARAMETERS:
         default = dataclasses.MISSING if parameter.default is None else parameter.default
         assert [fields[name] for name in parameter.attributes] == [default] * len(parameter.attributes)
+    assert [fields[name] for name in PARTS] == [None] * len(PARTS)
+    for name, part in PARTS.items():
+        text = part.legend()
+        assert f"# {name} " in text
+        for kind in KINDS.values() if part is BristlesPart else [part]:
+            keys = kind.table.keys
+            assert {field.name: field.default for field in dataclasses.fields(kind)} == {
+                key: dataclasses.MISSING if entry.default is REQUIRED else entry.default for key, entry in keys.items()
+            }, name
+            assert all(f"#   {key} " in text and f", {entry.unit}" in text for key, entry in keys.items())
     for parameter in FRICTION_PARAMETERS:
         assert f"{', '.join(parameter.attributes)}: {parameter.meaning}" in str(FrictionElement.__doc__)
         assert f"{parameter.meaning}, {parameter.unit}" in str(FrictionElement.__doc__)
@@ -202,6 +218,28 @@ def test_the_table_is_the_element_and_its_description(shipped_files: RobotFiles)
 
 
 POSITIVE = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+_SHARE = st.floats(0.0, 0.06)
+_TERMS = st.sampled_from([(), (1.0,), (2.0, 16.5)])
+ANY_PART = {
+    "load": st.builds(LoadPart, *[st.floats(0.0, 0.95)] * 4, *[st.just(0.0) | _SHARE] * 2, st.floats(1e-4, 1.0)),
+    "ripple": _TERMS.flatmap(
+        lambda terms: st.builds(
+            RipplePart,
+            joint_harmonic=st.just(terms),
+            joint_amplitude=st.tuples(*[_SHARE] * len(terms)),
+            motor_harmonic=st.just((2.0,)),
+            motor_amplitude=st.tuples(_SHARE),
+            motor_phase=st.just(()) | st.tuples(st.floats(-4.0, 4.0)),
+        )
+    ),
+    "scatter": st.builds(ScatterPart, st.floats(1e-6, 0.2), st.floats(1e-2, 1e7)),
+    "bristles": st.builds(ElastoPlastic, st.floats(0.0, 0.9))
+    | st.builds(
+        MaxwellSlip, st.sampled_from([(0.5, 0.3, 0.2), (0.9, 0.1 / 3, 0.2 / 3)]), st.just((0.2, 0.2, 0.6)), POSITIVE
+    )
+    | st.builds(MaxwellSlip, st.just((1.0,)), st.just((1.0,)), POSITIVE),
+}
+"""What may stand in each of PARTS."""
 
 
 @st.composite
@@ -212,7 +250,8 @@ def elements(draw: st.DrawFn) -> FrictionElement:
     omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
     c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
     omega_d, alpha = draw(POSITIVE | st.just(math.inf)), draw(st.just(1.0) | st.floats(0.3, 2.0))
-    return FrictionElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha)
+    parts = {name: draw(st.none() | part) for name, part in ANY_PART.items()}
+    return FrictionElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha, **parts)
 
 
 WORDS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1) | st.sampled_from(
@@ -252,6 +291,83 @@ def test_what_is_written_is_read_back(
     assert old.get("source") == source
     assert old.get("identification") == identification
     assert [values["c0"] for values in old["elements"].values()] == [element.c0 for element in content.values()]
+
+
+LOAD = {"driving": 0.05, "driven": 0.08}
+SLIP = {"kind": "maxwell_slip", "stiffness": [0.5, 0.5], "share": [0.4, 0.6], "attraction": 1000.0}
+WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
+
+
+@pytest.mark.parametrize(
+    ("part", "block", "words"),
+    [
+        ("load", {**LOAD, "driving": -0.1}, "load.driving is -0.1; accepted: a number in [0, 0.95]"),
+        ("load", {**LOAD, "driven": 1.0}, "load.driven is 1.0; accepted: a number in [0, 0.95]"),
+        ("load", {"driving": 0.1}, "load.driven is missing"),
+        ("load", {**LOAD, "relax_time": 0.0}, "load.relax_time is 0.0; accepted: a number in (0, 1]"),
+        ("load", {**LOAD, "quadratic_driven": math.inf}, "load.quadratic_driven is inf"),
+        ("load", {**LOAD, "drivn": 1.0}, "load.drivn is not a known key; accepted: driven, driving"),
+        ("load", 0.1, "load is 0.1; accepted: a mapping"),
+        ("ripple", {}, "ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic"),
+        ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple: motor_phase has 2 numbers; accepted: 1, as motor_"),
+        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple: joint_amplitude has 1 numbers; accepted: 0, as joint_"),
+        ("ripple", {**WAVE, "motor_amplitude": [-0.1]}, "ripple.motor_amplitude[0] is -0.1; accepted: a number"),
+        (
+            "ripple",
+            {"joint_harmonic": [1, 2], "joint_amplitude": [0.5, 0.5]},
+            "ripple: the amplitudes sum to 1; accepted: less than 1",
+        ),
+        (
+            "ripple",
+            {"joint_harmonic": [1] * 9, "joint_amplitude": [0.01] * 9},
+            "ripple: joint_harmonic has 9 numbers; accepted: up to 8",
+        ),
+        ("scatter", {"deviation": 0.3, "correlation_time": 1.0}, "scatter.deviation is 0.3; accepted: a number"),
+        ("scatter", {"deviation": 0.1, "correlation_time": 0}, "scatter.correlation_time is 0; accepted: "),
+        ("bristles", {"kind": "elasto_plastic", "break_away": 0.95}, "bristles.break_away is 0.95; accepted: a "),
+        ("bristles", {"kind": "brush"}, "bristles.kind is 'brush'; accepted: one of elasto_plastic, maxwell_slip"),
+        ("bristles", {**SLIP, "stiffness": []}, "bristles.stiffness is []; accepted: a list of 1 to 10 numbers"),
+        ("bristles", {**SLIP, "stiffness": [0.5, 0.4]}, "bristles: stiffness sums to 0.9; accepted: 1, as parts of c0"),
+        ("bristles", {**SLIP, "share": [0.5, 0.6]}, "bristles: share sums to 1.1; accepted: 1, as parts of the "),
+        ("bristles", {**SLIP, "share": [1.0]}, "bristles: share has 1 numbers; accepted: 2, as stiffness has"),
+        ("bristles", {**SLIP, "stiffness": [0.1] * 11}, "bristles: stiffness has 11 numbers; accepted: 1 to 10, "),
+        ("bristles", {**SLIP, "share": [1.0, 0.0]}, "bristles.share[1] is 0.0; accepted: a number in (0, 1]"),
+        ("bristles", {**SLIP, "attraction": 0.0}, "bristles.attraction is 0.0; accepted: a number > 0"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_in_a_part_is_refused(
+    shipped_files: RobotFiles, edited_yaml: Edit, part: str, block: Any, words: str
+) -> None:
+    """A block is refused by file, element, key, value and what is accepted; alone in Python by block, key and value."""
+    text = refusal(edited_yaml(shipped_files.friction, ("elements", "joint_2", part), block))
+    assert "elements.joint_2" in text
+    assert words in text
+    if isinstance(block, dict) and "known key" not in words and "missing" not in words:
+        values = {key: tuple(map(float, v)) if isinstance(v, list) else v for key, v in block.items()}
+        if values.get("kind") == "brush":
+            return
+        with pytest.raises(ConfigError) as caught:
+            PARTS[part].read(values)
+        assert words.removeprefix(f"{part}.").removeprefix(f"{part}: ") in str(caught.value)
+        assert str(caught.value).startswith(f"{part}: ")
+
+
+def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
+    """passive_damping is that of the least sliding torque that ripple and scatter leave; load only adds to it."""
+    element, speed = shipped.friction.elements[0], float(shipped.robot.max_velocity[0])
+    ripple, scatter = RipplePart((1.0,), (0.2,), (), (2.0,), (0.1,)), ScatterPart(0.05, 10.0)
+    whole = element.passive_damping(speed)
+    assert dataclasses.replace(element, load=LoadPart(0.1, 0.2)).passive_damping(speed) == whole
+    parted = dataclasses.replace(element, ripple=ripple, scatter=scatter)
+    assert parted.passive_damping(speed) == pytest.approx(0.7 * 0.8 * whole, rel=1e-12)
+    tight = dataclasses.replace(element, c1=0.99 * whole)
+    assert math.isinf(tight.passivity_limit(speed))
+    warned = FrictionSet(
+        shipped.friction.names, (dataclasses.replace(tight, ripple=ripple), *shipped.friction.elements[1:])
+    )
+    (line,) = warned.passivity_warnings(shipped.robot.max_velocity.tolist())
+    assert "elements.joint_1.c1" in line
+    assert "ripple" in line
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:

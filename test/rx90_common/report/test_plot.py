@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import interp1d
 
 from rx90_common.report.live import plot_json
-from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot, simplified
+from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot, simplified, symlog
 from rx90_common.report.still import as_svg, drawn, write_picture
 
 TIME = np.linspace(0.0, 8.0, 8001)
@@ -83,6 +83,16 @@ def test_ranges_hold_all_that_is_drawn() -> None:
     assert other.y_range[0] == 0.0
     assert Plot([one, other]).x_range == pytest.approx((-1.5, 51.5))
     assert panel(Curve(np.array([np.nan]), np.array([np.nan]))).x_range == (0.0, 1.0)
+
+
+def test_a_curve_keeps_its_shape_on_a_logarithmic_axis() -> None:
+    """What is straight over x is bent on an axis with decades of x: fewer points show the same there."""
+    x = np.concatenate([-np.geomspace(1e-3, 1.0, 500)[::-1], np.geomspace(1e-3, 1.0, 500)])
+    curve = Curve(x, 40.0 + 10.0 * x)
+    few_x, few_y = simplified(panel(curve, x_scale="symlog", smallest=1e-3), curve)
+    assert len(few_x) < 500
+    shown = np.interp(symlog(x, 1e-3), symlog(few_x, 1e-3), few_y)
+    assert shown == pytest.approx(curve.y, abs=20.0 / 2000)  # a dot of the canvas
 
 
 def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:

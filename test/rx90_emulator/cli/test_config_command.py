@@ -198,9 +198,12 @@ def test_every_value_is_shown_with_the_line_that_it_comes_from(show: Show) -> No
                     holder = holder[part]
                 assert one["value"] == pytest.approx(holder[key])
                 assert f"{key}:" in lines[int(line) - 1]
-                about = {**data, **data[above[0]]}
-                assert (one["provenance"], one["source"]) == (about["provenance"], about["source"])
-                assert one["assumed"] == (about["provenance"] == "assumed")
+                around = [data, data[above[0]], holder]
+                for word in ("provenance", "source"):
+                    given = [each[word] for each in around if isinstance(each, dict) and word in each]
+                    said = [each.get(key) if isinstance(each, dict) else each for each in given]
+                    assert one[word] == [each for each in said if each is not None][-1]
+                assert one["assumed"] == (one["provenance"] == "assumed")
                 seen += 1
     assert seen > 60
     assert values["friction.elements.joint_1.alpha"]["origin"] == "default of the code"

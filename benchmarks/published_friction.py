@@ -1,0 +1,148 @@
+"""Friction of a robot joint over speed, load and temperature as published, and as an element of this project has it.
+
+    python -m benchmarks.published_friction [--plot docs/images/published_friction.png]
+
+Bittencourt and Gunnarsson (2012), Static Friction in a Robot Joint - Modeling and Identification of Load and
+Temperature Effects, J. Dyn. Sys. Meas. Control 134(5) 051013: load and temperature change a joint's Stribeck curve.
+Torques are shares of the joint's largest torque, speeds the motor's. Their numbers are those that Yan, Li and Meng
+(2020), Proc. IMechE J, doi 10.1177/1350650120954943, carry on (github.com/qiyan98/Manipulator-dynamics, FunFriction.m).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.report import merge, print_table
+from rx90_common.base.arrays import Array
+from rx90_common.friction import ELEMENT_COUNT
+from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
+from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
+from rx90_common.report.still import write_picture
+
+COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2
+STATIC_LOAD, SPEED_LOAD = 1.26e-1, 9.22  # of the load: Stribeck torque, and its speed in rad/s
+STATIC, STATIC_TEMPERATURE = -2.50e-2, 1.60e-3  # without load: Stribeck torque at 0 degrees Celsius, and by degree
+SPEED, SPEED_TEMPERATURE = -24.81, 0.98  # its speed, rad/s, the same
+EXPONENT = 1.36
+VISCOUS, VISCOUS_TEMPERATURE, TEMPERATURE_SCALE = 1.30e-4, 1.32e-3, 20.71  # s/rad, s/rad, degrees Celsius
+
+LOADS = (0.0, 0.2, 0.4, 0.6, 0.8)
+TEMPERATURES = (30.0, 40.0, 50.0, 60.0, 70.0, 80.0)
+SAME_SPEED = (SPEED_LOAD - SPEED) / SPEED_TEMPERATURE
+"""The temperature at which both Stribeck speeds are the same, degrees Celsius."""
+SPEEDS = np.geomspace(0.1, 280.0, 400)
+_LONG = 1e6
+"""s; a bristle's step is exact however long it is."""
+
+
+def published(speed: Array, torque: float, temperature: float) -> Array:
+    """Return the friction of the paper's model for speeds above 0, rad/s."""
+    of_load = STATIC_LOAD * torque * np.exp(-((speed / SPEED_LOAD) ** EXPONENT))
+    stribeck_speed = SPEED + SPEED_TEMPERATURE * temperature
+    stribeck = (STATIC + STATIC_TEMPERATURE * temperature) * np.exp(-((speed / stribeck_speed) ** EXPONENT))
+    viscous = VISCOUS + VISCOUS_TEMPERATURE * np.exp(-temperature / TEMPERATURE_SCALE)
+    return np.asarray(COULOMB + COULOMB_LOAD * torque + of_load + stribeck + viscous * speed)
+
+
+def element_at(temperature: float) -> FrictionElement:
+    """Return an element of this temperature with the paper's load; one Stribeck speed for both of its shares."""
+    static = COULOMB + STATIC + STATIC_TEMPERATURE * temperature
+    viscous = VISCOUS + VISCOUS_TEMPERATURE * float(np.exp(-temperature / TEMPERATURE_SCALE))
+    speed = SPEED + SPEED_TEMPERATURE * temperature
+    part = LoadPart(COULOMB_LOAD, COULOMB_LOAD, STATIC_LOAD, STATIC_LOAD)
+    return FrictionElement(COULOMB, COULOMB, static, static, speed, EXPONENT, 1e3, 0.0, viscous, load=part)
+
+
+def of_element(torque: float, temperature: float) -> Array:
+    """Return the friction of that element in steady motion at SPEEDS under a load, as the plant's kernel has it."""
+    elements = [element_at(temperature)] * ELEMENT_COUNT
+    parts, states = np.zeros(1, parts_dtype(ELEMENT_COUNT)), np.zeros(1, parts_state_dtype(ELEMENT_COUNT))
+    fill_parts(parts[0], elements, np.ones(ELEMENT_COUNT).tolist(), 1.0, 0)
+    friction = np.empty((len(SPEEDS), ELEMENT_COUNT))
+    _steady(element_arrays(elements), parts, states, np.full(ELEMENT_COUNT, torque), SPEEDS, friction)
+    return friction[:, 0]
+
+
+@kernel
+def _steady(elements: Any, parts: Any, states: Any, transmitted: Array, speeds: Array, torque: Array) -> None:
+    """Write the torque of seven elements at each speed after a long time, shape (n, 7)."""
+    reset_parts(parts[0], states[0], load(transmitted, 7))
+    still = 0.0 * load(transmitted, 7)
+    for k in range(len(speeds)):
+        z, _ = parts_step(elements[0], parts[0], states[0], still, still, still + speeds[k], _LONG, 7)
+        _, mean = parts_step(elements[0], parts[0], states[0], z, still, still + speeds[k], _LONG, 7)
+        store(torque[k], mean)
+
+
+def trends() -> dict[str, float]:
+    """Return what load and temperature do, and how far the element is from the paper, as figures."""
+    slow, fast = np.array([1.0]), np.array([200.0])
+
+    def ratio(speed: Array, first: tuple[float, float], second: tuple[float, float]) -> float:
+        """Return friction at the second load and temperature over that at the first."""
+        return float((published(speed, *second) / published(speed, *first))[0])
+
+    minimum = [float(SPEEDS[np.argmin(published(SPEEDS, 0.0, t))]) for t in (30.0, 80.0)]
+    return {
+        "published_friction_load_slow": ratio(slow, (0.0, 40.0), (0.8, 40.0)),
+        "published_friction_load_fast": ratio(fast, (0.0, 40.0), (0.8, 40.0)),
+        "published_friction_hot_slow": ratio(slow, (0.0, 30.0), (0.0, 80.0)),
+        "published_friction_hot_fast": ratio(fast, (0.0, 30.0), (0.0, 80.0)),
+        "published_friction_minimum_cold": minimum[0],
+        "published_friction_minimum_hot": minimum[1],
+        "published_friction_error_temperature": max(error(0.0, t) for t in TEMPERATURES),
+        "published_friction_error_load": max(error(each, SAME_SPEED) for each in LOADS),
+        "published_friction_error_both": max(error(each, t) for each in LOADS for t in TEMPERATURES),
+    }
+
+
+def error(torque: float, temperature: float) -> float:
+    """Return the largest deviation of the element from the paper over all speeds, as a share of the paper's value."""
+    return float(np.max(np.abs(of_element(torque, temperature) / published(SPEEDS, torque, temperature) - 1.0)))
+
+
+def plot() -> Plot:
+    """Return curves over speed, for loads at 40 degrees and for temperatures without load; published ones are solid."""
+    over_load = list(_curves([(each, 40.0, f"{each:g}") for each in LOADS]))
+    over_temperature = list(_curves([(0.0, t, f"{t:g}") for t in TEMPERATURES]))
+    x, y = "speed of the motor, rad/s", "friction over largest torque"
+    return Plot(
+        [
+            Panel(over_load, "", x, f"{y}; by load, at 40 °C", x_scale="log", from_zero=True),
+            Panel(over_temperature, "", x, f"{y}; by °C, without load", x_scale="log", from_zero=True),
+        ],
+        columns=2,
+        height=3.6,
+    )
+
+
+def _curves(states: list[tuple[float, float, str]]) -> Iterator[Curve]:
+    for k, (torque, temperature, label) in enumerate(states):
+        yield Curve(SPEEDS, published(SPEEDS, torque, temperature), label, COLOURS[k])
+        yield Curve(SPEEDS, of_element(torque, temperature), "", COLOURS[k], 1.8, "dotted")
+
+
+def main() -> None:
+    """Print what load and temperature do; draw the curves where asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.published_friction")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
+    options = parser.parse_args()
+    figures = trends()
+    print_table(("", "value"), [(name.removeprefix("published_friction_"), f"{v:.4g}") for name, v in figures.items()])
+    merge(figures)
+    if options.plot is not None:
+        write_picture(plot(), options.plot)
+
+
+if __name__ == "__main__":
+    main()

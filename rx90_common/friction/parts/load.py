@@ -1,0 +1,140 @@
+"""Load: Coulomb and static torque grow with the torque that the joint transmits to its link.
+
+    tau_c + k(dir) |l|                                                       Coulomb torque
+    tau_s + (k(dir) + s(dir)) |l| + m(dir) l^2                               static torque
+    relax_time dl/dt = tau_t - l                                             transmitted torque l
+    tau_t = drive torque - friction, brakes included - B a                   B: inertia of the rotors
+
+dir is `driving` where l v >= 0: the motor moves the link; `driven` elsewhere: the link moves the motor, as in lowering
+a mass. At v = 0 it is `driving`.
+
+k and s are Bittencourt and Gunnarsson's F_c,tau and F_s,tau (2012, Static friction in a robot joint, J. Dyn. Sys. Meas.
+Control 134(5) 051013), which have one value for both directions. Duclusaud and others (2024, Extended friction models
+for the physics simulation of servo actuators, arXiv 2410.08650) write their load as the torque on the gears,
+|tau_m - tau_e|, of motor torque and external torque; in steady sliding under a constant load tau_e = -l and
+tau_m = l + friction, so that their models are
+
+    M3    driving = 2 K_l / (1 - K_l), driven = 2 K_l / (1 + K_l)
+    M4    also stribeck_driving = 2 K_ls, stribeck_driven = 2 K_ls, to first order in K
+    M5    driving = (K_m + K_e) / (1 - K_m), driven = (K_m + K_e) / (1 + K_m); stribeck_ from K_ms and K_es likewise
+    M6    also quadratic_driving = K_q of the external torque, quadratic_driven = K_q of the motor's; both fade with
+          speed, as in the source
+
+and their Coulomb torque is 1 / (1 -+ K) of the one here: to first order in K the same.
+
+Friction that depends on the transmitted torque, which depends on friction, is an algebraic loop. Here l is a state
+with a time of its own, so that the law is one in continuous time and does not depend on the step. A step takes l at its
+midpoint from the slope of the last one, and advances l exactly for a tau_t that is held: second order. The loop's gain
+is below 1 where the coefficients are, and the step is then stable for every relax_time that is not below it.
+
+The part only adds to the sliding torque, so it takes nothing from the passivity of the element.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.groups import Group
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.elementary import exponential
+from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
+
+DIRECTIONS = ("driving", "driven")
+"""Of the power flow, in the order in which everything keeps them."""
+
+RELAX_TIME = 1e-3
+"""How long the friction takes to follow the load unless a file says so, s."""
+
+_coefficient = partial(Number, unit="1", low=0.0, high=0.95)
+_quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0, default=0.0)
+_TABLE = Group(
+    "Friction by the torque that the joint transmits.",
+    keys={
+        "driving": _coefficient("Coulomb torque by load torque where the motor moves the link."),
+        "driven": _coefficient("Coulomb torque by load torque where the link moves the motor."),
+        "stribeck_driving": _coefficient("What static torque by load torque has beyond driving.", default=0.0),
+        "stribeck_driven": _coefficient("What static torque by load torque has beyond driven.", default=0.0),
+        "quadratic_driving": _quadratic("Static torque by the square of the load torque, driving."),
+        "quadratic_driven": _quadratic("Static torque by the square of the load torque, driven."),
+        "relax_time": Number(
+            "Time in which friction follows the load, at least the plant's step.", "s",
+            low=0.0, high=1.0, above=True, default=RELAX_TIME,
+        ),
+    },
+    default=LEFT_OUT,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoadPart(FrictionPart):
+    """Friction that grows with the transmitted torque; equations in this module's docstring.
+
+    Attributes:
+        driving, driven: Coulomb torque by load torque, 1.
+        stribeck_driving, stribeck_driven: what static torque by load torque has beyond these, 1.
+        quadratic_driving, quadratic_driven: static torque by the square of the load torque, 1/Nm.
+        relax_time: in which friction follows the load, s.
+    """
+
+    name: ClassVar[str] = "load"
+    table: ClassVar[Group] = _TABLE
+
+    driving: float
+    driven: float
+    stribeck_driving: float = 0.0
+    stribeck_driven: float = 0.0
+    quadratic_driving: float = 0.0
+    quadratic_driven: float = 0.0
+    relax_time: float = RELAX_TIME
+
+
+def load_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the constants: a row for each of DIRECTIONS; the rate is 0 where the part is off."""
+    rows = (len(DIRECTIONS), width)
+    return np.dtype(
+        [
+            ("coulomb", np.float64, rows),
+            ("stribeck", np.float64, rows),
+            ("quadratic", np.float64, rows),
+            ("rate", np.float64, width),
+        ],
+        align=True,
+    )
+
+
+def fill_load(record: Any, parts: Sequence[LoadPart | None]) -> None:
+    """Write the constants, an element for each of `parts`."""
+    for i, part in enumerate(parts):
+        if part is not None:
+            for row, direction in enumerate(DIRECTIONS):
+                record["coulomb"][row, i] = getattr(part, direction)
+                record["stribeck"][row, i] = getattr(part, f"stribeck_{direction}")
+                record["quadratic"][row, i] = getattr(part, f"quadratic_{direction}")
+            record["rate"][i] = 1.0 / part.relax_time
+
+
+@inlined
+def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, width: int) -> tuple[Lanes, Lanes]:
+    """Return what a load, Nm, adds to Coulomb and to static torque, Nm."""
+    driving = transmitted * velocity >= 0.0
+    size = absolute(transmitted)
+    coulomb = size * select(driving, load(part.coulomb[0], width), load(part.coulomb[1], width))
+    stribeck = select(driving, load(part.stribeck[0], width), load(part.stribeck[1], width))
+    quadratic = select(driving, load(part.quadratic[0], width), load(part.quadratic[1], width))
+    return coulomb, coulomb + size * (stribeck + size * quadratic)
+
+
+@inlined
+def advance_load(part: Any, state: Any, transmitted: Lanes, step: float, width: int) -> None:
+    """Let the loads follow what was transmitted, Nm, over a step, s: exactly, for a torque that is held."""
+    before = load(state.load, width)
+    change = (transmitted - before) * (1.0 - exponential(-step * load(part.rate, width)))
+    store(state.load, before + change)
+    store(state.load_slope, change / step)

@@ -1,0 +1,141 @@
+"""Position: Coulomb and static torque with a Fourier series in joint angle and motor angle.
+
+    tau_c (1 + r), tau_s (1 + r)
+    r = sum a_i cos(h_i q + p_i) + sum a_j cos(h_j n q + p_j)
+
+with the element's angle q and, in the second sum, the motor's n q with the gear ratio n. Harmonic drives have most of
+it at two waves for each turn of the motor (Tuttle and Seering 1996, A nonlinear model of a harmonic drive gear
+transmission), spur gears at tooth mesh, bearings and seals at one wave for each turn of the joint. For the sixth
+element, which turns with joint 6 alone, n q is the turn of motor 6 while joint 5 stands.
+
+The amplitudes sum to less than 1, so the sliding torque stays positive and the part only takes power; passive_damping
+of the element is that of its least sliding torque, (1 - sum of the amplitudes) times.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90_common.base.entries import LEFT_OUT, ListOf, Number
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.elementary import sine_cosine
+from rx90_common.kernels.elementary_arrays import sines_cosines
+from rx90_common.kernels.lanes import Lanes, fma, load
+
+ANGLES = ("joint", "motor")
+MOST_TERMS = 8
+"""Of each of both sums."""
+
+
+def _numbers(about: str, unit: str, **limits: Any) -> ListOf:
+    accepted = f"a list of up to {MOST_TERMS} numbers"
+    return ListOf(about, unit, item=Number(about, unit, **limits), accepted=accepted, default=())
+
+
+_TABLE = Group(
+    "Friction by the angles of joint and motor.",
+    keys={
+        f"{angle}_{what}": _numbers(f"{about} {angle}.", unit, **limits)
+        for angle in ANGLES
+        for what, about, unit, limits in (
+            ("harmonic", "Waves in a turn of the", "1", {"low": 0.0, "high": 1000.0, "above": True}),
+            ("amplitude", "Share of Coulomb and static torque, by the angle of the", "1", {"low": 0.0, "high": 0.99}),
+            ("phase", "Phase of the cosine at the zero of the", "rad", {}),
+        )
+    },
+    default=LEFT_OUT,
+)
+
+
+@dataclass(frozen=True)
+class RipplePart(FrictionPart):
+    """A Fourier series of the Coulomb and static torque; equations in this module's docstring.
+
+    Attributes:
+        joint_harmonic, motor_harmonic: waves in a turn, 1.
+        joint_amplitude, motor_amplitude: as many, share of Coulomb and static torque, 1.
+        joint_phase, motor_phase: as many or none, which is 0, rad.
+    """
+
+    name: ClassVar[str] = "ripple"
+    table: ClassVar[Group] = _TABLE
+
+    joint_harmonic: tuple[float, ...] = ()
+    joint_amplitude: tuple[float, ...] = ()
+    joint_phase: tuple[float, ...] = ()
+    motor_harmonic: tuple[float, ...] = ()
+    motor_amplitude: tuple[float, ...] = ()
+    motor_phase: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for angle in ANGLES:
+            terms = len(getattr(self, f"{angle}_harmonic"))
+            if terms > MOST_TERMS:
+                raise ConfigError(f"ripple: {angle}_harmonic has {terms} numbers; accepted: up to {MOST_TERMS}")
+            for what, accepted in (("amplitude", (terms,)), ("phase", (terms, 0))):
+                count = len(getattr(self, f"{angle}_{what}"))
+                if count not in accepted:
+                    raise ConfigError(f"ripple: {angle}_{what} has {count} numbers; accepted: {terms}, "
+                                      f"as {angle}_harmonic has")  # fmt: skip
+        if not self.joint_harmonic and not self.motor_harmonic:
+            raise ConfigError("ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic")
+        if self.least_factor <= 0.0:
+            total = sum((*self.joint_amplitude, *self.motor_amplitude))
+            raise ConfigError(f"ripple: the amplitudes sum to {total:g}; accepted: less than 1")
+
+    @property
+    def least_factor(self) -> float:
+        """Return the least number that Coulomb and static torque are multiplied with."""
+        return 1.0 - sum((*self.joint_amplitude, *self.motor_amplitude))
+
+
+def ripple_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the constants: how many terms there are, and a row for each."""
+    rows = (len(ANGLES) * MOST_TERMS, width)
+    return np.dtype(
+        [
+            ("terms", np.int64),
+            ("harmonic", np.float64, rows),  # waves in 2 pi of the element's angle
+            ("cosine", np.float64, rows),
+            ("sine", np.float64, rows),
+        ],
+        align=True,
+    )
+
+
+def fill_ripple(record: Any, parts: Sequence[RipplePart | None], gear: Sequence[float]) -> None:
+    """Write the constants, an element for each of `parts`, with its gear ratio."""
+    most = 0
+    for i, part in enumerate(parts):
+        if part is None:
+            continue
+        row = 0
+        for angle, ratio in zip(ANGLES, (1.0, gear[i]), strict=True):
+            harmonic, amplitude = getattr(part, f"{angle}_harmonic"), getattr(part, f"{angle}_amplitude")
+            phase = getattr(part, f"{angle}_phase") or (0.0,) * len(harmonic)
+            for k in range(len(harmonic)):
+                sine, cosine = sines_cosines(np.array([phase[k]]))
+                record["harmonic"][row, i] = harmonic[k] * ratio
+                record["cosine"][row, i] = amplitude[k] * cosine[0]
+                record["sine"][row, i] = -amplitude[k] * sine[0]
+                row += 1
+        most = max(most, row)
+    record["terms"] = most
+
+
+@inlined
+def ripple_factor(part: Any, angle: Lanes, width: int) -> Lanes:
+    """Return the number that Coulomb and static torque are multiplied with at the elements' angles, rad."""
+    factor = 0.0 * angle + 1.0
+    for k in range(part.terms):
+        sine, cosine = sine_cosine(load(part.harmonic[k], width) * angle)
+        factor = fma(load(part.cosine[k], width), cosine, fma(load(part.sine[k], width), sine, factor))
+    return factor

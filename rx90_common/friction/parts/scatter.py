@@ -1,0 +1,150 @@
+"""Scatter: a slow random walk of Coulomb and static torque, so that two runs differ as two runs of a robot do.
+
+    tau_c (1 + w), tau_s (1 + w)
+    w = deviation min(max(x, -4), 4)
+    x(t + T) = d x(t) + sqrt(1 - d^2) e,  d = exp(-T / correlation_time)
+
+x is an Ornstein-Uhlenbeck walk of mean 0 and variance 1, advanced by its exact transition once in a tick T (Gillespie
+1996, Exact numerical simulation of the Ornstein-Uhlenbeck process, Phys. Rev. E 54), so its autocorrelation is
+exp(-|lag| / correlation_time) whatever the tick. Its start is drawn from the distribution that it keeps.
+
+The random numbers come from a seed by SplitMix64 (Steele, Lea and Flood 2014, Fast splittable pseudorandom number
+generators), whole numbers with the same bits on every machine; each element has a sequence of its own. e is the sum of
+four uniform numbers of 16 bits, of mean 0 and variance 1: over a correlation time thousands of them add up, and what
+comes of them is normal. The bound of four deviations, which w meets for 6e-5 of the time, keeps the sliding torque
+positive; passive_damping of the element is that of (1 - 4 deviation) times its sliding torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.groups import Group
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+
+BOUND = 4.0
+"""Largest |w| in deviations."""
+
+LARGEST_SEED = 2**53
+"""Of a seed: whole numbers up to here are exact in every file format."""
+
+_TABLE = Group(
+    "A slow random walk of the friction.",
+    keys={
+        "deviation": Number(
+            "Standard deviation, share of Coulomb and static torque.", "1", low=0.0, high=0.2, above=True
+        ),
+        "correlation_time": Number("Time in which the walk forgets.", "s", low=1e-2, high=1e7),
+    },
+    default=LEFT_OUT,
+)
+
+
+@dataclass(frozen=True)
+class ScatterPart(FrictionPart):
+    """A random walk of the Coulomb and static torque; equations in this module's docstring.
+
+    Attributes:
+        deviation: standard deviation, share of Coulomb and static torque, 1.
+        correlation_time: s.
+    """
+
+    name: ClassVar[str] = "scatter"
+    table: ClassVar[Group] = _TABLE
+
+    deviation: float
+    correlation_time: float
+
+    @property
+    def least_factor(self) -> float:
+        """Return the least number that Coulomb and static torque are multiplied with."""
+        return 1.0 - BOUND * self.deviation
+
+
+def scatter_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the constants; the deviation is 0 where the part is off."""
+    return np.dtype(
+        [
+            ("seed", np.uint64),
+            ("deviation", np.float64, width),
+            ("decay", np.float64, width),
+            ("kick", np.float64, width),
+        ],
+        align=True,
+    )
+
+
+def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], period: float, seed: int) -> None:
+    """Write the constants, an element for each of `parts`, for a tick of `period`, s."""
+    record["seed"] = seed
+    for i, part in enumerate(parts):
+        if part is not None:
+            ticks = period / part.correlation_time
+            record["deviation"][i] = part.deviation
+            record["decay"][i] = 1.0 + exponential_less_one_of(-ticks)
+            record["kick"][i] = math.sqrt(-exponential_less_one_of(-2.0 * ticks))
+
+
+_GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+_THIRTY, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
+_SIXTEEN, _LOW = np.uint64(16), np.uint64(0xFFFF)
+_MIDDLE = 2.0 * (2**16 - 1)
+"""Mean of the sum of four numbers of 16 bits."""
+_DEVIATION = math.sqrt(4.0 * (2.0**32 - 1.0) / 12.0)
+"""Standard deviation of it."""
+
+
+@inlined
+def _mixed(word: Any) -> Any:
+    """Return the output of SplitMix64 for its counter."""
+    word = (word ^ (word >> _THIRTY)) * _FIRST
+    word = (word ^ (word >> _27)) * _SECOND
+    return word ^ (word >> _31)
+
+
+@inlined
+def _draw(state: Any, element: int) -> float:
+    """Return the next random number of an element: of mean 0 and variance 1, within 3.5."""
+    state.scatter_counter[element] += _GOLDEN
+    word = _mixed(state.scatter_counter[element])
+    total = 0.0
+    for _ in range(4):
+        total += float(word & _LOW)
+        word >>= _SIXTEEN
+    return (total - _MIDDLE) / _DEVIATION
+
+
+@inlined
+def start_scatter(part: Any, state: Any) -> None:
+    """Draw where the walks begin, always the same for a seed."""
+    for i in range(part.deviation.size):
+        state.scatter_counter[i] = _mixed(part.seed + _mixed(np.uint64(i + 1) * _GOLDEN))
+        total = 0.0
+        for _ in range(4):  # sixteen uniform numbers are normal as far as four deviations
+            total += _draw(state, i)
+        state.scatter_walk[i] = 0.5 * total
+        state.scatter_factor[i] = _factor(part, state, i)
+
+
+@inlined
+def advance_scatter(part: Any, state: Any) -> None:
+    """Advance the walks by a tick."""
+    for i in range(part.deviation.size):
+        if part.deviation[i] > 0.0:
+            state.scatter_walk[i] = part.decay[i] * state.scatter_walk[i] + part.kick[i] * _draw(state, i)
+            state.scatter_factor[i] = _factor(part, state, i)
+
+
+@inlined
+def _factor(part: Any, state: Any, element: int) -> float:
+    """Return the number that Coulomb and static torque of an element are multiplied with."""
+    walk: float = min(max(state.scatter_walk[element], -BOUND), BOUND)
+    return 1.0 + walk * float(part.deviation[element])

@@ -1,0 +1,67 @@
+"""Elements with parts, compiled: what their parameters are at a moment, then the step of each one's bristles.
+
+`width`, a literal, is the number of elements in the records; velocity and angle are lanes of that width.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rx90_common.friction.bristle import Elements, load_elements
+from rx90_common.friction.bristles.step import bristles_step, bristles_torque, reset_bristles
+from rx90_common.friction.parts.load import load_torques
+from rx90_common.friction.parts.ripple import ripple_factor
+from rx90_common.friction.parts.scatter import start_scatter
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.lanes import Lanes, fma, load, store
+
+
+@inlined
+def reset_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
+    """Begin anew, with the torques that are transmitted then, Nm."""
+    store(state.load, transmitted)
+    store(state.load_slope, 0.0 * transmitted)
+    start_scatter(parts.scatter, state)
+    reset_bristles(state.bristles)
+
+
+@inlined
+def effective_elements(
+    arrays: Any, parts: Any, state: Any, angle: Lanes, velocity: Lanes, ahead: float, width: int
+) -> Elements:
+    """Return the parameters that the elements have `ahead` seconds after the last step, at an angle and a velocity."""
+    element = load_elements(arrays, width)
+    scale = ripple_factor(parts.ripple, angle, width) * load(state.scatter_factor, width)
+    transmitted = fma(ahead, load(state.load_slope, width), load(state.load, width))
+    coulomb, static = load_torques(parts.load, transmitted, velocity, width)
+    return Elements(
+        (fma(element.tau_c[0], scale, coulomb), fma(element.tau_c[1], scale, coulomb)),
+        (fma(element.tau_s[0], scale, static), fma(element.tau_s[1], scale, static)),
+        element.inverse_omega_s,
+        element.delta,
+        element.c0,
+        element.c1,
+        element.c2,
+        element.inverse_omega_d,
+        element.alpha,
+    )
+
+
+@inlined
+def parts_step(
+    arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, step: float, width: int
+) -> tuple[Lanes, Lanes]:
+    """Advance the bristles by `step` seconds, angle, rad, and velocity, rad/s, being those of its middle.
+
+    Returns:
+        The new deflection, rad, and the friction torque averaged over the step, Nm.
+    """
+    element = effective_elements(arrays, parts, state, angle, velocity, 0.5 * step, width)
+    return bristles_step(element, parts.bristles, state.bristles, z, velocity, step, width)
+
+
+@inlined
+def parts_torque(arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, width: int) -> Lanes:
+    """Return the friction torque at the end of the last step, Nm."""
+    element = effective_elements(arrays, parts, state, angle, velocity, 0.0, width)
+    return bristles_torque(element, parts.bristles, state.bristles, z, velocity, width)

@@ -1,0 +1,223 @@
+"""The plant's step with elastic gears: motors and links move on their own, springs and dampers between them.
+
+Arm, friction and end stops are evaluated once, at the predicted midpoint of the step, as in the rigid plant's step; the
+transmitted torques are implicit, so that no stiffness limits the step. With the twists t of the gears, their torques s
+and the matrix C of the wrist coupling (rx90_common.description.wrist), for a step's mean accelerations
+
+    M a + h = C^T s - friction on the links + end stops,   B (C a + d2t/dt2) = drive torque - friction - s.
+
+M is the mass matrix of the links alone, B holds the rotors; that these count by their own turning alone is Spong's
+assumption (1987, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and Control
+109). s depends on the end of the step (rx90_sim.transmission). Linearised drive by drive, s = offset + slope d2t/dt2,
+the motors are eliminated:
+
+    (M + C^T W C) a + h = C^T (B offset + slope drive) / (B + slope) + ...,   W = B slope / (B + slope),
+
+which is the rigid plant where the slope is infinite. With play s bends, and Newton's method repeats this.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rx90_common.base.arrays import Array
+from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_sim.end_stops import add_stops
+from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
+from rx90_sim.transmission import mean_torque, twist_at_rest
+
+_MOST_ITERATIONS = 50
+_TOLERANCE = 1e-12
+"""Of a transmitted torque, relative to the torques about it."""
+
+
+_MOST_SAGS = 100
+
+
+@kernel
+def hang_links(plant: Any, state: Any) -> None:
+    """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
+    constants, gears = plant.transmission, state.transmission
+    for i in range(6):
+        gears.motor_angle[i] = state.q[i]
+    # The weight changes little with the sag: each round leaves a hundredth or so of the error.
+    for _ in range(_MOST_SAGS):
+        mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
+        _twist_by_weight(constants, gears, state.bias)
+        settled = True
+        for i in range(6):
+            resting = gears.motor_angle[i] - gears.twist[i] + (gears.twist[4] if i == 5 else 0.0)
+            settled = settled and resting == state.q[i]
+            state.q[i] = resting
+        if settled:
+            return
+
+
+@inlined
+def _twist_by_weight(constants: Any, gears: Any, weight: Array) -> None:
+    """Write the torques that the gears transmit to an arm at rest, and their twists."""
+    for i in range(6):
+        gears.torque[i] = weight[i] - (weight[5] if i == 4 else 0.0)
+        gears.twist[i] = 0.0
+        if constants.elastic[i]:
+            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], gears.torque[i])
+
+
+@kernel
+def elastic_reset(plant: Any, state: Any) -> None:
+    """Twist the gears such that they carry the arm at rest, on closed brakes; its weight is `state.bias`."""
+    gears = state.transmission
+    _twist_by_weight(plant.transmission, gears, state.bias)
+    for i in range(6):
+        gears.rate[i] = gears.acceleration[i] = 0.0
+        gears.friction[i] = -gears.torque[i]
+        gears.link_torque[i] = -state.bias[i]
+
+
+@kernel
+def elastic_substep(plant: Any, state: Any, step: float) -> None:
+    """Evaluate arm and friction at the predicted midpoint and step with the mean accelerations found there."""
+    gears, half = state.transmission, 0.5 * step
+    for i in range(6):
+        gears.drive[i] = plant.gear[i] * state.motor_torque[i] - gears.friction[i]
+    # The last step's torques, with those that the motors have now, predict the midpoint to second order. The last
+    # step's accelerations would not do: those of a very stiff spring may alternate from step to step.
+    _balance(plant, state, step)
+    for i in range(6):
+        state.v_mid[i] = state.v[i] + half * state.acceleration[i]
+        state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
+        gears.rate_mid[i] = gears.rate[i] + half * gears.acceleration[i]
+        gears.twist_mid[i] = gears.twist[i] + half * (gears.rate[i] + 0.5 * half * gears.acceleration[i])
+        state.rhs[i] = 0.0
+    _add_friction(plant, state, step)
+    add_stops(plant, state)
+    mass_and_bias(plant.arm, state.body, state.q_mid, state.v_mid, state.mass_matrix, state.bias)
+    for i in range(6):
+        gears.link_torque[i] = state.rhs[i] - state.bias[i]
+    _balance(plant, state, step)
+    for i in range(6):
+        acceleration, turn = state.acceleration[i], gears.acceleration[i]
+        state.q[i] += step * (state.v[i] + half * acceleration)
+        state.v[i] += step * acceleration
+        gears.twist[i] += step * (gears.rate[i] + half * turn)
+        gears.rate[i] += step * turn
+    if plant.parts.used:
+        for i in range(6):
+            state.rhs[i] = gears.torque[i]
+        state.rhs[4] += gears.torque[5]
+        advance_loads(plant, state, state.rhs, state.acceleration, step)
+
+
+@kernel
+def on_motor_side(state: Any) -> tuple[Array, Array]:
+    """Return the positions and velocities of the joints as the motors have them, rad and rad/s; workspace."""
+    gears = state.transmission
+    _to_motor_side(state.q, gears.twist, gears.motor_angle)
+    _to_motor_side(state.v, gears.rate, gears.motor_velocity)
+    return gears.motor_angle, gears.motor_velocity
+
+
+@kernel
+def add_twists(plant: Any, state: Any, motor: Array) -> None:
+    """Add the twists of the gears to motor positions, rad, shape (6,)."""
+    for i in range(6):
+        motor[i] += plant.gear[i] * state.transmission.twist[i]
+
+
+@kernel
+def _to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
+    """Write the joints' positions (or velocities) as the motors have them: the links' and the twists (their rates)."""
+    for i in range(6):
+        motor[i] = joint[i] + twist[i]
+    motor[5] -= twist[4]
+
+
+@kernel
+def _add_friction(plant: Any, state: Any, step: float) -> None:
+    """Advance friction elements and closed brakes; take their torques off those of motors or links."""
+    gears = state.transmission
+    _to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
+    _to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
+    for i in range(6):
+        gears.drive[i] = state.drive_torque[i]
+    if plant.transmission.link_friction:
+        add_element_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
+        add_brakes(plant, state, gears.motor_velocity, gears.drive, step)
+    else:
+        add_friction(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)
+    # As torques of the motors: motor 6 gives what joint 6 gets, motor 5 what joint 5 gets less motor 6's share.
+    gears.drive[4] -= gears.drive[5]
+    for i in range(6):
+        gears.friction[i] = plant.gear[i] * state.motor_torque[i] - gears.drive[i]
+
+
+@kernel
+def _balance(plant: Any, state: Any, step: float) -> None:
+    """Find the accelerations of links and twists, and the transmitted torques, for the torques on links and motors."""
+    constants, gears = plant.transmission, state.transmission
+    for _ in range(_MOST_ITERATIONS):
+        _linearise(constants, gears, step)
+        _accelerate_links(constants, gears, state)
+        if _accelerate_twists(constants, gears, state.acceleration, step):
+            return
+
+
+@inlined
+def _linearise(constants: Any, gears: Any, step: float) -> None:
+    """Write the transmitted torques as functions of the accelerations of the twists, about their present ones."""
+    for i in range(6):
+        if constants.elastic[i]:
+            turn = gears.acceleration[i]
+            way = step * (gears.rate[i] + 0.5 * step * turn)
+            torque, slope = mean_torque(
+                constants.stiffness[i], constants.damping[i], constants.half_play[i], gears.twist[i], way, step
+            )
+            gears.slope[i] = 0.5 * step * step * slope
+            gears.offset[i] = torque - gears.slope[i] * turn
+
+
+@inlined
+def _accelerate_links(constants: Any, gears: Any, state: Any) -> None:
+    """Write the mean acceleration of the links, the motors eliminated."""
+    matrix, a = gears.matrix, state.acceleration
+    for i in range(6):
+        for j in range(i + 1):
+            matrix[i, j] = state.mass_matrix[i, j]
+        a[i] = gears.link_torque[i]
+    for i in range(6):
+        inertia, torque = constants.rotor[i], gears.drive[i]
+        if constants.elastic[i]:
+            share = 1.0 / (inertia + gears.slope[i])
+            torque = (inertia * gears.offset[i] + gears.slope[i] * torque) * share
+            inertia *= gears.slope[i] * share
+        matrix[i, i] += inertia
+        a[i] += torque
+        if i == 5:
+            matrix[4, 4] += inertia
+            matrix[5, 4] += inertia
+            a[4] += torque
+    factorise(matrix, state.factor)
+    solve(state.factor, a)
+
+
+@inlined
+def _accelerate_twists(constants: Any, gears: Any, a: Array, step: float) -> bool:
+    """Write accelerations of the twists and transmitted torques; return whether the torques are those of the twists."""
+    found = True
+    for i in range(6):
+        inertia, drive = constants.rotor[i], gears.drive[i]
+        inertial = inertia * (a[i] + a[4] if i == 5 else a[i])
+        if not constants.elastic[i]:
+            gears.torque[i] = drive - inertial
+            continue
+        turn = (drive - gears.offset[i] - inertial) / (inertia + gears.slope[i])
+        torque = gears.offset[i] + gears.slope[i] * turn
+        gears.acceleration[i], gears.torque[i] = turn, torque
+        if constants.half_play[i] > 0.0:
+            way = step * (gears.rate[i] + 0.5 * step * turn)
+            true, _ = mean_torque(
+                constants.stiffness[i], constants.damping[i], constants.half_play[i], gears.twist[i], way, step
+            )
+            found = found and abs(true - torque) <= _TOLERANCE * (abs(true) + abs(torque) + abs(drive) + abs(inertial))
+    return found

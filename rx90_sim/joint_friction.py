@@ -1,0 +1,158 @@
+"""Joint friction in a step of the plant: the seven elements, closed brakes, and the torque that the joints transmit.
+
+Elements with parts go through `_parted_friction`, those without through the same instructions as if there were no
+parts. Everything about the wrist's seventh element is here: it turns with joints 5 and 6 together, as motor 6 does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rx90_common.base.arrays import Array
+from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
+from rx90_common.friction.parts.load import advance_load
+from rx90_common.friction.parts.scatter import advance_scatter
+from rx90_common.friction.parts.step import parts_step, parts_torque, reset_parts
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
+
+
+@inlined
+def element_inputs(joint: Array) -> Lanes:
+    """Return the angles or velocities of the seven elements, which are also the brakes', for those of the joints."""
+    return append(load(joint, 6), joint[4] + joint[5])
+
+
+@kernel
+def reset_friction(plant: Any, state: Any) -> None:
+    """Begin with undeflected bristles, with brakes that carry all that `state.bias` asks for, Nm, shape (6,)."""
+    for i in range(7):
+        state.z[i] = 0.0
+    for i in range(6):
+        # Brake 6, the seventh element, holds q5 + q6, so what it carries of joint 6 also acts on joint 5.
+        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
+        element = i if i < 5 else 6
+        state.brake_z[element] = -carried / plant.brake.c0[element]
+        state.parts.transmitted[i] = state.bias[i]
+    _give_to_elements(state.parts.transmitted)
+    reset_parts(plant.parts, state.parts, load(state.parts.transmitted, 7))
+
+
+@kernel
+def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+    """Advance the bristles of the seven elements, and of closed brakes, and take their torques off.
+
+    Args:
+        plant: constants, PLANT_DTYPE.
+        state: state, STATE_DTYPE.
+        angle: of the joints, rad, in the middle of the step, shape (6,).
+        velocity: the same, rad/s.
+        torque: on the joints, Nm, shape (6,); the friction is taken off.
+        step: s.
+    """
+    friction = _advance_elements(plant, state, angle, velocity, step)
+    if state.brakes_closed:
+        friction = friction + _advance_brakes(plant, state, velocity, step)
+    _take_off(torque, friction)
+
+
+@kernel
+def add_element_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+    """Do the same without the brakes, which then act elsewhere."""
+    _take_off(torque, _advance_elements(plant, state, angle, velocity, step))
+
+
+@kernel
+def add_brakes(plant: Any, state: Any, velocity: Array, torque: Array, step: float) -> None:
+    """Advance the bristles of closed brakes, and take their torques off; arguments as above."""
+    if state.brakes_closed:
+        _take_off(torque, _advance_brakes(plant, state, velocity, step))
+
+
+@inlined
+def _advance_elements(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> Lanes:
+    """Advance the bristles of the elements; return their torques, Nm."""
+    if plant.parts.used:
+        _parted_friction(plant, state, angle, velocity, step)
+        return load(state.parts.friction, 7)
+    z, friction = bristle_step(load_elements(plant.friction, 7), load(state.z, 7), element_inputs(velocity), step)
+    store(state.z, z)
+    return friction
+
+
+@inlined
+def _advance_brakes(plant: Any, state: Any, velocity: Array, step: float) -> Lanes:
+    """Advance the bristles of the brakes; return their torques, Nm."""
+    inputs = element_inputs(velocity)
+    z, torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), inputs, step)
+    store(state.brake_z, z)
+    return torque
+
+
+@inlined
+def _take_off(torque: Array, friction: Lanes) -> None:
+    """Take the torques of the elements off those of the joints."""
+    store(torque, load(torque, 6) - first(friction, 6))
+    wrist = lane(friction, 6)
+    torque[4] -= wrist
+    torque[5] -= wrist
+
+
+@kernel
+def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> None:
+    """Advance the bristles of elements with parts, and write their torques."""
+    z, torque = parts_step(
+        plant.friction, plant.parts, state.parts, load(state.z, 7), element_inputs(angle), element_inputs(velocity),
+        step, 7,
+    )  # fmt: skip
+    store(state.z, z)
+    store(state.parts.friction, torque)
+
+
+@kernel
+def friction_now(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array) -> None:
+    """Write the friction torques of the seven elements at this instant, without the brakes', Nm, shape (7,).
+
+    The angles, rad, and the velocities, rad/s, are those of the joints, shape (6,).
+    """
+    inputs, z = element_inputs(velocity), load(state.z, 7)
+    if plant.parts.used:
+        angles = element_inputs(angle)
+        store(torque, parts_torque(plant.friction, plant.parts, state.parts, z, angles, inputs, 7))
+    else:
+        store(torque, friction_torque(load_elements(plant.friction, 7), z, inputs))
+
+
+@kernel
+def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, step: float) -> None:
+    """Let the parts follow what the joints transmitted over a step.
+
+    Args:
+        plant: constants, PLANT_DTYPE.
+        state: state, STATE_DTYPE.
+        torque: drive torque less friction, brakes included, at the joints, Nm, shape (6,).
+        acceleration: of the rotors, seen at the joints, rad/s^2, shape (6,).
+        step: s.
+    """
+    for i in range(6):
+        state.parts.transmitted[i] = torque[i]
+        for j in range(6):
+            state.parts.transmitted[i] -= plant.arm.rotor[i, j] * acceleration[j]
+    _give_to_elements(state.parts.transmitted)
+    advance_load(plant.parts.load, state.parts, load(state.parts.transmitted, 7), step, 7)
+
+
+@inlined
+def _give_to_elements(transmitted: Array) -> None:
+    """Make the torques of the six joints, Nm, those of the seven elements, shape (7,).
+
+    Motor 6 turns with joints 5 and 6, so what goes on to link 6 goes through element 7 and element 6.
+    """
+    transmitted[4] -= transmitted[5]
+    transmitted[6] = transmitted[5]
+
+
+@kernel
+def advance_walks(plant: Any, state: Any) -> None:
+    """Advance the random walks of the friction by a tick."""
+    advance_scatter(plant.parts.scatter, state.parts)

@@ -1,0 +1,109 @@
+"""The elasto-plastic step: exact at constant velocity, its instant torque, lanes, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from bristle_oracles import ElastoPlasticOracle, random_element
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.bristle import bristle_step, load_elements, one_element
+from rx90_common.friction.bristles import elasto_plastic
+from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
+from rx90_common.friction.element import element_arrays
+from rx90_common.kernels.lanes import load, store
+
+Array = NDArray[np.float64]
+ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
+
+
+def test_the_rule_is_gauss_s() -> None:
+    """Nodes and weights are those of numpy's Gauss-Legendre rule."""
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    np.testing.assert_allclose(elasto_plastic._NODES, nodes[8:], rtol=1e-14)
+    np.testing.assert_allclose(elasto_plastic._WEIGHTS, weights[8:], rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
+    """Deflection and mean torque are those of a solver with located kinks, through all branches and both signs."""
+    rng = np.random.default_rng(seed)
+    element = random_element(rng)
+    compiled = one_element(element_arrays((element,))[0], 0)
+    oracle = ElastoPlasticOracle(element, rng.uniform(0.0, 0.9))
+    z, share = 0.0, 2e-9 * element.tau_c_positive
+    for sign in (1.0, 1.0, -1.0, 1.0):
+        velocity, step = sign * 10.0 ** rng.uniform(-2.0, 0.7), 10.0 ** rng.uniform(-4.0, -2.5)
+        assert elasto_plastic_torque(compiled, oracle.break_away, z, velocity) == pytest.approx(
+            oracle.torque(z, velocity), rel=1e-12, abs=share
+        )
+        exact, exact_torque = oracle.hold(z, velocity, step)
+        z, torque = elasto_plastic_step(compiled, oracle.break_away, z, velocity, step)
+        assert z * element.c0 == pytest.approx(exact * element.c0, abs=share)
+        assert torque == pytest.approx(exact_torque, abs=2.0 * share)
+
+
+def test_beyond_the_steady_deflection_it_is_lugre() -> None:
+    """Where the sliding curve has fallen below the deflection, and in steady sliding, the step has LuGre's numbers."""
+    for z, velocity in ((3.1e-4, 0.3), (-4.4e-4, -0.2), (2.5e-4, 3.0)):
+        ours, lugre = (
+            elasto_plastic_step(COMPILED, 0.7, z, velocity, 2.5e-4),
+            bristle_step(COMPILED, z, velocity, 2.5e-4),
+        )
+        assert ours == pytest.approx(lugre, rel=1e-12)
+
+
+@given(
+    velocity=st.floats(-1e6, 1e6) | st.sampled_from([0.0, -0.0, 5e-324, -1e-300, 1e-300]),
+    part=st.floats(-1.0, 1.0),
+    step=st.floats(1e-9, 0.1),
+    break_away=st.floats(0.0, 0.9),
+)
+@settings(max_examples=300, deadline=None)
+def test_every_velocity_gives_numbers_within_the_bristle_s_range(
+    velocity: float, part: float, step: float, break_away: float
+) -> None:
+    """No velocity gives NaN, and a deflection within the static range never leaves it."""
+    low, high = -47.0 / ELEMENT.c0, 32.0 / ELEMENT.c0
+    z, torque = elasto_plastic_step(COMPILED, break_away, part * high if part > 0 else -part * low, velocity, step)
+    assert math.isfinite(torque)
+    assert low * (1 + 1e-12) <= z <= high * (1 + 1e-12)
+
+
+@numba.njit(error_model="numpy")
+def together(arrays: Any, break_away: Array, z: Array, velocity: Array, out: Array) -> None:
+    """Write new deflections, mean torques and torques of now, shape (3, 7)."""
+    elements, away, deflection, speed = (
+        load_elements(arrays[0], 7), load(break_away, 7), load(z, 7), load(velocity, 7),
+    )  # fmt: skip
+    new, torque = elasto_plastic_step(elements, away, deflection, speed, 2.5e-4)
+    store(out[0], new)
+    store(out[1], torque)
+    store(out[2], elasto_plastic_torque(elements, away, deflection, speed))
+
+
+def test_lanes_are_single_elements() -> None:
+    """Stuck, in transition and sliding either way, each lane gives the bits that its element gives by itself."""
+    rng = np.random.default_rng(12)
+    elements = [random_element(rng) for _ in range(7)]
+    arrays, out = element_arrays(elements), np.empty((3, 7))
+    for _ in range(50):
+        velocity = rng.choice([-1, 0, 1], 7) * 10.0 ** rng.uniform(-7, 1, 7)
+        z = rng.uniform(-1.0, 1.0, 7) * [e.tau_c_positive / e.c0 for e in elements]
+        away = rng.uniform(0.0, 0.9, 7)
+        together(arrays, away, z, velocity, out)
+        for i in range(7):
+            single = one_element(arrays[0], i)
+            alone = (
+                *elasto_plastic_step(single, away[i], z[i], velocity[i], 2.5e-4),
+                elasto_plastic_torque(single, away[i], z[i], velocity[i]),
+            )
+            assert out[:, i].tolist() == list(alone)

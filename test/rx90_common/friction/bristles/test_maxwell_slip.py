@@ -1,0 +1,101 @@
+"""The Maxwell-slip step: exact at constant velocity, its instant torque, its passivity's bound, what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from bristle_oracles import MaxwellSlipOracle, random_element
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.bristle import one_element
+from rx90_common.friction.bristles.blocks import MOST_BLOCKS
+from rx90_common.friction.bristles.maxwell_slip import maxwell_slip_step, maxwell_slip_torque
+from rx90_common.friction.bristles.step import bristles_dtype
+from rx90_common.friction.element import element_arrays
+from rx90_common.friction.parts.bristles import MaxwellSlip, fill_bristles
+
+ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+COMPILED = one_element(element_arrays((ELEMENT,))[0], 0)
+BLOCKS = MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0)
+
+
+def record_of(blocks: MaxwellSlip) -> Any:
+    """Return the blocks as compiled code has them."""
+    record = np.zeros(1, bristles_dtype(1))
+    fill_bristles(record[0], [blocks])
+    return record[0]["blocks"]
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
+    """Deflections and mean torque are those of a solver with located events: stick, slip and what bounds it."""
+    rng = np.random.default_rng(seed)
+    element, count = random_element(rng), int(rng.integers(1, 6))
+    stiffness, share = rng.dirichlet(np.full(count, 3.0), 2)
+    blocks = MaxwellSlip(tuple(stiffness), tuple(share), 10.0 ** rng.uniform(2.0, 4.0))
+    oracle = MaxwellSlipOracle(element, stiffness, share, blocks.attraction)
+    compiled, arrays = one_element(element_arrays((element,))[0], 0), record_of(blocks)
+    state, forces = np.zeros((2, MOST_BLOCKS)), np.zeros(count)
+    for sign in (1.0, 1.0, 1.0, -1.0, -1.0, 1.0):
+        velocity, step = sign * 10.0 ** rng.uniform(-2.5, 0.7), 10.0 ** rng.uniform(-4.0, -2.2)
+        forces, exact = oracle.hold(forces, velocity, step)
+        z, torque = maxwell_slip_step(compiled, arrays, 0, state, velocity, step)
+        limit = 1e-11 * element.tau_s_positive
+        np.testing.assert_allclose(state[0, :count] * stiffness * element.c0, forces, atol=limit)
+        assert z * element.c0 == pytest.approx(np.sum(forces), abs=limit)
+        assert torque == pytest.approx(exact, abs=2.0 * limit)
+        now = maxwell_slip_torque(compiled, arrays, 0, state, velocity)
+        assert now == pytest.approx(oracle.torque(forces, velocity), rel=1e-9)
+
+
+def test_many_small_steps_make_one_large_step() -> None:
+    """At constant velocity the result does not depend on the step: events lie where they lie."""
+    arrays = record_of(BLOCKS)
+    whole, parts, total = np.zeros((2, 2, MOST_BLOCKS)), 64, 0.0
+    for _ in range(parts):
+        total += maxwell_slip_step(COMPILED, arrays, 0, whole[0], 0.02, 0.05 / parts)[1] / parts
+    assert total == pytest.approx(maxwell_slip_step(COMPILED, arrays, 0, whole[1], 0.02, 0.05)[1], rel=1e-12)
+    np.testing.assert_allclose(whole[0], whole[1], rtol=1e-12)
+
+
+@given(
+    velocities=st.lists(st.floats(-1e6, 1e6) | st.sampled_from([0.0, 5e-324, -1e-300]), min_size=1, max_size=8),
+    step=st.floats(1e-9, 0.1),
+    attraction=st.floats(1e-6, 1e12),
+)
+@settings(max_examples=200, deadline=None)
+def test_every_velocity_gives_numbers_within_the_blocks_range(
+    velocities: list[float], step: float, attraction: float
+) -> None:
+    """No history gives NaN or a block beyond its share of the static torque."""
+    arrays = record_of(MaxwellSlip(BLOCKS.stiffness, BLOCKS.share, attraction))
+    state = np.zeros((2, MOST_BLOCKS))
+    for velocity in velocities:
+        z, torque = maxwell_slip_step(COMPILED, arrays, 0, state, velocity, step)
+        assert math.isfinite(torque)
+        assert math.isfinite(maxwell_slip_torque(COMPILED, arrays, 0, state, velocity))
+        forces = 1e5 * state[0, :3] * BLOCKS.stiffness
+        assert np.all(np.abs(forces) <= np.multiply(BLOCKS.share, 47.0 * (1.0 + 1e-12)))
+        assert abs(z) <= 47.0 / 1e5 * (1.0 + 1e-12)
+
+
+def test_the_bound_of_c1_is_sharp() -> None:
+    """A block that slips with the torque that takes least power dissipates below the bound and creates above it."""
+    one = MaxwellSlip((1.0,), (1.0,), 5e4)
+    arrays, speed = record_of(one), 2.0
+    tau, attracted = 25.0, one.attraction / 1e5
+    beyond = 1.0 + math.sqrt(speed / attracted)
+    bound = tau * float(one.passive_share(1e5, speed)) / speed
+    for c1, created in ((0.99 * bound, False), (1.01 * bound, True)):
+        element = FrictionElement(tau, tau, 20.0 * tau, 20.0 * tau, 1e-3, 1.0, 1e5, c1, 0.0)
+        compiled, step = one_element(element_arrays((element,))[0], 0), 1e-9
+        state = np.zeros((2, MOST_BLOCKS))
+        state[0, 0], state[1, 0] = z0, _ = beyond * tau / 1e5, 1.0
+        z, torque = maxwell_slip_step(compiled, arrays, 0, state, speed, step)
+        dissipated = torque * speed * step - 0.5e5 * (z - z0) * (z + z0)
+        assert (dissipated < 0.0) == created

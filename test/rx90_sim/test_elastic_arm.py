@@ -1,0 +1,229 @@
+"""The whole arm with elastic gears: a stiff solver, its frequencies, the rigid limit, rest, brakes, stops, energy."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from elastic_arms import (
+    POSE,
+    SOFT,
+    WRIST,
+    contact_torque,
+    elastic,
+    energy,
+    floating,
+    free,
+    link_mass,
+    snapshot,
+    solved,
+)
+from numpy.typing import NDArray
+from scipy import linalg
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.elasticity import LINK, MOTOR
+from rx90_emulator.loop.setup import Setup
+from rx90_sim.plant import Plant
+
+Array = NDArray[np.float64]
+COUNTS = np.array([1, 2, 4])
+
+
+@pytest.mark.parametrize("side", [MOTOR, LINK])
+@pytest.mark.parametrize("damping", [0.0, 2e-4])
+def test_second_order_for_the_whole_arm(shipped: Setup, side: str, damping: float) -> None:
+    """Under torques that jump, links, twists and bristles converge with order 2 to a stiff solver's answer."""
+    setup = elastic(shipped, SOFT, damping * SOFT, 0.0, side)
+    rng = np.random.default_rng(1)
+    pieces = [part * setup.drives.peak_torque for part in rng.uniform(-0.5, 0.5, (2, 6))]
+    ticks, errors = 40, []
+    start = snapshot(prepared(setup, 1))
+    want = solved(setup, start, pieces, ticks * setup.rates.period)
+    for substeps in COUNTS:
+        plant, got = prepared(setup, int(substeps)), []
+        for motor in pieces:
+            for _ in range(ticks):
+                plant.step(motor)
+            got.append(snapshot(plant))
+        miss = np.abs(np.array(got) - want)
+        errors.append([miss[:, rows].max() for rows in np.split(np.arange(31), [6, 12, 18, 24])])
+    orders = -np.polyfit(np.log(COUNTS), np.log(np.array(errors)), 1)[0]
+    assert orders == pytest.approx(np.full(5, 2.0), abs=0.25)
+    assert np.all(np.array(errors[0]) < [1e-4, 1e-2, 1e-4, 2e-2, 1e-5])  # rad, rad/s, rad, rad/s, rad
+
+
+def prepared(setup: Setup, substeps: int) -> Plant:
+    """Return a plant at rest that hangs in its gears."""
+    plant = setup.plant(substeps)
+    plant.reset(POSE)
+    return plant
+
+
+@pytest.mark.parametrize("pose", [POSE, [-1.0, 0.2, -0.5, 1.4, -0.8, 0.2]])
+@pytest.mark.parametrize("locked", [True, False])
+def test_eigenfrequencies_are_those_of_mass_and_stiffness(shipped: Setup, pose: Array, locked: bool) -> None:
+    """Small motions have the frequencies of the generalised eigenvalue problem, motors held or free.
+
+    The step turns a frequency w into 2/h atan(w h / 2), 0.2 % less at 100 Hz, and neither damps nor excites.
+    """
+    setup = elastic(floating(shipped), SOFT)
+    mass, stiffness = link_mass(setup, np.array(pose)), np.diag(SOFT)
+    if locked:
+        setup = dataclasses.replace(setup, drives=dataclasses.replace(setup.drives, rotor_inertia=np.full(6, 1e12)))
+        squares = linalg.eigh(WRIST.T @ stiffness @ WRIST, mass, eigvals_only=True)
+    else:
+        coupled = stiffness @ WRIST
+        both = np.block([[WRIST.T @ coupled, -coupled.T], [-coupled, stiffness]])
+        inertia = linalg.block_diag(mass, np.diag(setup.drives.rotor_inertia))
+        squares = linalg.eigh(both, inertia, eigvals_only=True)[6:]  # before them six motions of links with motors
+    values = np.linalg.eigvals(step_matrix(setup, np.array(pose)))
+    period = setup.rates.period
+    found = np.sort(np.angle(values[np.angle(values) > 1e-3])) / period
+    assert found == pytest.approx(2.0 / period * np.arctan(0.5 * period * np.sqrt(squares)), rel=1e-9)
+    assert found == pytest.approx(np.sqrt(squares), rel=3e-3)
+    assert np.abs(values) == pytest.approx(1.0, abs=1e-8)
+
+
+def step_matrix(setup: Setup, pose: Array) -> Array:
+    """Return the step's derivative by (q, v, twist, rate) at rest, shape (24, 24)."""
+    plant, small, columns = setup.plant(), 1e-6, []
+    for k in range(24):
+        ends = []
+        for sign in (1.0, -1.0):
+            state = free(plant, pose)
+            for name, holder in (("q", state), ("v", state), ("twist", state["transmission"]), ("rate", None)):
+                place = ("q", "v", "twist", "rate").index(name)
+                if k // 6 == place:
+                    (state["transmission"] if holder is None else holder)[name][k % 6] += sign * small
+            plant.step(np.zeros(6))
+            ends.append(snapshot(plant)[:24])
+        columns.append((ends[0] - ends[1]) / (2.0 * small))
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("damping", [0.0, 2e-4])
+def test_an_infinite_stiffness_is_the_rigid_plant(shipped: Setup, damping: float) -> None:
+    """The way of stiff gears nears that of rigid ones by the inverse of the stiffness, however far above the tick."""
+    rigid = way(shipped)
+    powers = np.arange(3, 10, 2)
+    miss = [np.abs(way(elastic(shipped, SOFT * 10.0**k, damping * SOFT * 10.0**k)) - rigid).max() for k in powers]
+    assert np.polyfit(powers, np.log10(miss), 1)[0] == pytest.approx(-1.0, abs=0.05)
+    assert miss[-1] < 1e-10  # rad
+
+
+def test_rigid_and_elastic_gears_share_an_arm(shipped: Setup) -> None:
+    """Drives without elasticity beside others move as in the rigid plant: all but one, and that one very stiff."""
+    rigid = way(shipped)
+    for drive in range(6):
+        stiffness = np.full(6, np.inf)
+        stiffness[drive] = 1e15
+        assert np.abs(way(elastic(shipped, stiffness)) - rigid).max() < 1e-10
+
+
+def way(setup: Setup) -> Array:
+    """Return the joints' way under random torques, rad, shape (200, 6)."""
+    plant, rng, rows = prepared(setup, 1), np.random.default_rng(5), []
+    for k in range(200):
+        if k % 50 == 0:
+            motor = rng.uniform(-0.4, 0.4, 6) * setup.drives.peak_torque
+        plant.step(motor)
+        rows.append(plant.joint_states()[0].copy())
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("backlash", [0.0, 1e-3])
+@pytest.mark.parametrize("side", [MOTOR, LINK])
+def test_the_arm_begins_at_rest_in_its_gears(shipped: Setup, backlash: float, side: str) -> None:
+    """After a reset nothing moves in any pose: the motors are there, and each gear carries its weight by its twist."""
+    setup = elastic(shipped, SOFT, 2e-4 * SOFT, backlash, side)
+    plant, rng = setup.plant(), np.random.default_rng(8)
+    for _ in range(10):
+        pose = rng.uniform(shipped.robot.lower, shipped.robot.upper)
+        plant.reset(pose)
+        links = plant.joint_states()[0].copy()
+        twist = plant.state["transmission"]["twist"][0].copy()
+        for _ in range(100):
+            plant.step(None)
+        assert np.abs(plant.joint_states()[0] - links).max() < 1e-11
+        weight = np.linalg.solve(WRIST.T, plant.state["bias"][0])
+        half = 0.5 * setup.drives.elasticity.backlash
+        assert contact_torque(twist, np.zeros(6), SOFT, 0.0, half) == pytest.approx(weight, abs=1e-9)
+        encoders = plant.motor_states()[0]
+        count = 2.0 * np.pi / setup.drives.encoder_counts
+        assert np.all(np.abs(encoders - setup.drives.gear * (WRIST @ pose)) <= 0.5 * count + 1e-9)
+        assert links == pytest.approx(pose - np.linalg.solve(WRIST, twist), abs=1e-12)
+
+
+def test_brakes_hold_the_motors_and_stops_the_links(shipped: Setup) -> None:
+    """With motors held by brakes the links go on to ring; a link driven against its stop leaves its motor behind."""
+    setup = elastic(shipped, SOFT, 2e-4 * SOFT)
+    plant = setup.plant()
+    plant.reset(np.zeros(6))
+    weight = plant.state["transmission"]["twist"][0].copy()
+    plant.state["v"][0, 0] = 0.5
+    plant.state["transmission"]["rate"][0, 0] = -0.5  # the motors rest
+    twists, motors = [], []
+    for _ in range(400):
+        plant.step(None)
+        twists.append(plant.state["transmission"]["twist"][0, 0] - weight[0])
+        motors.append(plant.motor_states()[0][0] / setup.drives.gear[0])
+    assert np.ptp(twists) > 1e-3
+    assert np.ptp(motors) < 0.1 * np.ptp(twists)
+
+    upper = np.full(6, 10.0)
+    upper[0] = 0.0
+    stop = dataclasses.replace(floating(setup), robot=dataclasses.replace(floating(setup).robot, upper=upper))
+    plant = stop.plant()
+    state = free(plant, np.zeros(6))
+    push = np.zeros(6)
+    push[0] = 2.0
+    for _ in range(16000):
+        plant.step(push)
+    torque = push[0] * setup.drives.gear[0]
+    assert state["q"][0] == pytest.approx(torque / setup.drives.stop_stiffness[0], rel=0.02)
+    assert state["transmission"]["twist"][0] == pytest.approx(torque / SOFT[0], rel=0.02)
+
+
+def test_friction_brakes_the_side_that_the_file_names(shipped: Setup) -> None:
+    """Friction states show the velocity of the side on which the friction acts, motor 6's for the seventh element."""
+    for side in (MOTOR, LINK):
+        plant = elastic(shipped, SOFT, 0.0, 0.0, side).plant()
+        state = free(plant, POSE)
+        state["v"] = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+        state["transmission"]["rate"] = [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+        rotors = WRIST @ state["v"] + (state["transmission"]["rate"] if side == MOTOR else 0.0)
+        joints = np.linalg.solve(WRIST, rotors)
+        assert plant.friction_states()[1] == pytest.approx([*joints, rotors[5]])
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-4])
+def test_ten_thousand_random_cycles_create_no_energy(shipped: Setup, damping: float) -> None:
+    """Over 10^4 random cycles the motors' work is what the arm gains, to 10^-6; dampers only take of it."""
+    setup = elastic(floating(shipped), SOFT, damping * SOFT, 2e-3)
+    plant, rng, peak = setup.plant(), np.random.default_rng(11), setup.drives.peak_torque
+    state = free(plant, POSE)
+    gears, gear = state["transmission"], setup.drives.gear
+    start, work, moved = energy(setup, state), 0.0, 0.0
+    last = WRIST @ state["q"] + gears["twist"]
+    for _ in range(10_000):
+        wanted = rng.uniform(-1.0, 1.0, 6)
+        for _ in range(6):
+            plant.step((wanted - 0.3 * (WRIST @ state["v"] + gears["rate"])) * peak)  # or the arm would spin up
+            turned = WRIST @ state["q"] + gears["twist"]
+            done = plant.motor_states()[2] * gear * (turned - last)
+            work, moved, last = work + done.sum(), moved + np.abs(done).sum(), turned
+    created = energy(setup, state) - start - work
+    assert moved > 1e3  # J, to and fro
+    assert created < 1e-6 * moved
+    assert -created < 1e-6 * moved if damping == 0.0 else -created > 1e-3 * moved
+
+
+def test_a_light_rotor_is_refused_where_it_would_have_no_inertia(shipped: Setup) -> None:
+    """An elastic drive needs a rotor with inertia; a rigid one does not."""
+    drives = dataclasses.replace(shipped.drives, rotor_inertia=shipped.drives.rotor_inertia * [1, 1, 0, 1, 1, 1])
+    setup = dataclasses.replace(shipped, drives=drives)
+    with pytest.raises(ConfigError, match=r"rotor_inertia\[2\] is 0; accepted: a number > 0 where .* elastic"):
+        elastic(setup, SOFT)
+    elastic(setup, np.where(np.arange(6) == 2, np.inf, SOFT)).plant()
