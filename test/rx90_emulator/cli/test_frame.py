@@ -116,6 +116,7 @@ WRITTEN = {
     "--output": {
         "friction_ramp": [],
         "rx90_bag": ["record"],
+        "rx90_config": ["friction", "nowhere"],
         "rx90_demo": [],
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_identify": ["nowhere"],
