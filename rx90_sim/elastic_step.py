@@ -32,17 +32,47 @@ _TOLERANCE = 1e-12
 """Of a transmitted torque, relative to the torques about it."""
 
 
+_MOST_SAGS = 100
+
+
 @kernel
-def elastic_reset(plant: Any, state: Any) -> None:
-    """Twist the gears such that they carry the arm at rest, on closed brakes; the bias is `state.bias`."""
+def hang_links(plant: Any, state: Any) -> None:
+    """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
     constants, gears = plant.transmission, state.transmission
     for i in range(6):
-        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
-        gears.twist[i] = gears.rate[i] = gears.acceleration[i] = 0.0
-        gears.torque[i], gears.friction[i] = carried, -carried
-        gears.link_torque[i] = -state.bias[i]
+        gears.motor_angle[i] = state.q[i]
+    # The weight changes little with the sag: each round leaves a hundredth or so of the error.
+    for _ in range(_MOST_SAGS):
+        mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
+        _twist_by_weight(constants, gears, state.bias)
+        settled = True
+        for i in range(6):
+            resting = gears.motor_angle[i] - gears.twist[i] + (gears.twist[4] if i == 5 else 0.0)
+            settled = settled and resting == state.q[i]
+            state.q[i] = resting
+        if settled:
+            return
+
+
+@inlined
+def _twist_by_weight(constants: Any, gears: Any, weight: Array) -> None:
+    """Write the torques that the gears transmit to an arm at rest, and their twists."""
+    for i in range(6):
+        gears.torque[i] = weight[i] - (weight[5] if i == 4 else 0.0)
+        gears.twist[i] = 0.0
         if constants.elastic[i]:
-            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], carried)
+            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], gears.torque[i])
+
+
+@kernel
+def elastic_reset(plant: Any, state: Any) -> None:
+    """Twist the gears such that they carry the arm at rest, on closed brakes; its weight is `state.bias`."""
+    gears = state.transmission
+    _twist_by_weight(plant.transmission, gears, state.bias)
+    for i in range(6):
+        gears.rate[i] = gears.acceleration[i] = 0.0
+        gears.friction[i] = -gears.torque[i]
+        gears.link_torque[i] = -state.bias[i]
 
 
 @kernel

@@ -17,6 +17,7 @@ from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 
 _NO_COMMAND = np.zeros(6)
+_MOST_CORRECTIONS = 50
 
 
 class Plant:
@@ -54,6 +55,8 @@ class Plant:
     def reset(self, position: ArrayLike) -> None:
         """Put the arm at rest at `position`, rad, shape (6,), brakes closed, tick 0.
 
+        It is the position by the encoders; where gears are elastic, the links hang a little off it.
+
         Raises:
             ConfigError: if the position is not six finite numbers within the joint limits.
         """
@@ -65,6 +68,21 @@ class Plant:
                 raise ConfigError(f"initial position of {name} is {value} rad; accepted: [{low:.4f}, {high:.4f}]")
         plant_reset(self.constants, self.state, target)
         self.tick = 0
+
+    def position_of(self, links: ArrayLike) -> Array:
+        """Return the position for `reset`, rad, shape (6,), that leaves the links at rest where they are wanted.
+
+        To the last bit, so that a run that is done again from its first sample has the same bits.
+        """
+        wanted = np.array(links, dtype=np.float64)
+        position = wanted.copy()
+        for _ in range(_MOST_CORRECTIONS):
+            self.reset(position)
+            off = wanted - self.state["q"][0]
+            if not off.any():
+                break
+            position += off
+        return position
 
     def warm_up(self) -> None:
         """Compile, or load, every kernel that a run calls, and come back to the state before."""

@@ -20,7 +20,7 @@ from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_sim.drives import encoder_reading, observe
-from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, on_motor_side
+from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
 from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import (
     add_friction,
@@ -36,13 +36,21 @@ from rx90_sim.joint_friction import (
 
 @kernel
 def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -> None:
-    """Put the arm at rest at `position`, rad, shape (6,), brakes closed, in static equilibrium."""
+    """Put the arm at rest, brakes closed, in static equilibrium, with the motors where `position` has the joints.
+
+    Args:
+        plants: constants, shape (1,), PLANT_DTYPE.
+        states: state, shape (1,), STATE_DTYPE, overwritten.
+        position: rad, shape (6,). Links that hang in elastic gears are a little off it.
+    """
     plant, state = plants[0], states[0]
     for i in range(6):
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
     state.brakes_closed = 1
+    if plant.transmission.flexible:
+        hang_links(plant, state)
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
     reset_friction(plant, state)

@@ -10,6 +10,7 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.parts.bristles import MaxwellSlip
 
 ELEMENT_COUNT = 7
 
@@ -59,10 +60,12 @@ class FrictionSet:
                 accepted = element.passive_damping(speed)
                 reducing = [name for name, part in element.parts.items() if part.least_factor < 1.0]
                 least = f", where {' and '.join(reducing)} leave least friction" if reducing else ""
+                blocks = isinstance(element.bristles, MaxwellSlip)
+                bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
                 lines.append(
                     f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, "
                     f"not passive from {limit:.3g} rad/s on; accepted: below {accepted:.3g} "
-                    f"(c1 < 4 c0 g / |v| up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
+                    f"({bound} up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
                 )
         return lines
 

@@ -9,6 +9,7 @@ import pytest
 import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
@@ -19,6 +20,7 @@ PARTS = {
     "load": LoadPart(0.05, 0.08),
     "ripple": RipplePart((1.0,), (0.1,), (0.0,), (2.0, 4.0), (0.1, 0.05), (0.3, 0.0)),
     "scatter": ScatterPart(0.02, 5.0),
+    "bristles": ElastoPlastic(0.7),
 }
 
 

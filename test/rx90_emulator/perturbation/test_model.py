@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
+from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
 from benchmarks.agreement import agreement
@@ -242,6 +243,7 @@ def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: Perturbation
         "duration is inf s": lambda: prepare(shipped, stay(), HOME, float("inf")),
         "start time is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, float("nan")),
         "initial position of joint_2 is 9.0 rad": lambda: prepare(shipped, stay(), [0, 9, 0, 0, 0, 0], 0.1),
+        "drives.elasticity.stiffness[0] is 150000 Nm/rad": lambda: prepare(elastic(shipped, SOFT), stay(), HOME, 0.1),
     }
     for text, call in calls.items():
         with pytest.raises(ConfigError) as refusal:
