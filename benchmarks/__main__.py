@@ -1,9 +1,8 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
-    python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [perturbation]
-                         [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
-                         [friction_ramp_coverage]
-                         [identification] [identification_presliding] [identification_time]
+    python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [friction_parts]
+                         [perturbation] [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
+                         [friction_ramp_coverage] [identification] [identification_presliding] [identification_time]
                          [excitation_coverage] [excitation_time] [wrong_zeros] [published_friction]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
@@ -25,6 +24,7 @@ NAMES = (
     "command_delay",
     "accuracy",
     "mujoco_lugre",
+    "friction_parts",
     "perturbation",
     "lockstep",
     "composition",

@@ -17,7 +17,7 @@ Comparison      compare_bags, compare_series, comparison_text, BagComparison, To
                 Verdict
 Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
                 MeasuredTolerances
-Friction        FrictionFile, FrictionSet, FrictionElement
+Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, RipplePart, ScatterPart
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
@@ -55,6 +55,9 @@ if TYPE_CHECKING:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_common.friction import FrictionElement, FrictionSet
     from rx90_common.friction.friction_file import FrictionFile
+    from rx90_common.friction.parts.load import LoadPart
+    from rx90_common.friction.parts.ripple import RipplePart
+    from rx90_common.friction.parts.scatter import ScatterPart
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
@@ -110,6 +113,7 @@ __all__ = [
     "LinePlan",
     "LineRun",
     "LineTask",
+    "LoadPart",
     "LogUniform",
     "MeasuredComparison",
     "MeasuredLayout",
@@ -118,10 +122,12 @@ __all__ = [
     "PathAccuracy",
     "Payload",
     "Rates",
+    "RipplePart",
     "RobotFiles",
     "RobotOptions",
     "RunResult",
     "Rx90Error",
+    "ScatterPart",
     "Scope",
     "Setup",
     "Sweep",
@@ -183,6 +189,9 @@ _HOMES = {
     "rx90_common.description.robot_files": "RobotFiles",
     "rx90_common.friction": "FrictionSet FrictionElement",
     "rx90_common.friction.friction_file": "FrictionFile",
+    "rx90_common.friction.parts.load": "LoadPart",
+    "rx90_common.friction.parts.ripple": "RipplePart",
+    "rx90_common.friction.parts.scatter": "ScatterPart",
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",

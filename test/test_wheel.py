@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import subprocess
 import sys
 import venv
 import zipfile
-from collections.abc import Iterator
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -19,14 +17,12 @@ from processes import TIMEOUT
 from short_task import SHORT_TASK
 
 import rx90_emulator as rx
-from rx90_common.kernels.compiled import cache_directory
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "rx90_emulator"
 PACKAGES = sorted(path.parent.name for path in ROOT.glob("*/py.typed"))
 EXECUTABLES = {e.name for e in distribution(PACKAGE).entry_points if e.group == "console_scripts"}
 DATA = ("config", "launch", "firmware")
-TIME = 1_700_000_000  # s, of the installed sources
 NOT_SOURCES = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "install", "log", "out", "test")
 
 
@@ -63,31 +59,13 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def place() -> Iterator[Path]:
-    """Give this run alone a folder that is the same in each: numba finds compiled code by its source's path and time.
-
-    Nothing stays there. In a folder of pytest's each run would compile the kernels again.
-    """
-    folder = cache_directory().parent / "test_wheel"
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with folder.with_suffix(".lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        yield folder
-        shutil.rmtree(folder)
-
-
-@pytest.fixture(scope="module")
-def binaries(wheel: Path, place: Path) -> Path:
+def binaries(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Install the wheel into a new environment that borrows the libraries alone; return its folder of executables."""
-    prefix = place / "environment"
+    prefix = tmp_path_factory.mktemp("installed") / "environment"
     venv.create(prefix, symlinks=True)
     python = prefix / "bin/python"
     pip("--python", python, "install", "--no-deps", "--no-index", "--no-compile", wheel, folder=prefix)
     site = next((prefix / "lib").glob("python*/site-packages"))
-    for file in site.rglob("*.py"):
-        os.utime(file, (TIME, TIME))
     # These folders come last, and .pth files in them, such as that of an editable install, do not count.
     libraries = [path for path in sys.path if path.endswith("site-packages")]
     (site / "libraries.pth").write_text("\n".join(libraries) + "\n", encoding="utf-8")

@@ -38,6 +38,7 @@ from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_common.process.interrupts import interrupts_later
 
 _LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
@@ -81,6 +82,8 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
     if options.element not in base.elements:
         known = ", ".join(base.elements)
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
+    replaced = {options.element: base.elements[options.element]}
+    refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
     for name, low, high in (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)):
         value = getattr(options, name)
         if value is not None and not low <= value <= high:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, SIGNS
+from rx90_common.friction.parts.bristles import LUGRE_SHARE, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
@@ -45,6 +46,7 @@ class FrictionElement:
         load: friction that grows with the transmitted torque; None is off, as for the parts below.
         ripple: friction that changes with the angles of joint and motor.
         scatter: a slow random walk of the friction.
+        bristles: of another kind than LuGre's, in place of equation 17.
 
     The curves below are those without load, in the mean over angle and scatter.
 
@@ -66,6 +68,7 @@ class FrictionElement:
     load: LoadPart | None = None
     ripple: RipplePart | None = None
     scatter: ScatterPart | None = None
+    bristles: BristlesPart | None = None
 
     def __post_init__(self) -> None:
         for parameter in FRICTION_PARAMETERS:
@@ -114,9 +117,10 @@ class FrictionElement:
         return np.asarray(np.sign(v) * self.sliding_torque(v) + self.viscous_torque(v))
 
     def passivity_limit(self, max_velocity: float) -> float:
-        """Return the speed, rad/s, from which c1(v) |v| > 4 c0 g(v); infinite if none up to `max_velocity`.
+        """Return the speed, rad/s, from which the element is not passive; infinite if none up to `max_velocity`.
 
-        The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000).
+        The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000); Maxwell slip has
+        another number there (`BristlesPart.passive_share`).
         """
         speed = np.geomspace(1e-4, max_velocity, 4000)
         broken = self.damping(speed) * speed >= self._least_dissipation(speed)
@@ -130,9 +134,10 @@ class FrictionElement:
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
 
     def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return 4 c0 g, Nm, where the sign of the velocity and the parts leave least of it."""
+        """Return 4 c0 g, or what other bristles have there, Nm, with the sign and the parts that leave least of it."""
         least = math.prod(part.least_factor for part in self.parts.values())
-        return 4.0 * least * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
+        share = LUGRE_SHARE if self.bristles is None else self.bristles.passive_share(self.c0, speed)
+        return share * least * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

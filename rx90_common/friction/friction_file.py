@@ -138,7 +138,7 @@ def read_element(section: Section) -> FrictionElement:
         numbers = [given[sign] for sign in SIGNS] if isinstance(given, dict) else [given] * len(parameter.attributes)
         values |= zip(parameter.attributes, numbers, strict=True)
     try:
-        values |= {name: part(**content[name]) for name, part in PARTS.items() if name in content}
+        values |= {name: part.read(content[name]) for name, part in PARTS.items() if name in content}
         return FrictionElement(**values)
     except ConfigError as error:
         raise ConfigError(f"{section.where('')[:-1]}: {error}") from error

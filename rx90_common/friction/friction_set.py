@@ -10,6 +10,7 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.parts.bristles import MaxwellSlip
 
 ELEMENT_COUNT = 7
 
@@ -59,33 +60,34 @@ class FrictionSet:
                 accepted = element.passive_damping(speed)
                 reducing = [name for name, part in element.parts.items() if part.least_factor < 1.0]
                 least = f", where {' and '.join(reducing)} leave least friction" if reducing else ""
+                blocks = isinstance(element.bristles, MaxwellSlip)
+                bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
                 lines.append(
                     f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, "
                     f"not passive from {limit:.3g} rad/s on; accepted: below {accepted:.3g} "
-                    f"(c1 < 4 c0 g / |v| up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
+                    f"({bound} up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
                 )
         return lines
 
 
 def refuse_parts(
-    elements: Mapping[str, FrictionElement], what: str, where: object = None, held: Container[str] = ()
+    elements: Mapping[str, FrictionElement], what: str, where: str = "friction.", held: Container[str] = ()
 ) -> None:
     """Refuse elements with parts that something cannot hold.
 
     Args:
         elements: by their names.
         what: cannot hold them, such as "the perturbation method".
-        where: the file that they come from, if any.
+        where: what stands before their names in the message: the file and the path in it.
         held: the parts that it can.
 
     Raises:
-        ConfigError: naming file, element and part.
+        ConfigError: naming element and part.
     """
     for name, element in elements.items():
         for part in element.parts:
             if part not in held:
-                file = "" if where is None else f"{where}: "
-                raise ConfigError(f"{file}elements.{name}.{part}: {what} cannot hold this part; accepted: left out")
+                raise ConfigError(f"{where}{name}.{part}: {what} cannot hold this part; accepted: left out")
 
 
 def element_names(joint_names: Sequence[str]) -> tuple[str, ...]:

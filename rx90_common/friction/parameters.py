@@ -106,7 +106,7 @@ FRICTION_PARAMETERS = (
 ELEMENT = Group(
     "A LuGre friction element (equations 17 to 19), joint side.",
     keys={parameter.name: parameter.entry() for parameter in FRICTION_PARAMETERS}
-    | {name: part.table for name, part in PARTS.items()},
+    | {name: part.entry() for name, part in PARTS.items()},
 )
 """What stands in a file for one element."""
 

@@ -1,43 +1,24 @@
-"""Compile the numerical kernels with numba; the cache on disk never gives code of older sources.
+"""Compile the numerical kernels with numba.
 
-numba's own cache looks at the file of a compiled function alone: after a change in a kernel that it *calls* from
-another file, it would run the old code. The cache therefore lies in a folder named after the hash of all files
-that hold kernels and of what they import. fastmath stays off, so that a kernel gives the same bits wherever it
-is inlined. docs/explanation/kernels.md explains when to use which decorator.
+fastmath stays off, so that a kernel gives the same bits wherever it is inlined. docs/explanation/kernels.md explains
+when to use which decorator.
 """
 
 from __future__ import annotations
 
 import ctypes
-import os
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.ccallback import CFunc
 from numba.core.event import Event, Listener, register
+from numba.core.sigutils import normalize_signature
 
-from rx90_common.base.sources import importers_of, sources_hash, with_imports
 from rx90_common.kernels import announcement
+from rx90_common.kernels.code_cache import KernelCache
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
-
-def _kernels_hash() -> str:
-    files = with_imports(importers_of("rx90_common.kernels"))
-    return sources_hash(files, f"{numba.__version__} {sys.version_info[:2]}")
-
-
-def cache_directory() -> Path:
-    """Return where compiled kernels of exactly these sources are kept (NUMBA_CACHE_DIR wins)."""
-    base = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return root / "rx90_emulator" / _kernels_hash()
-
-
-# numba makes its settings at import, so its type stubs do not know them.
-setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
 
 
 class _Watch(Listener):
@@ -55,7 +36,9 @@ register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba ha
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` in nopython mode on its first call and keep the result on disk."""
-    return cast(_Function, numba.njit(cache=True, error_model="numpy")(function))
+    compiled: Any = numba.njit(error_model="numpy")(function)
+    compiled._cache = KernelCache(function)  # as its `enable_caching` does
+    return cast(_Function, compiled)
 
 
 def inlined(function: _Function) -> _Function:
@@ -77,9 +60,12 @@ def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Call
 
     def compile_now(function: Callable[..., Any]) -> Callable[..., int]:
         # numba raises no event for this compilation, only for its own functions that are called, such as carray.
-        compiled = numba.cfunc(signature, cache=True, error_model="numpy")(function)
+        types = normalize_signature(signature)  # type: ignore[no-untyped-call]  # numba has no types there
+        compiled: Any = CFunc(function, types, locals={}, options={"error_model": "numpy"})
+        compiled._cache = KernelCache(function)  # as its `enable_caching` does
+        compiled.compile()
         arguments = [ctypes.c_void_p if kind == numba.types.voidptr else ctypes.c_int64 for kind in signature.args]
-        address: int = compiled.address  # type: ignore[assignment]  # the stubs know it only before compilation
+        address: int = compiled.address
         return prototype(ctypes.c_int64, *arguments)(address)
 
     return compile_now

@@ -58,6 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="D from the measured velocity alone, as the paper draws it",
     )
     parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="N",
+        help="of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits "
+        "(%(default)s)",
+    )  # fmt: skip
     parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
     parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
     add_robot_arguments(parser)
@@ -76,7 +81,7 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    setup = Setup.load(RobotFiles.of_options(options), Rates(options.base_rate, options.position_rate))
+    setup = Setup.load(RobotFiles.of_options(options), Rates(options.base_rate, options.position_rate), options.seed)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     if options.no_velocity_feed_forward:

@@ -77,34 +77,37 @@ def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
 def comparison_plot(choices: Sequence[FrictionChoice], speed: float) -> Plot:
     """Return the torque at constant velocity up to `speed`, rad/s, without load, over a logarithmic velocity.
 
-    A panel for each name of an element; one panel where single elements were chosen.
+    A panel for each name of an element; one panel for single elements, and for those of one file.
     """
     names = list(dict.fromkeys(name for choice in choices for name in choice.elements))
-    if all(choice.single for choice in choices):
-        panels = [_panel("", _curves(choices, None, speed), speed)]
+    if len(choices) == 1 or all(choice.single for choice in choices):
+        every = [(choice, name, choice.label(name)) for choice in choices for name in choice.elements]
+        panels = [_panel("", every, speed)]
     else:
-        panels = [_panel(f"{name}: ", _curves(choices, name, speed), speed) for name in names]
+        panels = [
+            _panel(f"{name}: ", [(one, name if name in one.elements else "", one.name) for one in choices], speed)
+            for name in names
+        ]
     return Plot(panels, columns=min(_COLUMNS, len(panels)), height=4.0 if len(panels) == 1 else 2.4)
 
 
-def _panel(element: str, curves: Sequence[Curve], speed: float) -> Panel:
-    smallest = speed * 10.0**-_DECADES
-    return Panel(curves, "", "velocity, rad/s", f"{element}torque, Nm", x_scale="symlog", smallest=smallest)
-
-
-def _curves(choices: Sequence[FrictionChoice], element: str | None, speed: float) -> list[Curve]:
-    """Return the curves of an element, of the first one of each choice for None; a colour belongs to a choice."""
-    up = np.geomspace(speed * 10.0**-_DECADES, speed, _POINTS)
+def _panel(element: str, shown: Sequence[tuple[FrictionChoice, str, str]], speed: float) -> Panel:
+    """Return the curves of elements, each with its file and its label; a colour is left out for one without a name."""
+    smallest = 2.0 * 10.0 ** (np.floor(np.log10(speed)) - _DECADES)  # away from a decade, whose number needs room
+    up = np.geomspace(smallest, speed, _POINTS)
     velocity = np.concatenate([-up[::-1], [np.nan], up])
-    curves = []
-    for k, choice in enumerate(choices):
-        name = choice.elements[0] if element is None else element
-        if name in choice.elements:
-            label = choice.label(name) if element is None else choice.name
-            colour, dash = COLOURS[k % len(COLOURS)], _DASHES[k // len(COLOURS) % len(_DASHES)]
-            torque = choice.file.elements[name].steady_torque(velocity)
-            curves.append(Curve(velocity, torque, label, colour, dash=dash))
-    return curves
+    curves = [
+        Curve(
+            velocity,
+            choice.file.elements[name].steady_torque(velocity),
+            label,
+            COLOURS[k % len(COLOURS)],
+            dash=_DASHES[k // len(COLOURS) % len(_DASHES)],
+        )
+        for k, (choice, name, label) in enumerate(shown)
+        if name
+    ]
+    return Panel(curves, "", "velocity, rad/s", f"{element}torque, Nm", x_scale="symlog", smallest=smallest)
 
 
 def _assumed(choice: FrictionChoice) -> set[tuple[str, str]]:

@@ -63,7 +63,7 @@ def check_friction(
             raise IdentificationError(
                 f"{file.path or '--friction'}: element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             )
-    refuse_parts(file.elements, "a validation by recorded torques", file.path)
+    refuse_parts(file.elements, "a validation by recorded torques", f"{file.path or '--friction'}: elements.")
     records = []
     for bag in paths:
         progress(bag.name)

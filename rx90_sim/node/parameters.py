@@ -15,6 +15,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.node_tools import declare, declare_rates
 from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
 from rx90_common.friction import load_friction
+from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
 
 FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
@@ -36,6 +37,7 @@ class SimulationParameters:
     duration: float
     paused: bool
     substeps: int
+    seed: int
 
     def __post_init__(self) -> None:
         if self.time_mode not in TIME_MODES:
@@ -84,6 +86,10 @@ def read_parameters(node: Node) -> SimulationParameters:
                          low=0.0, high=1e9),
         paused=declare(node, "paused", False, "begin with time standing still"),
         substeps=declare(node, "substeps", 1, "steps of the plant in a tick", low=1, high=1000),
+        seed=declare(
+            node, "seed", 0, "of all that is random in the arm, such as the scatter of its friction; a reset begins "
+            "with it again", low=0, high=LARGEST_SEED,
+        ),
     )  # fmt: skip
 
 
@@ -102,7 +108,7 @@ def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters)
     friction = load_friction(files.friction, robot.joint_names)
     for line in friction.passivity_warnings(robot.max_velocity.tolist()):
         node.get_logger().warning(one_line(line))
-    plant = Plant(robot, load_drives(files.drives), friction, parameters.rates, parameters.substeps)
+    plant = Plant(robot, load_drives(files.drives), friction, parameters.rates, parameters.substeps, parameters.seed)
     plant.reset(parameters.initial_position)
     plant.warm_up()
     return robot, plant

@@ -1,3 +1,3 @@
 """Other bristles than LuGre's: elasto-plastic, and Maxwell slip."""
 
-__all__ = []
+__all__ = ["blocks", "step"]

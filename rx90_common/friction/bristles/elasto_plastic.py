@@ -29,33 +29,17 @@ At v = 0 the deflection keeps its bits. No step length is unstable: the deflecti
 
 **Passivity.** With the stored energy c0 z^2 / 2 the dissipated power is c0 g |v| alpha w^2 + c1 v^2 (1 - alpha w) +
 viscous, w = y / g. For w <= 1 it is never negative. Beyond, where alpha is 1, it is LuGre's: the same bound of c1,
-c1 |v| < 4 c0 g(v), is sufficient (`FrictionElement.passivity_limit`).
+c1 |v| < 4 c0 g(v), is sufficient.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
-from rx90_common.base.entries import Number as NumberEntry
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous_torque
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.elementary import exponential, exponential_less_one, sine_cosine
 from rx90_common.kernels.lanes import Number, absolute, any_lane, fma, select
-
-MOST_BREAK_AWAY = 0.9
-"""Of `break_away`: nearer to 1 the transition is a corner, and the rule of 16 nodes loses its digits."""
-
-BREAK_AWAY = NumberEntry(
-    "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.",
-    "1",
-    low=0.0,
-    high=MOST_BREAK_AWAY,
-)
-ELASTO_PLASTIC = Group("Elasto-plastic bristles (Dupont and others 2002).", keys={"break_away": BREAK_AWAY})
-"""What stands in a file beside `kind: elasto_plastic`."""
 
 # Gauss and Legendre's rule of 16 nodes: the positive ones and their weights.
 _NODES = (
@@ -84,24 +68,6 @@ _LEAST = 1e-300  # of n, where exp(-u) underflows
 _QUARTER = 1.5707963267948966  # pi / 2
 _CLOSE = 1e-8  # relative correction after which Newton's next one is below rounding
 _MOST_CORRECTIONS = 30
-
-
-@dataclass(frozen=True)
-class ElastoPlastic:
-    """Bristles that are purely elastic up to break-away.
-
-    Attributes:
-        break_away: the deflection up to which they are, in parts of tau_c / c0, 0 to MOST_BREAK_AWAY.
-
-    Raises:
-        ConfigError: for a value out of this range.
-    """
-
-    break_away: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.break_away <= MOST_BREAK_AWAY:
-            raise ConfigError(f"break_away is {self.break_away}; accepted: a number in [0, {MOST_BREAK_AWAY}]")
 
 
 @kernel

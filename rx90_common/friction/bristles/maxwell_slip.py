@@ -33,133 +33,15 @@ With an attraction without bound that is c1 |v| <= T(v) a_i / k_i; LuGre's bound
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rx90_common.base.arrays import Array
-from rx90_common.base.entries import ListOf
-from rx90_common.base.entries import Number as NumberEntry
-from rx90_common.base.errors import ConfigError
-from rx90_common.base.groups import Group
 from rx90_common.friction.bristle import damping, decay, sliding_torque, viscous_torque
+from rx90_common.friction.bristles.blocks import MOST_BLOCKS, load_blocks
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, lane, load, prefix_sum, select, store
-
-MOST_BLOCKS = 10
-"""Blocks of an element."""
-
-_SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
-
-
-def _parts(about: str) -> ListOf:
-    number = NumberEntry(about, "1", low=0.0, high=1.0, above=True)
-    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MOST_BLOCKS} numbers", least=1)
-
-
-MAXWELL_SLIP = Group(
-    "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003).",
-    keys={
-        "stiffness": _parts("Stiffness of each block in parts of c0; they sum to 1."),
-        "share": _parts("Share of each block in the sliding torque; they sum to 1."),
-        "attraction": NumberEntry(
-            "Attraction of the sliding curve: the torque comes to it at the rate attraction / sliding torque.",
-            "Nm/s", low=0.0, above=True,
-        ),
-    },
-)  # fmt: skip
-"""What stands in a file beside `kind: maxwell_slip`."""
-
-
-@dataclass(frozen=True)
-class MaxwellSlip:
-    """Blocks that stick or slip.
-
-    Attributes:
-        stiffness: of 1 to MOST_BLOCKS blocks in parts of c0, above 0; they sum to 1.
-        share: of each block in the sliding torque, above 0; they sum to 1.
-        attraction: C, Nm/s.
-
-    Raises:
-        ConfigError: for another number of blocks, another sum, or a value out of its range.
-    """
-
-    stiffness: tuple[float, ...]
-    share: tuple[float, ...]
-    attraction: float
-
-    def __post_init__(self) -> None:
-        count = len(self.stiffness)
-        if not 1 <= count <= MOST_BLOCKS:
-            raise ConfigError(f"stiffness has {count} numbers; accepted: 1 to {MOST_BLOCKS}, one for each block")
-        if len(self.share) != count:
-            raise ConfigError(f"share has {len(self.share)} numbers; accepted: {count}, as stiffness has")
-        for name, whole in (("stiffness", "c0"), ("share", "the sliding torque")):
-            values = getattr(self, name)
-            for i, value in enumerate(values):
-                if not 0.0 < value <= 1.0:
-                    raise ConfigError(f"{name}[{i}] is {value}; accepted: a number in (0, 1]")
-            if not abs(sum(values) - 1.0) <= _SUM_ERROR:
-                raise ConfigError(f"{name} sums to {sum(values):.10g}; accepted: 1, they are parts of {whole}")
-        if not 0.0 < self.attraction < np.inf:
-            raise ConfigError(f"attraction is {self.attraction}; accepted: a finite number > 0")
-
-    def least_sliding(self, c0: float, speed: ArrayLike) -> Array:
-        """Return the least of a_i / k_i (1 + sqrt(|v| / A_i))^2: c1 |v| below it times T(v) is passive, 1.
-
-        Args:
-            c0: of the element, Nm/rad.
-            speed: rad/s.
-        """
-        ratio = np.divide(self.share, self.stiffness)
-        above = 1.0 + np.sqrt(np.asarray(speed)[..., None] * c0 / (self.attraction * ratio))
-        return np.asarray(np.min(ratio * above**2, axis=-1))
-
-
-class Blocks(NamedTuple):
-    """The blocks of one element in compiled code, a lane for each of MOST_BLOCKS: those that are not there carry 0.
-
-    Attributes:
-        stiffness: in parts of c0.
-        reach: deflection of steady sliding in parts of g(v), share / stiffness.
-        attraction: Nm/s, a plain number.
-    """
-
-    stiffness: Lanes
-    reach: Lanes
-    attraction: float
-
-
-def blocks_dtype(width: int) -> np.dtype[np.void]:
-    """Return the type of the blocks of `width` elements, the element the first index."""
-    each = (width, MOST_BLOCKS)
-    return np.dtype(
-        [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, width)], align=True
-    )
-
-
-def block_arrays(kinds: Sequence[MaxwellSlip | None]) -> np.ndarray[Any, Any]:
-    """Return the blocks of elements, shape (1,), dtype `blocks_dtype(len(kinds))`; None for one that has none."""
-    arrays = np.zeros(1, blocks_dtype(len(kinds)))
-    arrays["reach"] = arrays["attraction"] = 1.0
-    for e, kind in enumerate(kinds):
-        if kind is not None:
-            used = slice(len(kind.stiffness))
-            arrays["stiffness"][0, e, used] = kind.stiffness
-            arrays["reach"][0, e, used] = np.divide(kind.share, kind.stiffness)
-            arrays["attraction"][0, e] = kind.attraction
-    return arrays
-
-
-@inlined
-def load_blocks(arrays: Any, index: int) -> Blocks:
-    """Return the blocks of one element of such a record."""
-    return Blocks(
-        load(arrays.stiffness[index], MOST_BLOCKS), load(arrays.reach[index], MOST_BLOCKS), arrays.attraction[index]
-    )
 
 
 @inlined

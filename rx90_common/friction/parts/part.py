@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -31,6 +31,20 @@ class FrictionPart:
         section = Section(dict(self._as_in_file()), Path(self.name))
         for key, entry in self.table.keys.items():
             entry.take(section, key)
+
+    @classmethod
+    def entry(cls) -> Entry:
+        """Return what a file may hold under the name."""
+        return cls.table
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> FrictionPart:
+        """Return the part of what `entry` read.
+
+        Raises:
+            ConfigError: as the part itself.
+        """
+        return cls(**content)
 
     @property
     def least_factor(self) -> float:

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype
 from rx90_common.friction.element import FrictionElement
+from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.friction.parts.load import fill_load, load_dtype
 from rx90_common.friction.parts.ripple import fill_ripple, ripple_dtype
 from rx90_common.friction.parts.scatter import fill_scatter, scatter_dtype
@@ -21,6 +23,7 @@ def parts_dtype(width: int) -> np.dtype[np.void]:
             ("load", load_dtype(width)),
             ("ripple", ripple_dtype(width)),
             ("scatter", scatter_dtype(width)),
+            ("bristles", bristles_dtype(width)),
         ],
         align=True,
     )
@@ -37,6 +40,7 @@ def parts_state_dtype(width: int) -> np.dtype[np.void]:
             ("scatter_counter", np.uint64, width),
             ("scatter_walk", np.float64, width),
             ("scatter_factor", np.float64, width),
+            ("bristles", bristles_state_dtype(width)),
         ],
         align=True,
     )
@@ -58,3 +62,4 @@ def fill_parts(
     fill_load(record["load"], [element.load for element in elements])
     fill_ripple(record["ripple"], [element.ripple for element in elements], gear)
     fill_scatter(record["scatter"], [element.scatter for element in elements], period, seed)
+    fill_bristles(record["bristles"], [element.bristles for element in elements])

@@ -1,4 +1,4 @@
-"""Elements with parts, compiled: what their parameters are at a moment, then the bristle step.
+"""Elements with parts, compiled: what their parameters are at a moment, then the step of each one's bristles.
 
 `width`, a literal, is the number of elements in the records; velocity and angle are lanes of that width.
 """
@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rx90_common.friction.bristle import Elements, bristle_step, friction_torque, load_elements
+from rx90_common.friction.bristle import Elements, load_elements
+from rx90_common.friction.bristles.step import bristles_step, bristles_torque, reset_bristles
 from rx90_common.friction.parts.load import load_torques
 from rx90_common.friction.parts.ripple import ripple_factor
 from rx90_common.friction.parts.scatter import start_scatter
@@ -21,6 +22,7 @@ def reset_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
     store(state.load, transmitted)
     store(state.load_slope, 0.0 * transmitted)
     start_scatter(parts.scatter, state)
+    reset_bristles(state.bristles)
 
 
 @inlined
@@ -55,10 +57,11 @@ def parts_step(
         The new deflection, rad, and the friction torque averaged over the step, Nm.
     """
     element = effective_elements(arrays, parts, state, angle, velocity, 0.5 * step, width)
-    return bristle_step(element, z, velocity, step)
+    return bristles_step(element, parts.bristles, state.bristles, z, velocity, step, width)
 
 
 @inlined
 def parts_torque(arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, velocity: Lanes, width: int) -> Lanes:
     """Return the friction torque at the end of the last step, Nm."""
-    return friction_torque(effective_elements(arrays, parts, state, angle, velocity, 0.0, width), z, velocity)
+    element = effective_elements(arrays, parts, state, angle, velocity, 0.0, width)
+    return bristles_torque(element, parts.bristles, state.bristles, z, velocity, width)

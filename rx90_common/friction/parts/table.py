@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from rx90_common.friction.parts.bristles import BristlesPart
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 
-PARTS: dict[str, type[FrictionPart]] = {part.name: part for part in (LoadPart, RipplePart, ScatterPart)}
+PARTS: dict[str, type[FrictionPart]] = {part.name: part for part in (LoadPart, RipplePart, ScatterPart, BristlesPart)}
 """By the keys of their blocks, which are the attributes of FrictionElement."""

@@ -143,5 +143,9 @@ def _fallback(name: str, arm: RigidArm) -> tuple[tuple[FrictionElement, ...] | N
     if name == "none":
         return None, None
     elements = FrictionFile.read(resolve_config(name)).select(arm.element_names)
-    refuse_parts(dict(zip(arm.element_names, elements, strict=True)), "an identification with it as --fallback", name)
+    refuse_parts(
+        dict(zip(arm.element_names, elements, strict=True)),
+        "an identification with it as --fallback",
+        f"{name}: elements.",
+    )
     return elements, name

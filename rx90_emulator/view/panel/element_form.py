@@ -126,7 +126,9 @@ class ElementForm:
         self._result = file
         self._write.disabled = False
         self.follow(self._missing)
-        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}")
+        parts = ", ".join(file.elements[name].parts)
+        without = f"; the plots are without {parts}" * bool(parts)
+        self._verdict.content = sentence(f"{file.provenance or 'unknown'}: {file.source or 'no source'}{without}")
         self._curve.data, self._loop.data = curve, loop
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
         self._yaml.content = f"```yaml\n{_without_comments(one)}```"

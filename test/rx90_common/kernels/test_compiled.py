@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import os
 import re
+import resource
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
 
 from rx90_common.base.sources import PACKAGES, ROOT, importers_of, with_imports
+from rx90_common.kernels import code_cache
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.elementary_arrays import exponential_of
+
+ANNOUNCED = r"program: compiling the numerical kernels, .*\n"
+ANNOUNCE = "from rx90_common.kernels.announcement import announce_compilation\nannounce_compilation('program')\n"
+FOUR_WEEKS = 28 * 24 * 3600.0
 
 
-def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a program that finds modules, and has its cache, in the folder."""
+def run(program: str, folder: Path, **variables: str) -> subprocess.CompletedProcess[str]:
+    """Run a program that finds modules in the folder, and has its cache beside it."""
     path = os.pathsep.join([str(folder), str(ROOT)])
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path}
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder.parent / "cache"), "PYTHONPATH": path, **variables}
     return subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120, check=True
+        [sys.executable, "-c", program],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
     )
 
 
@@ -35,16 +55,87 @@ def test_all_that_a_kernel_reads_decides_on_the_cache() -> None:
     assert "rx90_sim/node/simulation.py" not in files
 
 
-def test_compilation_at_import_is_announced_too(tmp_path: Path) -> None:
-    """The codec's functions, compiled when it is imported, are announced, and are in the cache for the next start."""
-    program = (
-        "from rx90_common.kernels.announcement import announce_compilation\n"
-        "announce_compilation('program')\n"
-        "import rx90_common.exchange.frame, rx90_common.exchange.arrivals\n"
-    )
-    said = [run(program, tmp_path).stderr for _ in range(2)]
-    assert re.fullmatch(r"program: compiling the numerical kernels, .*\n", said[0])
-    assert said[1] == ""
+def copy_sources(folder: Path) -> Path:
+    """Copy the sources of the ground into a folder, with times of their own; return the folder."""
+    shutil.copytree(ROOT / "rx90_common", folder / "rx90_common", ignore=shutil.ignore_patterns("__pycache__"))
+    for file in folder.rglob("*.py"):
+        os.utime(file)
+    return folder
+
+
+def test_copies_of_the_same_sources_share_compiled_code(tmp_path: Path) -> None:
+    """A second clone compiles nothing; another processor, and a change in a function that a kernel calls, do.
+
+    That holds for kernels and for the codec, whose functions are compiled, and announced, when it is imported.
+    """
+    kernels = "from rx90_common.kernels.elementary_arrays import exponential_of\nprint(exponential_of(0.0))\n"
+    codec = "import rx90_common.exchange.frame, rx90_common.exchange.arrivals\nprint('imported', file=sys.stderr)\n"
+    one, two = copy_sources(tmp_path / "one"), copy_sources(tmp_path / "two")
+    first = run(f"import sys\n{ANNOUNCE}{codec}{kernels}", one)
+    assert re.fullmatch(f"{ANNOUNCED}imported\n", first.stderr)
+    again = run(f"import sys\n{ANNOUNCE}{codec}{kernels}", two)
+    assert (again.stdout, again.stderr) == (first.stdout, "imported\n") == ("1.0\n", "imported\n")
+    program = ANNOUNCE + kernels
+    assert re.fullmatch(ANNOUNCED, run(program, two, NUMBA_CPU_NAME="generic").stderr)
+    called = two / "rx90_common/kernels/elementary.py"
+    text = called.read_text(encoding="utf-8")
+    assert "1.0 + _grown(r)" in text
+    called.write_text(text.replace("1.0 + _grown(r)", "2.0 + _grown(r)"), encoding="utf-8")
+    changed = run(program, two)
+    assert changed.stdout == "2.0\n"
+    assert re.fullmatch(ANNOUNCED, changed.stderr)
+
+
+def test_code_of_two_processes_at_once_is_not_mixed_up(tmp_path: Path) -> None:
+    """Where two processes save code of a function for two signatures at once, none finds the other's as its own."""
+    first, second, reader = (code_cache._CodeFiles(str(tmp_path), "function", "stamp") for _ in range(3))
+    # The second one, which has seen the index empty as well, saves between the first one's index and its code.
+    save_code = first._save_data
+    second._load_index = dict
+
+    def save_late(*arguments: Any) -> None:
+        second.save("float", "code for floats")
+        save_code(*arguments)
+
+    first._save_data = save_late
+    first.save("array", "code for arrays")
+    assert reader.load("float") == "code for floats"
+    assert reader.load("array") in {None, "code for arrays"}
+
+
+def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a full disk a kernel is compiled and runs; a folder that cannot be made leaves it to numba to find another."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+
+    @kernel
+    def one_more(x: float) -> float:
+        return x + 1.0
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        assert one_more(1.0) == 2.0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not [file for file in (tmp_path / "cache").rglob("*") if file.is_file()]
+
+    ours: Any = exponential_of
+    place = ours.py_func, ours.py_func.__code__.co_filename
+    assert code_cache._Locator.from_function(*place) is not None
+    monkeypatch.setattr(numba.config, "CACHE_DIR", f"{os.devnull}/cache")
+    assert code_cache._Locator.from_function(*place) is None
+
+
+def test_code_of_sources_long_gone_is_removed(tmp_path: Path) -> None:
+    """A new folder removes those of other sources that nobody used for four weeks, and nothing else."""
+    ages = {"0123456789abcdef": 1.01, "1123456789abcdef": 1.01, "2123456789abcdef": 0.99, "others": 2.0}
+    for name, age in ages.items():
+        (tmp_path / name / "module").mkdir(parents=True)
+        os.utime(tmp_path / name, (0.0, time.time() - age * FOUR_WEEKS))
+    code_cache.prepare(tmp_path / "1123456789abcdef")  # is used
+    code_cache.prepare(tmp_path / "3123456789abcdef")
+    left = {"1123456789abcdef", "2123456789abcdef", "3123456789abcdef", "others"}
+    assert {folder.name for folder in tmp_path.iterdir()} == left
 
 
 def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) -> None:
@@ -52,19 +143,20 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path: Path) 
     kernels = "from rx90_common.kernels.compiled import kernel\n\n" + "".join(
         f"@kernel\ndef {name}(x):\n    return x + 1.0\n\n\n" for name in ("first", "second")
     )
-    (tmp_path / "their_kernels.py").write_text(kernels)
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    (folder / "their_kernels.py").write_text(kernels)
     # The codec's own functions are compiled, and in the cache, when it is imported.
     program = (
         "import rx90_common.exchange.joint_state_cdr\n"
-        "from rx90_common.kernels.announcement import announce_compilation\n"
-        "announce_compilation('program')\n"
+        f"{ANNOUNCE}"
         "import their_kernels\n"
         "print(their_kernels.first(1.0), their_kernels.second(1.0))\n"
     )
     said = []
     for _ in range(2):
-        done = run(program, tmp_path)
+        done = run(program, folder)
         assert done.stdout == "2.0 2.0\n"
         said.append(done.stderr)
-    assert re.fullmatch(r"program: compiling the numerical kernels, .*\n", said[0])
+    assert re.fullmatch(ANNOUNCED, said[0])
     assert said[1] == ""

@@ -154,7 +154,7 @@ def test_refusals_name_what_is_accepted(
 
 
 def test_curves_have_a_panel_for_each_name_and_a_colour_for_each_file() -> None:
-    """Elements of one name share a panel, single elements all one; the curves are the elements' own torque."""
+    """Elements of one name share a panel, single ones and those of one file all one; the curves are their torque."""
     from rx90_emulator.configuration.friction_comparison import comparison_plot
     from rx90_emulator.configuration.friction_sets import FrictionChoice
 
@@ -164,6 +164,8 @@ def test_curves_have_a_panel_for_each_name_and_a_colour_for_each_file() -> None:
     every = panels("puma560", "rx90b", "ur10")
     assert [len(panel.marks) for panel in every] == [2] * 6 + [1] * 7
     assert {panel.marks[-1].colour for panel in every[:7]} == {every[0].marks[1].colour}
+    (whole,) = panels("erob80_50")
+    assert [curve.label for curve in whole.marks] == [f"erob80_50:m{k}" for k in range(1, 7)]
     (single,) = panels("puma560:joint_3", "ur10:elbow_joint")
     assert [curve.label for curve in single.marks] == ["puma560:joint_3", "ur10:elbow_joint"]
     curve = single.marks[0]

@@ -9,6 +9,7 @@ import pytest
 import rx90_emulator as rx
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.parts.bristles import ElastoPlastic
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
@@ -19,6 +20,7 @@ PARTS = {
     "load": LoadPart(0.05, 0.08),
     "ripple": RipplePart((1.0,), (0.1,), (0.0,), (2.0, 4.0), (0.1, 0.05), (0.3, 0.0)),
     "scatter": ScatterPart(0.02, 5.0),
+    "bristles": ElastoPlastic(0.7),
 }
 
 
@@ -53,7 +55,7 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
         ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
         ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there"),
-        ("seed", 0.5, "seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
+        ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
     ],
 )  # fmt: skip
 def test_wrong_values_of_parts_are_refused(parted: Setup, path: str, value: float, said: str) -> None:
@@ -65,7 +67,7 @@ def test_wrong_values_of_parts_are_refused(parted: Setup, path: str, value: floa
 
 def test_the_seed_is_the_plants(parted: Setup) -> None:
     """The seed of a setup is a parameter, a whole number that the plant takes."""
-    setup = rx.with_parameters(parted, {"seed": 12})
+    setup = rx.with_parameters(parted, {"arm.seed": 12})
     assert setup.seed == 12
     assert setup.plant().constants["parts"]["scatter"]["seed"][0] == 12
     with pytest.raises(ConfigError, match="seed is -1; accepted: a whole number from 0"):

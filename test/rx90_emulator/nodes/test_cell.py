@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from line_run import TOPICS, run_both_ways
 from processes import Processes
 from ros_client import Client, seconds
 
+import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ConfigError
@@ -27,9 +29,19 @@ def test_one_process_gives_the_closed_loops_bits(
 ) -> None:
     """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
 
-    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed.
+    So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
+    with friction elements that have all parts, and a seed of their scatter.
     """
-    comparison = run_both_ways(processes, client, shipped, tmp_path, composed=True, rests=3)
+    parts = {
+        "load": rx.LoadPart(0.05, 0.1),
+        "ripple": rx.RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
+        "scatter": rx.ScatterPart(0.05, 0.2),
+    }
+    file = rx.FrictionFile.read(shipped.friction.file)
+    elements = {name: replace(element, **parts) for name, element in file.elements.items()}
+    (tmp_path / "friction.yaml").write_text(replace(file, elements=elements).text(), encoding="utf-8")
+    setup = rx.load_setup(friction=tmp_path / "friction.yaml", seed=11)
+    comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=3)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
 

@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rx90_common.base.errors import ConfigError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import bristle_step, load_elements, one_element
 from rx90_common.friction.bristles import elasto_plastic
-from rx90_common.friction.bristles.elasto_plastic import ElastoPlastic, elasto_plastic_step, elasto_plastic_torque
+from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.element import element_arrays
 from rx90_common.kernels.lanes import load, store
 
@@ -108,10 +107,3 @@ def test_lanes_are_single_elements() -> None:
                 elasto_plastic_torque(single, away[i], z[i], velocity[i]),
             )
             assert out[:, i].tolist() == list(alone)
-
-
-@pytest.mark.parametrize("value", [-0.1, 0.91, math.nan])
-def test_refuses_another_break_away(value: float) -> None:
-    """The refusal names the value and the range."""
-    with pytest.raises(ConfigError, match=rf"break_away is {value}; accepted: a number in \[0, 0.9\]"):
-        ElastoPlastic(value)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +11,9 @@ import pytest
 from bristle_oracles import ElastoPlasticOracle, MaxwellSlipOracle, swing
 from numpy.typing import NDArray
 
-from benchmarks.friction_mass import Bristles, driven_mass, led
+from benchmarks.friction_mass import driven_mass, led
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristles.elasto_plastic import ElastoPlastic
-from rx90_common.friction.bristles.maxwell_slip import MaxwellSlip
+from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 
 Array = NDArray[np.float64]
 ELEMENT = FrictionElement(25.0, 31.0, 32.0, 47.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
@@ -27,34 +26,34 @@ each_kind = pytest.mark.parametrize("bristles", KINDS.values(), ids=KINDS.keys()
 
 
 @each_kind
-def test_at_rest_the_bristles_keep_every_bit(bristles: Bristles) -> None:
+def test_at_rest_the_bristles_keep_every_bit(bristles: BristlesPart | None) -> None:
     """After any motion, rest leaves torque and stored energy as they were to the last bit, however long."""
     rng = np.random.default_rng(4)
     for scale in (1e-3, 0.1, 3.0):
         velocity = np.concatenate([scale * rng.standard_normal(50), np.zeros(50)])
-        torque, stored = led(ELEMENT, bristles, velocity, STEP)
+        torque, stored = led(replace(ELEMENT, bristles=bristles), velocity, STEP)
         assert np.unique(stored[49:]).size == 1
         assert np.unique(torque[50:]).size == 1
         assert abs(torque[-1]) > 1e-3
 
 
 @each_kind
-def test_a_stuck_mass_does_not_creep(bristles: Bristles) -> None:
+def test_a_stuck_mass_does_not_creep(bristles: BristlesPart | None) -> None:
     """Under a constant load below break-away a mass comes to rest and stays on the same bits."""
     for load in (8.0, -20.0, 15.0):
-        motion = driven_mass(ELEMENT, bristles, 2.0, np.full(40_000, load), STEP)
+        motion = driven_mass(replace(ELEMENT, bristles=bristles), 2.0, np.full(40_000, load), STEP)
         assert np.unique(motion.position[-10_000:]).size == 1
         assert np.ptp(motion.deflection[-10_000:]) < 1e-18
         assert motion.friction[-1] == pytest.approx(load, rel=1e-12)
 
 
 @each_kind
-def test_torque_at_both_ends_of_the_hysteresis(bristles: Bristles) -> None:
+def test_torque_at_both_ends_of_the_hysteresis(bristles: BristlesPart | None) -> None:
     """A small deflection costs c0 times it, a long way at any velocity the torque of the steady curve."""
-    torque, _ = led(ELEMENT, bristles, np.array([1e-6, 0.0]), 1e-3)
+    torque, _ = led(replace(ELEMENT, bristles=bristles), np.array([1e-6, 0.0]), 1e-3)
     assert torque[-1] == pytest.approx(1e5 * 1e-9, rel=1e-4)
     for velocity in (-3.0, -0.02, 1e-3, 0.4):
-        torque, _ = led(ELEMENT, bristles, np.full(20_000, velocity), 1e-3)
+        torque, _ = led(replace(ELEMENT, bristles=bristles), np.full(20_000, velocity), 1e-3)
         assert torque[-1] == pytest.approx(float(ELEMENT.steady_torque(velocity)), rel=1e-12)
 
 
@@ -65,12 +64,12 @@ def random_cycles(rng: np.random.Generator, cycles: int) -> Array:
 
 
 @each_kind
-def test_no_kind_creates_energy(bristles: Bristles) -> None:
+def test_no_kind_creates_energy(bristles: BristlesPart | None) -> None:
     """In 10^4 random cycles no step takes more work out than the bristles had stored: c1 is below its bound."""
     rng = np.random.default_rng(5)
     for step in (STEP, 1e-2):
         velocity = random_cycles(rng, 10_000)
-        torque, stored = led(ELEMENT, bristles, velocity, step)
+        torque, stored = led(replace(ELEMENT, bristles=bristles), velocity, step)
         dissipated = torque * velocity * step - np.diff(stored, prepend=0.0)
         assert np.all(dissipated >= -1e-12 * (np.abs(torque * velocity * step) + stored))
         assert np.sum(dissipated) > 0.0
@@ -108,7 +107,7 @@ def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellS
     for steps in counts:
         h = end / steps
         middle = np.array([force((k + 0.5) * h) for k in range(steps)])
-        motion = driven_mass(element, bristles, inertia, middle, h, start)
+        motion = driven_mass(replace(element, bristles=bristles), inertia, middle, h, start)
         errors.append([abs(motion.position[-1] - x), abs(motion.velocity[-1] - v)])
     # Where in a step a reversal falls changes the constant of the error from one step size to the next.
     return float(-np.polyfit(np.log(counts), np.log(np.array(errors)), 1)[0].mean()), np.array(errors)
@@ -116,28 +115,28 @@ def order_on_a_mass(element: FrictionElement, bristles: ElastoPlastic | MaxwellS
 
 def test_elasto_plastic_is_second_order_on_a_mass() -> None:
     """Against a solver with located kinks the error falls fourfold when the step is halved."""
-    order, errors = order_on_a_mass(dataclasses.replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), ELASTIC)
+    order, errors = order_on_a_mass(replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), ELASTIC)
     assert order == pytest.approx(2.0, abs=0.3)
     assert errors[0][0] < 2e-5
 
 
 def test_maxwell_slip_is_second_order_on_a_mass_where_the_sliding_curve_is_flat() -> None:
     """With a Stribeck effect a block begins to slip at the torque of the middle of the step: first order."""
-    order, errors = order_on_a_mass(dataclasses.replace(FLAT, c2=14.0), BLOCKS)
+    order, errors = order_on_a_mass(replace(FLAT, c2=14.0), BLOCKS)
     assert order == pytest.approx(2.0, abs=0.3)
     assert errors[0][0] < 2e-5
-    order, errors = order_on_a_mass(dataclasses.replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), BLOCKS)
+    order, errors = order_on_a_mass(replace(ELEMENT, tau_s_positive=28.0, tau_s_negative=36.0), BLOCKS)
     assert order > 0.9
     assert errors[0][0] < 2e-5
 
 
-def presliding_drift(bristles: Bristles, low: float, high: float, cycles: int) -> Array:
+def presliding_drift(bristles: BristlesPart | None, low: float, high: float, cycles: int) -> Array:
     """Return by how much each cycle of a load between two parts of the Coulomb torque moves a mass, rad."""
     per_cycle = 2000
     phase = (np.arange(cycles * per_cycle) + 0.5) / per_cycle
     load = 25.0 * (0.5 * (high + low) - 0.5 * (high - low) * np.cos(2.0 * math.pi * phase))
     ramp = 25.0 * low * np.linspace(0.0, 1.0, per_cycle)
-    position = driven_mass(FLAT, bristles, 0.2, np.concatenate([ramp, load]), 2e-4).position
+    position = driven_mass(replace(FLAT, bristles=bristles), 0.2, np.concatenate([ramp, load]), 2e-4).position
     return np.diff(position[per_cycle - 1 :: per_cycle])
 
 
@@ -173,7 +172,7 @@ def test_maxwell_slip_is_the_prandtl_operator_in_presliding() -> None:
     velocity = np.concatenate([np.full(7, (b - a) / 7) for a, b in pairwise(turning)]) / STEP
     still = np.zeros((velocity.size, 2))
     still[:, 0] = velocity  # at rest after each step the torque is that of the deflections
-    torque, _ = led(dataclasses.replace(FLAT, c1=0.0), BLOCKS, still.ravel(), STEP)
+    torque, _ = led(replace(FLAT, c1=0.0, bristles=BLOCKS), still.ravel(), STEP)
     path = np.cumsum(velocity) * STEP
     expected = np.zeros(path.size)
     for stiffness, share in zip(BLOCKS.stiffness, BLOCKS.share, strict=True):
@@ -181,13 +180,13 @@ def test_maxwell_slip_is_the_prandtl_operator_in_presliding() -> None:
     np.testing.assert_allclose(torque[1::2], expected, atol=1e-10)
 
 
-def loop(bristles: Bristles, turning: list[float]) -> Array:
+def loop(bristles: BristlesPart | None, turning: list[float]) -> Array:
     """Return the torque at rest in each turning point of a slow motion, Nm."""
     found = []
     for count in range(1, len(turning)):
         ways = np.diff(turning[: count + 1])
         velocity = np.concatenate([np.full(400, way / 400 / STEP) for way in ways])
-        found.append(led(dataclasses.replace(FLAT, c1=0.0), bristles, np.append(velocity, 0.0), STEP)[0][-1])
+        found.append(led(replace(FLAT, c1=0.0, bristles=bristles), np.append(velocity, 0.0), STEP)[0][-1])
     return np.array(found)
 
 

@@ -1,0 +1,169 @@
+"""The kinds of bristles: what a friction file may hold under `bristles`, and what their passivity asks of c1.
+
+Their equations stand with their compiled steps in rx90_common/friction/bristles/.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.entries import LEFT_OUT, ListOf, Number
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group, Variants
+from rx90_common.friction.bristles.blocks import MOST_BLOCKS
+from rx90_common.friction.parts.part import FrictionPart
+
+LUGRE_SHARE: Final = 4.0
+"""LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
+
+MOST_BREAK_AWAY: Final = 0.9
+"""Of `break_away`: nearer to 1 the way from break-away to sliding is a corner."""
+
+_SUM_ERROR = 1e-9  # of stiffnesses and shares, which are given in decimals
+
+
+@dataclass(frozen=True)
+class BristlesPart(FrictionPart):
+    """Bristles of another kind than LuGre's.
+
+    Attributes:
+        kind: its name in a file.
+    """
+
+    name: ClassVar[str] = "bristles"
+    kind: ClassVar[str]
+
+    @classmethod
+    def entry(cls) -> Variants:
+        """Return what a file may hold under the name."""
+        groups = {name: kind.table for name, kind in KINDS.items()}
+        return Variants("Bristles of another kind than LuGre's.", key="kind", groups=groups, default=LEFT_OUT)
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> BristlesPart:
+        """Return the bristles of what `entry` read."""
+        return KINDS[content["kind"]](**{key: value for key, value in content.items() if key != "kind"})
+
+    @classmethod
+    def legend(cls) -> str:
+        """Return the tables of all kinds as lines of comment."""
+        lines = f"# {cls.name:<8} other bristles than LuGre's, by their kind:\n"
+        for name, kind in KINDS.items():
+            lines += f"#   kind: {name}\n" + "".join(super(BristlesPart, kind).legend().splitlines(True)[1:])
+        return lines
+
+    def values(self) -> dict[str, Any]:
+        """Return the block as it stands in a file."""
+        return {"kind": self.kind, **super().values()}
+
+    def passive_share(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
+        """Return the number s for which the element is passive where c1 |v| < s c0 g(v).
+
+        Args:
+            c0: of the element, Nm/rad.
+            speed: rad/s, any shape.
+        """
+        return LUGRE_SHARE
+
+
+@dataclass(frozen=True)
+class ElastoPlastic(BristlesPart):
+    """Bristles that are purely elastic up to break-away.
+
+    Attributes:
+        break_away: the deflection up to which they are, in parts of tau_c / c0, 0 to MOST_BREAK_AWAY.
+    """
+
+    kind: ClassVar[str] = "elasto_plastic"
+    table: ClassVar[Group] = Group(
+        "Elasto-plastic bristles (Dupont, Hayward, Armstrong, Altpeter 2002).",
+        keys={
+            "break_away": Number(
+                "Deflection up to which the bristles are purely elastic, in parts of tau_c / c0.", "1",
+                low=0.0, high=MOST_BREAK_AWAY,
+            ),
+        },
+    )  # fmt: skip
+
+    break_away: float
+
+
+def _parts(about: str) -> ListOf:
+    number = Number(about, "1", low=0.0, high=1.0, above=True)
+    return ListOf(about, "1", item=number, accepted=f"a list of 1 to {MOST_BLOCKS} numbers", least=1)
+
+
+@dataclass(frozen=True)
+class MaxwellSlip(BristlesPart):
+    """Blocks side by side, each of which sticks or slips.
+
+    Attributes:
+        stiffness: of 1 to MOST_BLOCKS blocks in parts of c0; they sum to 1.
+        share: of each block in the sliding torque; they sum to 1.
+        attraction: C, Nm/s.
+
+    Raises:
+        ConfigError: also for another number of blocks, and another sum.
+    """
+
+    kind: ClassVar[str] = "maxwell_slip"
+    table: ClassVar[Group] = Group(
+        "Generalised Maxwell slip (Lampaert, Al-Bender, Swevers 2003).",
+        keys={
+            "stiffness": _parts("Stiffness of each block in parts of c0; they sum to 1."),
+            "share": _parts("Share of each block in the sliding torque; they sum to 1."),
+            "attraction": Number(
+                "Attraction of the sliding curve; torques come to it at the rate attraction / sliding torque.",
+                "Nm/s", low=0.0, above=True,
+            ),
+        },
+    )  # fmt: skip
+
+    stiffness: tuple[float, ...]
+    share: tuple[float, ...]
+    attraction: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = len(self.stiffness)
+        if count > MOST_BLOCKS:
+            raise ConfigError(f"bristles: stiffness has {count} numbers; accepted: 1 to {MOST_BLOCKS}, one for a block")
+        if len(self.share) != count:
+            raise ConfigError(f"bristles: share has {len(self.share)} numbers; accepted: {count}, as stiffness has")
+        for name, whole in (("stiffness", "c0"), ("share", "the sliding torque")):
+            total = math.fsum(getattr(self, name))
+            if not abs(total - 1.0) <= _SUM_ERROR:
+                raise ConfigError(f"bristles: {name} sums to {total:.10g}; accepted: 1, as parts of {whole}")
+
+    def passive_share(self, c0: float, speed: ArrayLike) -> Array:
+        """Return the least of a_i / k_i (1 + sqrt(|v| / A_i))^2 over the blocks."""
+        ratio = np.divide(self.share, self.stiffness)
+        above = 1.0 + np.sqrt(np.asarray(speed)[..., None] * c0 / (self.attraction * ratio))
+        return np.asarray(np.min(ratio * above**2, axis=-1))
+
+
+KINDS: dict[str, type[BristlesPart]] = {kind.kind: kind for kind in (ElastoPlastic, MaxwellSlip)}
+"""By their names in a file."""
+
+
+def fill_bristles(record: Any, kinds: Sequence[BristlesPart | None]) -> None:
+    """Write the bristles of elements into a record of `bristles_dtype(len(kinds))`, zero before; None is LuGre's."""
+    blocks = record["blocks"]
+    blocks["reach"] = blocks["attraction"] = 1.0
+    for e, kind in enumerate(kinds):
+        if isinstance(kind, ElastoPlastic):
+            record["elastic_used"] = record["elastic"][e] = 1
+            record["break_away"][e] = kind.break_away
+        elif isinstance(kind, MaxwellSlip):
+            record["blocks_used"] = record["blocked"][e] = 1
+            used = slice(len(kind.stiffness))
+            blocks["stiffness"][e, used] = kind.stiffness
+            blocks["reach"][e, used] = np.divide(kind.share, kind.stiffness)
+            blocks["attraction"][e] = kind.attraction

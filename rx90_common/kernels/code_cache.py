@@ -1,0 +1,139 @@
+"""Compiled kernels on disk: found by the sources alone, wherever these lie.
+
+numba's own cache looks at the file of a compiled function alone: after a change in a kernel that it *calls* from
+another file, it would run the old code. The cache therefore lies in a folder named after the hash of all files
+that hold kernels and of what they import. In it a kernel is found by its module's name, not by its path: clones,
+wheels and installed copies of the same sources share what one of them has compiled.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+import llvmlite
+import numba
+import numpy as np
+from numba.core import caching
+
+from rx90_common.base.sources import importers_of, module_file, sources_hash, with_imports
+
+_UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
+_FOLDER = re.compile(r"[0-9a-f]{16}")
+
+
+def _kernels_hash() -> str:
+    files = with_imports(importers_of("rx90_common.kernels"))
+    # Environments with the same sources share the folder: all that decides on their code counts, but for the
+    # processor, which numba's index names.
+    svml = getattr(numba.config, "USING_SVML", False)
+    versions = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:2], svml)
+    return sources_hash(files, " ".join(map(str, versions)))
+
+
+def cache_directory() -> Path:
+    """Return where compiled kernels of exactly these sources are kept (NUMBA_CACHE_DIR wins)."""
+    base = os.environ.get("NUMBA_CACHE_DIR")
+    root = Path(base) if base else Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return root / "rx90_emulator" / _kernels_hash()
+
+
+# numba makes its settings at import, so its type stubs do not know them. Kernels outside of this project are found
+# there by path and contents, as numba does it, and compiled again after a change in ours that they may call.
+setattr(numba.config, "CACHE_DIR", str(cache_directory()))  # noqa: B010
+
+
+@cache
+def prepare(folder: Path) -> None:
+    """Make the folder, or note that it is in use; with a new one, remove those not used for four weeks.
+
+    Raises:
+        OSError: if it cannot be made.
+    """
+    if folder.is_dir():
+        with suppress(OSError):
+            os.utime(folder)
+        return
+    folder.mkdir(parents=True)
+    for other in folder.parent.iterdir():
+        with suppress(OSError):  # another process may remove it, too
+            if _FOLDER.fullmatch(other.name) and time.time() - other.stat().st_mtime > _UNUSED_S:
+                shutil.rmtree(other, ignore_errors=True)
+
+
+class _Locator(caching._CacheLocator):
+    """The place of a kernel of this project: its module's name; numba adds the function's."""
+
+    def __init__(self, function: Callable[..., Any], file: str) -> None:
+        self._py_file = file  # numba names it in warnings
+        self._line = function.__code__.co_firstlineno
+        self._folder = Path(numba.config.CACHE_DIR) / function.__module__  # type: ignore[attr-defined]
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> _Locator | None:
+        """Return the place, None for functions of others and where nothing can be written: numba has its own then."""
+        module = module_file(py_func.__module__)
+        if module is None or not Path(py_file).exists() or not module.samefile(py_file):
+            return None
+        locator = cls(py_func, py_file)
+        try:
+            prepare(locator._folder.parent)
+            locator.ensure_cache_path()  # type: ignore[no-untyped-call]  # numba has no types there
+        except OSError:
+            return None
+        return locator
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        # The folder's name was made when the program began: a file that is edited before it is imported differs.
+        return _file_hash(self._py_file)
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
+
+
+@cache
+def _file_hash(file: str) -> str:
+    return sources_hash([Path(file)])
+
+
+class _Implementation(caching.CompileResultCacheImpl):
+    _locator_classes = [_Locator, *caching.CompileResultCacheImpl._locator_classes]  # noqa: RUF012 - as numba has it
+
+
+class _CodeFiles(caching.IndexDataCacheFile):
+    """numba's files, written beside and renamed, with names that no two processes choose.
+
+    numba numbers the files of a function. Two processes that compile it at once for other arguments would both write
+    number one, and the index could name the code of the other; here one of both is compiled again later.
+    """
+
+    def _data_name(self, number: int) -> str:  # noqa: ARG002 - numba's interface
+        return f"{Path(self._index_name).stem}.{uuid4().hex[:12]}.nbc"
+
+
+class KernelCache(caching.FunctionCache):
+    """The compiled code of one kernel on disk."""
+
+    _impl_class = _Implementation
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]  # numba has no types there
+        place = self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
+        self._cache_file = _CodeFiles(*place)  # type: ignore[no-untyped-call]  # numba has no types there
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep compiled code, if the disk has room: it runs without being kept, too."""
+        with suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]  # numba has no types there

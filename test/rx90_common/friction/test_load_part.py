@@ -1,0 +1,108 @@
+"""The load part: torques in closed form, and the torque that it follows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from parted_joint import Seven, along, any_element, begin
+
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.load import LoadPart
+
+SETS = 50
+
+
+def any_load(rng: np.random.Generator) -> LoadPart:
+    """Return a load part with all its coefficients drawn."""
+    return LoadPart(*rng.uniform(0.0, 0.5, 4), *rng.uniform(0.0, 0.01, 2), relax_time=10.0 ** rng.uniform(-3, -1))
+
+
+def expected(element: FrictionElement, load: float, velocity: float) -> tuple[float, float]:
+    """Return Coulomb and static torque by the equations of Bittencourt and Gunnarsson, and BAM's quadratic term."""
+    part = element.load
+    assert part is not None
+    lifting = load * velocity >= 0
+    k, s, m = (
+        (part.driving, part.stribeck_driving, part.quadratic_driving)
+        if lifting
+        else (part.driven, part.stribeck_driven, part.quadratic_driven)
+    )
+    tau_c = element.tau_c_positive if velocity >= 0 else element.tau_c_negative
+    tau_s = element.tau_s_positive if velocity >= 0 else element.tau_s_negative
+    return tau_c + k * abs(load), tau_s + (k + s) * abs(load) + m * load**2
+
+
+def test_steady_sliding_under_constant_load() -> None:
+    """Lifting and lowering, in both directions of motion, the torque is that of the closed form (50 sets of values)."""
+    rng = np.random.default_rng(1)
+    for _ in range(-(-SETS // 7)):
+        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
+        loads = rng.uniform(-200.0, 200.0, 7)
+        for velocity in (0.3, -0.3, 0.004, -0.004):
+            seven = Seven.of(elements)
+            begin(seven.parts, seven.states, loads)
+            motion = np.broadcast_to(np.array([np.zeros(7), np.full(7, velocity), loads]), (4, 3, 7))
+            torque, _ = along(seven, motion, 1e6)  # a step of the bristle is exact however long it is
+            for i, element in enumerate(elements):
+                coulomb, static = expected(element, loads[i], velocity)
+                fading = np.exp(-((abs(velocity) / element.omega_s) ** element.delta))
+                viscous = element.c2 * abs(velocity) ** element.alpha
+                want = np.sign(velocity) * (coulomb + (static - coulomb) * fading + viscous)
+                assert torque[-1, i] == pytest.approx(want, rel=1e-12)
+
+
+def test_the_motor_needs_more_to_lift_than_to_lower() -> None:
+    """A winch that lifts needs (1 + k_driving) of the weight beside Coulomb friction, and lowering (1 - k_driven)."""
+    element = FrictionElement(2.0, 2.0, 2.0, 2.0, 0.05, 1.0, 1e4, 0.0, 0.0, load=LoadPart(0.1, 0.3))
+    weight, seven = np.full(7, 40.0), Seven.of([element] * 7)
+    begin(seven.parts, seven.states, weight)
+    velocity = np.array([0.2, -0.2])
+    motion = np.stack([np.array([np.zeros(7), np.full(7, v), weight]) for v in np.repeat(velocity, 3)])
+    torque, _ = along(seven, motion, 1e3)
+    drive = 40.0 + torque[[2, 5], 0]
+    assert drive == pytest.approx([40.0 * 1.1 + 2.0, 40.0 * 0.7 - 2.0], rel=1e-12)
+
+
+def test_a_held_joint_keeps_every_bit_under_load() -> None:
+    """At rest the torque of the bristle stays to the last bit, whatever load goes up and down at the joint."""
+    rng = np.random.default_rng(2)
+    seven = Seven.of([any_element(rng, load=any_load(rng)) for _ in range(7)])
+    seven.z[:] = rng.uniform(-1e-5, 1e-5, 7)
+    before = seven.z.copy()
+    motion = np.zeros((500, 3, 7))
+    motion[:, 2] = 100.0 * rng.standard_normal((500, 7))
+    torque, _ = along(seven, motion, 2.5e-4)
+    assert np.array_equal(seven.z, before)
+    assert np.array_equal(torque, np.broadcast_to(seven.elements["c0"][0] * before, (500, 7)))
+
+
+def test_the_load_follows_exactly() -> None:
+    """A held torque is followed as 1 - exp(-t / relax_time), in one step or in many (50 sets of values)."""
+    rng = np.random.default_rng(3)
+    for _ in range(-(-SETS // 7)):
+        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
+        relax = np.array([element.load.relax_time for element in elements if element.load])
+        start, held = rng.uniform(-50.0, 50.0, (2, 7))
+        duration = 10.0 ** rng.uniform(-3, -1)
+        for parts in (1, 16):
+            seven = Seven.of(elements)
+            begin(seven.parts, seven.states, start)
+            along(seven, np.broadcast_to(np.array([0.0 * held, 0.0 * held, held]), (parts, 3, 7)), duration / parts)
+            want = held + (start - held) * np.exp(-duration / relax)
+            assert seven.states["load"][0] == pytest.approx(want, rel=1e-12, abs=1e-12)
+
+
+def test_break_away_grows_with_the_load() -> None:
+    """A joint that is pushed slowly under a load holds tau_s + (k + s) |l| + m l^2 at most (50 sets of values)."""
+    rng = np.random.default_rng(4)
+    for _ in range(-(-SETS // 7)):
+        elements = [any_element(rng, load=any_load(rng)) for _ in range(7)]
+        loads = rng.uniform(-100.0, 100.0, 7)
+        seven = Seven.of(elements)
+        begin(seven.parts, seven.states, loads)
+        direction = rng.choice([-1.0, 1.0], 7)
+        motion = np.broadcast_to(np.array([0.0 * loads, 1e-9 * direction, loads]), (3, 3, 7))
+        torque, _ = along(seven, motion, 1e13)
+        static = [expected(e, load, way)[1] for e, load, way in zip(elements, loads, direction, strict=True)]
+        # So slow that the Stribeck part is still whole, but for 1e-9 / omega_s to the power of 0.7.
+        assert torque[-1] == pytest.approx(direction * static, rel=2e-5)

@@ -1,0 +1,91 @@
+"""Seven friction elements with parts along prescribed motions, for the tests of the parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.friction import ELEMENT_COUNT, FrictionElement
+from rx90_common.friction.element import element_arrays
+from rx90_common.friction.parts.load import advance_load
+from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.scatter import advance_scatter
+from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import load, store
+
+Array = NDArray[np.float64]
+Record = NDArray[Any]
+SPEED = 5.0
+"""rad/s up to which `any_element` is passive."""
+GEAR = np.array([100.0, 90.0, 80.0, 60.0, 50.0, 30.0, 30.0])
+
+
+class Seven(NamedTuple):
+    """Seven elements, their parts, the state of these and the deflections."""
+
+    elements: Record
+    parts: Record
+    states: Record
+    z: Array
+
+    @classmethod
+    def of(cls, elements: Sequence[FrictionElement], period: float = 2.5e-4, seed: int = 0) -> Seven:
+        """Return elements at rest, of which none transmits a torque."""
+        parts = np.zeros(1, parts_dtype(ELEMENT_COUNT))
+        fill_parts(parts[0], elements, GEAR, period, seed)
+        seven = cls(element_arrays(elements), parts, np.zeros(1, parts_state_dtype(ELEMENT_COUNT)), np.zeros(7))
+        begin(parts, seven.states, np.zeros(7))
+        return seven
+
+
+@kernel
+def begin(parts: Record, states: Record, transmitted: Array) -> None:
+    """Let the parts begin with transmitted torques, Nm, shape (7,)."""
+    reset_parts(parts[0], states[0], load(transmitted, 7))
+
+
+@kernel
+def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Array) -> None:
+    """Run along n steps.
+
+    Args:
+        seven: the elements, advanced in place.
+        motion: angle in the middle of each step, rad, velocity, rad/s, and transmitted torque, Nm, (n, 3, 7).
+        step: s.
+        torque: mean over each step, written, Nm, shape (n, 7).
+        stored: energy of the bristles behind each step, written, J, shape (n, 7).
+    """
+    elements, parts, state, z = seven.elements[0], seven.parts[0], seven.states[0], seven.z
+    for k in range(len(motion)):
+        deflection, mean = parts_step(
+            elements, parts, state, load(z, 7), load(motion[k, 0], 7), load(motion[k, 1], 7), step, 7
+        )
+        store(z, deflection)
+        store(torque[k], mean)
+        store(stored[k], 0.5 * load(elements.c0, 7) * deflection * deflection)
+        advance_load(parts.load, state, load(motion[k, 2], 7), step, 7)
+        advance_scatter(parts.scatter, state)
+
+
+def along(seven: Seven, motion: Array, step: float) -> tuple[Array, Array]:
+    """Return torque, Nm, and stored energy, J, along a motion, each of shape (n, 7)."""
+    torque, stored = np.empty((2, len(motion), 7))
+    follow(seven, np.ascontiguousarray(motion), step, torque, stored)
+    return torque, stored
+
+
+def any_element(rng: np.random.Generator, **parts: Any) -> FrictionElement:
+    """Return an element with a size, an asymmetry and exponents drawn, passive up to SPEED."""
+    size = 10.0 ** rng.uniform(-1, 2)
+    tau_c = size * rng.uniform(0.6, 1.4, 2)
+    tau_s = tau_c * rng.uniform(1.0, 1.8, 2)
+    element = FrictionElement(
+        *tau_c.tolist(), *tau_s.tolist(), rng.uniform(0.01, 0.2), rng.choice([0.7, 1.0, 2.0]).item(),
+        size * 10.0 ** rng.uniform(3, 4), 0.0, size * rng.uniform(0.0, 0.5), alpha=rng.choice([0.6, 1.0, 1.5]).item(),
+    )  # fmt: skip
+    element = FrictionElement(**{**vars(element), **parts})
+    return FrictionElement(**{**vars(element), "c1": 0.9 * element.passive_damping(SPEED)})
