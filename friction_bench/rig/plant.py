@@ -16,9 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.friction.bristle import bristle_step, one_element
+from rx90_common.friction.bristle import bristle_step, load_elements, one_element
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
 from rx90_common.friction.element import FrictionElement, element_arrays
+from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.lanes import lane, load, store
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,39 @@ def turn_with_joint(
     return angle, speed, z
 
 
+_BRISTLED = np.dtype(
+    [("kinds", bristles_dtype(1)), ("state", bristles_state_dtype(1)), ("z", np.float64, 1), ("speed", np.float64, 1)],
+    align=True,
+)
+
+
+@kernel
+def turn_with_bristles(
+    angle: float,
+    speed: float,
+    bristled: NDArray[np.void],
+    torque: float,
+    shaft: Shaft,
+    gear: tuple[float, float],
+    joint: NDArray[np.void],
+    dt: float,
+) -> tuple[float, float]:
+    """Advance as `turn_with_joint`, with bristles of another kind, whose record is advanced in place.
+
+    Returns angle and speed.
+    """
+    step, element, record = dt / _BRISTLE_STEPS, load_elements(joint[0], 1), bristled[0]
+    ratio, efficiency = gear
+    for _ in range(_BRISTLE_STEPS):
+        record.speed[0] = speed / ratio
+        z, friction = bristles_step(
+            element, record.kinds, record.state, load(record.z, 1), load(record.speed, 1), step, 1
+        )
+        store(record.z, z)
+        angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
+    return angle, speed
+
+
 class RigPlant:
     """The mechanics of one rig in motion; seeded, so that a run can be repeated bit for bit.
 
@@ -145,8 +181,11 @@ class RigPlant:
     def __init__(self, parameters: PlantParameters, counts_per_revolution: int, seed: int) -> None:
         self.parameters = parameters
         self.angle = self.torque = 0.0
+        joint = parameters.joint
+        self._element = element_arrays((joint,)) if isinstance(joint, FrictionElement) else None
+        self._bristled = np.zeros(1, _BRISTLED)
+        self._other = isinstance(joint, FrictionElement) and joint.bristles is not None
         self.load(False)
-        self._element = element_arrays((parameters.joint,)) if isinstance(parameters.joint, FrictionElement) else None
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()
@@ -158,6 +197,9 @@ class RigPlant:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
         self.loaded = loaded
         self.speed = self.bristle = 0.0
+        self._bristled[:] = 0
+        if isinstance(self.parameters.joint, FrictionElement):
+            fill_bristles(self._bristled[0]["kinds"], [self.parameters.joint.bristles])
         self._shaft = self.parameters.shaft(loaded)
 
     def _normal(self) -> float:
@@ -191,9 +233,15 @@ class RigPlant:
         state = self.angle, self.speed
         if self.loaded and self._element is not None:
             gear = self.parameters.gear_ratio, self.parameters.gear_efficiency
-            self.angle, self.speed, self.bristle = turn_with_joint(
-                *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
-            )
+            if self._other:
+                self.angle, self.speed = turn_with_bristles(
+                    *state, self._bristled, self.torque, self._shaft, gear, self._element, dt
+                )
+                self.bristle = float(self._bristled["z"][0, 0])
+            else:
+                self.angle, self.speed, self.bristle = turn_with_joint(
+                    *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
+                )
         else:
             self.angle, self.speed = turn(*state, self.torque, self._shaft, dt)
 
