@@ -57,7 +57,7 @@ _quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0, default=0.0)
 _TABLE = Group(
     "Friction by the torque that the joint transmits.",
     keys={
-        "driving": _coefficient("Share of the load torque by which Coulomb torque grows where the motor moves the link."),
+        "driving": _coefficient("Share of the load torque by which friction grows where the motor moves the link."),
         "driven": _coefficient("The same where the link moves the motor."),
         "stribeck_driving": _coefficient("Share by which static torque grows beyond driving.", default=0.0),
         "stribeck_driven": _coefficient("Share by which static torque grows beyond driven.", default=0.0),

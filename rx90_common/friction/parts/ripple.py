@@ -46,12 +46,7 @@ _TABLE = Group(
         for angle in ANGLES
         for what, about, unit, limits in (
             ("harmonic", "Waves in a turn of the", "1", {"low": 0.0, "high": 1000.0, "above": True}),
-            (
-                "amplitude",
-                "Amplitude, share of Coulomb and static torque, of each wave of the",
-                "1",
-                {"low": 0.0, "high": 0.99},
-            ),
+            ("amplitude", "Share of Coulomb and static torque, of each wave of the", "1", {"low": 0.0, "high": 0.99}),
             ("phase", "Phase of each cosine where the angle is 0, of the", "rad", {}),
         )
     },
