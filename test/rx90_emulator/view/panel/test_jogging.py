@@ -107,7 +107,7 @@ class _Slider:
 
     def __init__(self, low: float, high: float, value: float) -> None:
         self.min, self.max, self.value, self.disabled = low, high, value, True
-        self.changed: Callable[[object], None] = lambda event: None
+        self.changed: Callable[[object], None] = lambda _: None
 
     def on_update(self, callback: Callable[[object], None]) -> None:
         """Keep who is called."""
