@@ -42,7 +42,17 @@ DRIVES_UNITS = {
     "stop_stiffness": "Nm/rad",
     "stop_damping": "Nm s/rad",
 }
-ELASTICITY_UNITS = {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"}
+DRIVE_BLOCKS = {
+    "elasticity": {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"},
+    "winding": {
+        "resistance": "Ohm",
+        "thermal_resistance": "K/W",
+        "heat_capacity": "J/K",
+        **dict.fromkeys(("ambient", "initial", "reference", "derating", "limit"), "°C"),
+        "coefficient": "1/K",
+    },
+    "current_sensor": {**dict.fromkeys(("offset", "noise", "resolution"), "A"), "bandwidth": "Hz"},
+}
 CONTROLLER_UNITS = {
     "inertia": "kg m^2",
     "kp": "1/s",
@@ -134,7 +144,8 @@ class Catalogue:
         self._values: dict[Key, Any] = {}
         self._add(("arm",), setup, {"seed": "1"})
         self._add(("drives",), setup.drives, DRIVES_UNITS)
-        self._add(("drives", "elasticity"), setup.drives.elasticity, ELASTICITY_UNITS)
+        for block, units in DRIVE_BLOCKS.items():
+            self._add(("drives", block), getattr(setup.drives, block), units)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)
         self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
         if task is not None:
