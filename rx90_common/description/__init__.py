@@ -3,6 +3,7 @@
 __all__ = [
     "branch",
     "chain",
+    "cogging",
     "drives",
     "elasticity",
     "inverse",
@@ -17,5 +18,6 @@ __all__ = [
     "tip",
     "tool",
     "urdf",
+    "winding",
     "wrist",
 ]

@@ -192,4 +192,6 @@ def run_setpoints(
         plant.raise_divergence(end)
     if end == TRIPPED:
         controller.note_fault()
-        raise SupervisionError(f"{controller.fault}; the controller's supervision has cut the power")
+        warm = plant.warm_motors()
+        cut = f"{controller.fault}; the controller's supervision has cut the power"
+        raise SupervisionError(f"{cut}; {warm}" if warm else cut)
