@@ -1,9 +1,9 @@
 """Names of everything that can be changed: dotted paths to single values of a setup and a task.
 
 `friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `drives.elasticity.stiffness[0]`,
-`controller.kp[*]`, `arm.link_3.mass`, `controller.feed_forward.coulomb`, `task.speed`, `seed`, and where an element has
-that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`. A `*` stands for every name
-or index in its place; an index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
+`controller.kp[*]`, `arm.link_3.mass`, `controller.feed_forward.coulomb`, `task.speed`, `arm.seed`, and where an element
+has that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`. A `*` stands for every
+name or index in its place; an index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Catalogue:
         check_type(setup=(setup, Setup))
         self._units: dict[Key, str] = {}
         self._values: dict[Key, Any] = {}
-        self._add((), setup, {"seed": "1"})
+        self._add(("arm",), setup, {"seed": "1"})
         self._add(("drives",), setup.drives, DRIVES_UNITS)
         self._add(("drives", "elasticity"), setup.drives.elasticity, ELASTICITY_UNITS)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)

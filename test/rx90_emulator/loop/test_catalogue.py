@@ -72,7 +72,7 @@ def test_values_are_those_of_the_files(catalogue: Catalogue) -> None:
     [
         ("friction.joint_9.c0", "'joint_9' is unknown; accepted there: joint_1, joint_2"),
         ("friction.joint_1.c9", "'c9' is unknown; accepted there: alpha, c0, c1, c2"),
-        ("fricton.joint_1.c0", "accepted there: arm, controller, drives, friction, seed, task"),
+        ("fricton.joint_1.c0", "accepted there: arm, controller, drives, friction, task"),
         ("friction.joint_1", "is a group of values"),
         ("drives.gear[0].x", "is not a path"),
         ("task.speed.x", "goes on after a value; accepted: task.speed"),
