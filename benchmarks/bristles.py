@@ -36,7 +36,7 @@ KINDS: dict[str, BristlesPart | None] = {
 LOW, HIGH = 0.2, 0.6
 """Of the Coulomb torque, between which the load oscillates."""
 CYCLES, PER_CYCLE, STEP = 60, 2000, 2e-4
-_TURNS = (0.0, 4e-4, -0.5e-4, 3.8e-4, -0.5e-4, -4e-4)  # rad
+_TURNS = (0.0, 4e-4, -0.8e-4, 2.4e-4, -0.8e-4, -4e-4)  # rad
 _POINTS = 400  # of a branch
 _SUBSTEPS = (1, 2, 4, 8)
 
