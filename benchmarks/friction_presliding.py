@@ -21,10 +21,10 @@ from tqdm import tqdm
 from benchmarks.report import merge, print_table
 from friction_bench.presliding.campaign import Campaign
 from friction_bench.presliding.choice import choose
-from friction_bench.presliding.drift import Verdict
+from friction_bench.presliding.drift import DriftVerdict
 from friction_bench.presliding.evaluation import PreslidingResult, evaluate
 from friction_bench.presliding.follow import follow
-from friction_bench.presliding.planning import Plan, runs
+from friction_bench.presliding.planning import CampaignPlan, runs
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import JointFriction
@@ -75,7 +75,7 @@ def measured(rig: Rig, seed: int, cycles: int) -> tuple[PreslidingResult, str]:
     client = RigClient(VirtualPort(emulated), rig)
     hello = client.connect()
     campaign = Campaign()
-    plan = Plan(rig, ("loops", "sweep", "drift"), 10, cycles)
+    plan = CampaignPlan(rig, ("loops", "sweep", "drift"), 10, cycles)
     for what in runs(plan, campaign, hello.torque_limit_code):
         campaign.add(what, follow(client, what.law, what.label))
     result = evaluate(campaign, rig)
@@ -90,10 +90,10 @@ def _right(kind: str, text: str) -> str:
     return "right" if text.removesuffix(", by its drift") == kind else "wrong"
 
 
-def _drift_right(kind: str, verdict: Verdict) -> str:
-    if verdict is Verdict.UNKNOWN:
+def _drift_right(kind: str, verdict: DriftVerdict) -> str:
+    if verdict is DriftVerdict.UNKNOWN:
         return "right" if kind == "Coulomb and viscous" else "cannot tell"
-    expected = Verdict.DRIFTS if kind in ("LuGre", "Stribeck") else Verdict.STAYS
+    expected = DriftVerdict.DRIFTS if kind in ("LuGre", "Stribeck") else DriftVerdict.STAYS
     return "right" if verdict is expected else "wrong"
 
 

@@ -23,6 +23,7 @@ from typing import Any
 from rx90_common.base.arrays import Array
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
+from rx90_sim.cogging import add_cogging
 from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
 from rx90_sim.transmission import mean_torque, twist_at_rest
@@ -32,17 +33,47 @@ _TOLERANCE = 1e-12
 """Of a transmitted torque, relative to the torques about it."""
 
 
+_MOST_SAGS = 100
+
+
 @kernel
-def elastic_reset(plant: Any, state: Any) -> None:
-    """Twist the gears such that they carry the arm at rest, on closed brakes; the bias is `state.bias`."""
+def hang_links(plant: Any, state: Any) -> None:
+    """Move the links, `state.q`, from where the motors are to where they rest in the twisted gears; `state.v` is 0."""
     constants, gears = plant.transmission, state.transmission
     for i in range(6):
-        carried = state.bias[i] - (state.bias[5] if i == 4 else 0.0)
-        gears.twist[i] = gears.rate[i] = gears.acceleration[i] = 0.0
-        gears.torque[i], gears.friction[i] = carried, -carried
-        gears.link_torque[i] = -state.bias[i]
+        gears.motor_angle[i] = state.q[i]
+    # The weight changes little with the sag: each round leaves a hundredth or so of the error.
+    for _ in range(_MOST_SAGS):
+        mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
+        _twist_by_weight(constants, gears, state.bias)
+        settled = True
+        for i in range(6):
+            resting = gears.motor_angle[i] - gears.twist[i] + (gears.twist[4] if i == 5 else 0.0)
+            settled = settled and resting == state.q[i]
+            state.q[i] = resting
+        if settled:
+            return
+
+
+@inlined
+def _twist_by_weight(constants: Any, gears: Any, weight: Array) -> None:
+    """Write the torques that the gears transmit to an arm at rest, and their twists."""
+    for i in range(6):
+        gears.torque[i] = weight[i] - (weight[5] if i == 4 else 0.0)
+        gears.twist[i] = 0.0
         if constants.elastic[i]:
-            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], carried)
+            gears.twist[i] = twist_at_rest(constants.stiffness[i], constants.half_play[i], gears.torque[i])
+
+
+@kernel
+def elastic_reset(plant: Any, state: Any) -> None:
+    """Twist the gears such that they carry the arm at rest, on closed brakes; its weight is `state.bias`."""
+    gears = state.transmission
+    _twist_by_weight(plant.transmission, gears, state.bias)
+    for i in range(6):
+        gears.rate[i] = gears.acceleration[i] = 0.0
+        gears.friction[i] = -gears.torque[i]
+        gears.link_torque[i] = -state.bias[i]
 
 
 @kernel
@@ -105,12 +136,14 @@ def _to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
 
 @kernel
 def _add_friction(plant: Any, state: Any, step: float) -> None:
-    """Advance friction elements and closed brakes; take their torques off those of motors or links."""
+    """Write the motors' torques with cogging; take those of friction and closed brakes off motors or links."""
     gears = state.transmission
     _to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
     _to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
     for i in range(6):
         gears.drive[i] = state.drive_torque[i]
+    if plant.cogging.terms > 0:
+        add_cogging(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)
     if plant.transmission.link_friction:
         add_element_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
         add_brakes(plant, state, gears.motor_velocity, gears.drive, step)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
 
-from friction_bench.presliding.drift import DriftResult, Verdict
+from friction_bench.presliding.drift import DriftResult, DriftVerdict
 from friction_bench.presliding.five_laws import (
     COULOMB,
     ELASTO_PLASTIC,
@@ -30,6 +30,7 @@ from friction_bench.presliding.five_laws import (
 from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
+from rx90_common.friction.element import FrictionElement
 
 P = 0.01
 SHARE = 0.1
@@ -75,6 +76,12 @@ class Choice:
     left: tuple[str, ...]
     by_drift: bool
     sliding: SlidingFriction
+
+    @property
+    def lugre(self) -> FrictionElement:
+        """Return LuGre's element as fitted, without damping of its bristles, which the readings do not show."""
+        score = next(score for score in self.scores if score.law is LUGRE)
+        return LUGRE.element(score.values, self.sliding)
 
     @property
     def text(self) -> str:
@@ -138,7 +145,7 @@ def fit_law(law: FrictionLaw, sliding: SlidingFriction, blocks: Sequence[LoopBlo
     tries = [start for start in law.start(_stiffness(blocks)) if start]
     if not tries:
         return []
-    found = [least_squares(misfit, start, diff_step=[1e-3], xtol=1e-4, ftol=1e-4, max_nfev=25) for start in tries]
+    found = [least_squares(misfit, start, diff_step=[1e-3], xtol=1e-4, ftol=1e-4, max_nfev=40) for start in tries]
     best = min(found, key=lambda one: float(one.cost))
     return [float(value) for value in best.x]
 
@@ -211,8 +218,8 @@ def _simplest(laws: Sequence[FrictionLaw]) -> list[FrictionLaw]:
 
 def _by_drift(laws: Sequence[FrictionLaw], drift: DriftResult | None) -> list[FrictionLaw]:
     """Return the laws that the drift leaves."""
-    if drift is None or drift.verdict is Verdict.UNKNOWN or not any(law in WITH_BRISTLES for law in laws):
+    if drift is None or drift.verdict is DriftVerdict.UNKNOWN or not any(law in WITH_BRISTLES for law in laws):
         return list(laws)
-    drifts = drift.verdict is Verdict.DRIFTS
+    drifts = drift.verdict is DriftVerdict.DRIFTS
     kept = [law for law in laws if (law is LUGRE) is drifts]
     return kept or list(laws)

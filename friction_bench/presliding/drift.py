@@ -40,7 +40,7 @@ _LEAST_SWING = 1.5
 """Counts of a swing that is seen."""
 
 
-class Verdict(str, Enum):
+class DriftVerdict(str, Enum):
     """What the drift says."""
 
     DRIFTS = "LuGre"
@@ -69,7 +69,7 @@ class DriftResult:
     expected: tuple[float, float]
     low: float
     high: float
-    verdict: Verdict
+    verdict: DriftVerdict
     reason: str
 
 
@@ -132,7 +132,7 @@ def evaluate_drift(trace: Trace, low: int, high: int, break_away: float) -> Drif
     )
 
 
-def _verdict(swing: float, bounds: tuple[float, float], expected: tuple[float, float]) -> tuple[Verdict, str]:
+def _verdict(swing: float, bounds: tuple[float, float], expected: tuple[float, float]) -> tuple[DriftVerdict, str]:
     """Return the verdict and its reason.
 
     The swing is the mean of differences of whole counts: a joint that drifts passes all phases of a count, and the mean
@@ -140,14 +140,20 @@ def _verdict(swing: float, bounds: tuple[float, float], expected: tuple[float, f
     """
     least, largest = bounds
     if largest < _NONE * expected[0] * (swing - 1.0) and swing >= _LEAST_SWING:
-        return Verdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
+        return DriftVerdict.STAYS, f"the drift is less than {100 * _NONE:g} % of what LuGre's law would give"
     if least > 0.0 and swing > 0.0 and 0.5 * expected[0] < least / swing and largest / swing < 2.0 * expected[1]:
-        return Verdict.DRIFTS, "the joint drifts as LuGre's law says"
+        return DriftVerdict.DRIFTS, "the joint drifts as LuGre's law says"
     if swing < _LEAST_SWING and least <= 0.0:
-        return Verdict.UNKNOWN, "neither a swing nor a drift is seen: the joint is stiffer than the encoder resolves"
+        return (
+            DriftVerdict.UNKNOWN,
+            "neither a swing nor a drift is seen: the joint is too stiff for the encoder",
+        )
     if largest / max(swing, 1e-9) > 2.0 * expected[1]:
-        return Verdict.UNKNOWN, "the joint drifts more than LuGre's law says: the torque comes too near to break-away"
-    return Verdict.UNKNOWN, "the joint drifts, but less than LuGre's law says"
+        return (
+            DriftVerdict.UNKNOWN,
+            "the joint drifts more than LuGre's law says: the torque is too near to break-away",
+        )
+    return DriftVerdict.UNKNOWN, "the joint drifts, but less than LuGre's law says"
 
 
 def _turning_points(trace: Trace, low: int, high: int) -> tuple[Array, Array]:

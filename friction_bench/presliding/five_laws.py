@@ -27,10 +27,11 @@ from rx90_common.kernels.compiled import kernel
 
 @dataclass(frozen=True, eq=False)
 class LoopBlock:
-    """One block of loops, beginning with a slide, so that nothing before it matters.
+    """One block of loops, beginning at rest without torque after a slide, so that nothing before it matters.
 
     Attributes:
-        angle: of the joint at each reading, rad, without the encoder's flicker, shape (n,).
+        angle: of the joint at each reading from the rest after the slide on, rad, without the encoder's flicker,
+            shape (n,).
         readings: those at the end of each held torque, shape (k,).
         torque: held there, Nm, shape (k,).
         tick: s.
@@ -47,9 +48,11 @@ def loop_block(trace: Trace) -> LoopBlock:
     code = trace.code
     ends = np.flatnonzero(np.diff(code) != 0.0)
     held = np.diff(ends, prepend=-1)
-    first = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0])  # the slide's end
+    slid = int(np.flatnonzero((code[:-1] > 0.0) & (code[1:] == 0.0))[0]) + 1
+    first = slid + int(np.argmax(code[slid:] > 0.0)) - 1  # the last reading at rest
     readings = ends[(ends > first) & (held >= DWELL)]
-    return LoopBlock(settled(trace.counts) * trace.angle_step, readings, trace.torque[readings], trace.tick)
+    angle = settled(trace.counts)[first:] * trace.angle_step
+    return LoopBlock(angle, readings - first, trace.torque[readings], trace.tick)
 
 
 def settled(counts: Array) -> Array:
@@ -63,9 +66,27 @@ def settled(counts: Array) -> Array:
 
 
 @kernel
-def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float) -> NDArray[np.float64]:
+def slid_and_released(joint: RigJoint, steady: float) -> float:
+    """Let a joint slide on and then go back without torque, slowly; return its deflection, rad.
+
+    Args:
+        joint: advanced in place.
+        steady: its deflection in steady sliding, rad.
+    """
+    z, torque = 0.0, 1.0
+    for _ in range(20):
+        z, torque = friction_over(joint, z, 0.0, steady, 1.0)
+    for _ in range(2000):
+        if torque <= 0.0:
+            break
+        z, torque = friction_over(joint, z, 0.0, -0.005 * steady, 1.0)
+    return z
+
+
+@kernel
+def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float, z: float = 0.0) -> NDArray[np.float64]:
     """Return the mean friction torque over the tick before each reading, Nm, and 0 for the first, shape (n,)."""
-    torque, z = np.zeros(angle.size), 0.0
+    torque = np.zeros(angle.size)
     for k in range(1, angle.size):
         velocity = (angle[k] - angle[k - 1]) / tick
         z, torque[k] = friction_over(joint, z, angle[k], velocity, tick)
@@ -94,8 +115,10 @@ class FrictionLaw:
         """Return the torque at each of the block's readings, Nm, shape (k,)."""
         if self.bristles is None:
             return _rigid(sliding.tau_s if self.stribeck else sliding.tau_c, block)
-        joint = joint_record(self.element(values, sliding), 1.0, block.tick, 0)
-        return np.asarray(torque_along(joint, block.angle, block.tick)[block.readings])
+        element = self.element(values, sliding)
+        joint = joint_record(element, 1.0, block.tick, 0)
+        z = slid_and_released(joint, element.tau_s_positive / element.c0)
+        return np.asarray(torque_along(joint, block.angle, block.tick, z)[block.readings])
 
     def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:
         """Return the friction element of a law with bristles."""
@@ -116,7 +139,7 @@ def _rigid(static: float, block: LoopBlock) -> Array:
     return np.where(moved == 0.0, still, static * np.sign(moved))
 
 
-REACHES = np.array([0.25, 0.6, 1.2, 2.4])
+REACHES = np.geomspace(0.15, 4.0, 6)
 """Of the blocks of Maxwell slip, in proportion: where their springs give way."""
 ATTRACTION = 50.0
 """Nm/s: fast against the readings, which do not show it."""
@@ -141,6 +164,8 @@ LUGRE = FrictionLaw("LuGre", 5, True, lambda c0: [[math.log(c0)]], lambda v: (ma
 ELASTO_PLASTIC = FrictionLaw(
     "elasto-plastic", 6, True, lambda c0: [[math.log(c0), -0.5], [math.log(c0), 1.2]], _elastic
 )
-MAXWELL_SLIP = FrictionLaw("Maxwell slip", 8, True, lambda c0: [[math.log(c0), 0.0, 0.0, 0.0]], _maxwell)
+MAXWELL_SLIP = FrictionLaw(
+    "Maxwell slip", 4 + REACHES.size, True, lambda c0: [[math.log(c0)] + (REACHES.size - 1) * [0.0]], _maxwell
+)
 LAWS = (COULOMB, STRIBECK, LUGRE, ELASTO_PLASTIC, MAXWELL_SLIP)
 """From the simplest to the one with most parameters."""

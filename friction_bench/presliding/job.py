@@ -16,7 +16,7 @@ from friction_bench.presliding.campaign import Campaign
 from friction_bench.presliding.evaluation import evaluate
 from friction_bench.presliding.follow import follow
 from friction_bench.presliding.kinds import KINDS
-from friction_bench.presliding.planning import Plan, runs
+from friction_bench.presliding.planning import CampaignPlan, runs
 from friction_bench.presliding.report import result_text, write_estimates, write_html
 from friction_bench.presliding.trace import Trace, write_trace
 from friction_bench.rig.client import RigClient, Sample
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     return VERDICT_NO if undecided or result.failures else DONE
 
 
-def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
+def _plan(options: argparse.Namespace, rig: Rig) -> CampaignPlan:
     """Refuse now what would otherwise be noticed after minutes."""
     for name, low, high in (
         ("seed", 0, 2**31 - 1), ("blocks", 6, 100), ("cycles", 100, 1_000_000), ("baud", 1200, 1_000_000)
@@ -65,7 +65,7 @@ def _plan(options: argparse.Namespace, rig: Rig) -> Plan:
             "counts go down when the motor turns back, such as rig/presliding.yaml"
         )
     kinds = tuple(kind for kind in KINDS if kind in (options.kinds or KINDS))
-    return Plan(rig, kinds, options.blocks, options.cycles)
+    return CampaignPlan(rig, kinds, options.blocks, options.cycles)
 
 
 @dataclass
@@ -86,7 +86,7 @@ class _Kept:
         write_trace(trace, self.out / f"{self.traces:03d}_{trace.label.split(',')[0].replace(' ', '_')}.csv")
 
 
-def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> Campaign:
+def _measure(options: argparse.Namespace, rig: Rig, plan: CampaignPlan, out: Path) -> Campaign:
     new_measurement(out)
     try:
         port, couple, close = open_rig(options, rig)
@@ -114,7 +114,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: Plan, out: Path) -> Ca
     return campaign
 
 
-def _run_all(client: RigClient, plan: Plan, campaign: Campaign, kept: _Kept) -> None:
+def _run_all(client: RigClient, plan: CampaignPlan, campaign: Campaign, kept: _Kept) -> None:
     """Run what is planned; a later experiment is planned by what earlier ones showed."""
     assert client.hello is not None  # it has been greeted
     try:

@@ -34,7 +34,7 @@ _USUAL_INERTIA = 0.4
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """What to run: kinds in the order of KINDS, so many blocks of loops, so many small cycles."""
 
     rig: Rig
@@ -76,7 +76,7 @@ class Plan:
         return max(self.duration() - campaign.seconds, 0.0)
 
 
-def runs(plan: Plan, campaign: Campaign, limit: int) -> Iterator[Run]:
+def runs(plan: CampaignPlan, campaign: Campaign, limit: int) -> Iterator[Run]:
     """Yield one experiment after the other, each when those before it are in the campaign.
 
     Args:
@@ -107,29 +107,29 @@ def runs(plan: Plan, campaign: Campaign, limit: int) -> Iterator[Run]:
             yield Run("drift", "drift", law)
 
 
-def _loops(plan: Plan, break_away: float, start: int) -> Iterator[Run]:
+def _loops(plan: CampaignPlan, break_away: float, start: int) -> Iterator[Run]:
     stride = max(1, round(break_away / _STRIDES))
     for block in range(plan.blocks):
         levels = laws.loop_levels(int(break_away), block)
         yield Run("loops", f"loops, block {block + 1}", laws.loops(start, plan.slide, levels, stride))
 
 
-def _counts_per_tick(plan: Plan, speed: float) -> float:
+def _counts_per_tick(plan: CampaignPlan, speed: float) -> float:
     return speed * plan.rig.tick / plan.rig.joint_step
 
 
-def _sweep(plan: Plan, start: int, limit: int) -> Run:
+def _sweep(plan: CampaignPlan, start: int, limit: int) -> Run:
     speeds = SPEEDS * plan.fastest
     wanted = [_counts_per_tick(plan, float(speed)) for speed in (*speeds, *speeds[::-1])]
     gain = _USUAL_INERTIA * _BANDWIDTH / _code_step(plan) / _counts_per_tick(plan, 1.0)
     return Run("sweep", "sweep", laws.speeds(start, wanted, HELD, gain, limit, plan.rig.tick), wanted=tuple(wanted))
 
 
-def _code_step(plan: Plan) -> float:
+def _code_step(plan: CampaignPlan) -> float:
     return plan.rig.torque(1) * plan.rig.joint_scale
 
 
-def _pulls(plan: Plan, break_away: float, limit: int) -> Iterator[Run]:
+def _pulls(plan: CampaignPlan, break_away: float, limit: int) -> Iterator[Run]:
     for stiffness in STIFFNESSES:
         for speed in (PULLS * plan.fastest).tolist():
             law = laws.pulled(

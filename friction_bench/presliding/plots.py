@@ -9,7 +9,7 @@ from friction_bench.presliding.drift import DriftResult
 from friction_bench.presliding.evaluation import PreslidingResult
 from friction_bench.presliding.five_laws import LoopBlock
 from friction_bench.presliding.sliding import SlidingFriction
-from friction_bench.presliding.stick_slip import PulledJoint
+from friction_bench.presliding.stick_slip import least_steady_speed
 from rx90_common.base.arrays import Array
 from rx90_common.report.plot import COLOURS, GREY, INK, Curve, Dots, Level, Mark, Panel, Plot
 
@@ -64,17 +64,27 @@ def sliding_plot(result: PreslidingResult) -> Plot:
     return Plot([Panel(marks, "", "speed of the joint, rad/s", "friction, Nm")], height=2.8)
 
 
-def pulls_plot(pulls: tuple[PulledJoint, ...], friction: SlidingFriction | None) -> Plot:
-    """Show where the joint sticks and slips, over speed and stiffness, and where friction begins to rise with speed."""
+def pulls_plot(result: PreslidingResult) -> Plot:
+    """Show where the joint sticks and slips over speed and stiffness, and where linear stability says that it does."""
+    pulls = result.pulls
     marks: list[Mark] = []
     for slips, label, colour in ((True, "sticks and slips", COLOURS[1]), (False, "slides", COLOURS[0])):
         chosen = [pull for pull in pulls if pull.sticks_and_slips is slips]
         if chosen:
             speed = np.array([pull.speed for pull in chosen])
             marks.append(Dots(speed, np.array([pull.stiffness for pull in chosen]), label, colour))
-    turn = None if friction is None else turning_speed(friction)
+    turn = None if result.sliding is None else turning_speed(result.sliding)
     if turn is not None:
-        marks.append(Level(turn, "friction rises with speed from here", INK, "dashed", upright=True))
+        marks.append(Level(turn, "friction rises with speed from here", GREY, "dashed", upright=True))
+    lugre = None if result.choice is None else result.choice.lugre
+    if lugre is not None and result.sliding is not None:
+        stiffness = np.geomspace(min(pull.stiffness for pull in pulls), max(pull.stiffness for pull in pulls), 15)
+        fastest = 2.0 * max(pull.speed for pull in pulls)
+        least = [
+            least_steady_speed(lugre, result.sliding.inertia, float(one), pulls[0].trace.tick, fastest)
+            for one in stiffness
+        ]
+        marks.append(Curve(np.array(least), stiffness, "steady sliding is stable from here", INK, 1.0))
     map_panel = Panel(marks, "", "speed, rad/s", "stiffness, Nm/rad", y_scale="log")
     return Plot([map_panel], height=2.8)
 

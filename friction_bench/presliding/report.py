@@ -87,7 +87,7 @@ def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
     if result.sliding is not None:
         plots["sliding"] = sliding_plot(result)
     if result.pulls:
-        plots["pulls"] = pulls_plot(result.pulls, result.sliding)
+        plots["pulls"] = pulls_plot(result)
     if result.drift is not None:
         plots["drift"] = drift_plot(result.drift)
     page = render_page(

@@ -116,3 +116,25 @@ def _step(a: Array, b: Array, time: float) -> Array:
     block = np.zeros((4, 4))
     block[:3, :3], block[:3, 3] = a, b
     return np.asarray(expm(block * time))
+
+
+def least_steady_speed(
+    element: FrictionElement, inertia: float, stiffness: float, tick: float, fastest: float
+) -> float:
+    """Return the speed, rad/s, from which a joint slides steadily behind the host's spring; NaN beyond `fastest`.
+
+    Args:
+        element: LuGre's.
+        inertia: kg m^2.
+        stiffness: Nm/rad.
+        tick: s.
+        fastest: rad/s.
+    """
+    low, high = 0.0, fastest
+    if SteadySliding.of(element, inertia, high).sampled_growth(stiffness, tick) > 1.0:
+        return math.nan
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        steady = SteadySliding.of(element, inertia, middle).sampled_growth(stiffness, tick) <= 1.0
+        low, high = (low, middle) if steady else (middle, high)
+    return high

@@ -10,24 +10,14 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator, StrMethodFormatter
+from matplotlib.transforms import Bbox
 
 from rx90_common.process.files import write_bytes
-from rx90_common.report.plot import (
-    MOST_POINTS,
-    Band,
-    Curve,
-    Dots,
-    Heat,
-    Mark,
-    Panel,
-    Plot,
-    simplified,
-    symlog_ticks,
-    symlog_transform,
-)
+from rx90_common.report.plot import MOST_POINTS, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, simplified
+from rx90_common.report.sheet import POINT, Sheet, text_width
+from rx90_common.report.still_heat import draw_heat
+from rx90_common.report.ticks import Axis, ticks_of
 
 PICTURES: Final = (".png", ".svg", ".pdf")
 _WIDTH = 8.2  # inches
@@ -36,22 +26,20 @@ _ABOVE, _BELOW = 0.42, 0.48  # inches: title and legend, x label
 _LEGEND_ROW = 0.17  # inches
 _CHARACTER, _HANDLE = 0.058, 0.36  # inches of a legend's entry, on average
 _TITLE_CHARACTER = 0.066  # inches
+_SMALL = 8.0  # points: the font of legends
+_HANDLE_WIDTH, _HANDLE_SPACE, _COLUMN_SPACE, _LEGEND_PAD = 11.2 * POINT, 6.4 * POINT, 8.0 * POINT, 7.2 * POINT
+_TICK, _SMALL_TICK = 3.5 * POINT, 2.0 * POINT
+_X_LABEL = 20.4 * POINT  # below the panel
+_LINE = 11.0 * POINT  # a line of text
+_BAR = 0.6  # points: the line of an error bar
+_BAND_ALPHA = 0.35
+_MARKER: Any = {"marker": ".", "markersize": 4.0}
 _DPI = 160
-_FEW_DECADES = 10.0**3  # on a logarithmic axis: room for 1, 2 and 5 of each
-_STEPS = [1, 2, 2.5, 5, 10]  # between ticks
 _CANVAS = 1600.0, 800.0  # dots of a panel, on paper
 _PATH = re.compile(r' d="[^"]*"')
 _LONG_NUMBER = re.compile(r"(\d\.\d\d)\d+")  # a hundredth of a point is less than a dot of any printer
 # Any: matplotlib types the keys one by one.
-_STYLE: Any = {
-    "font.size": 9.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "svg.hashsalt": "rx90_emulator",
-    "svg.fonttype": "path",
-}
+_STYLE: Any = {"svg.hashsalt": "rx90_emulator", "svg.fonttype": "path"}
 
 
 def as_svg(plot: Plot, most: int = MOST_POINTS) -> str:
@@ -88,33 +76,28 @@ def drawn(plot: Plot, most: int, title: str = "") -> Figure:
     first, later = plot.panels[: plot.columns], plot.panels[plot.columns :]
     above = _ABOVE + _extra_height(first, width) + (0.3 if title else 0.0)
     between = _BELOW + (0.24 if any(panel.title for panel in later) else 0.1)
-    panel = plot.height - between
+    height = plot.height - between
     between += _extra_height(later, width)
-    whole = above + rows * panel + (rows - 1) * between + _BELOW
-    figure = Figure(figsize=(_WIDTH, whole))
-    axes = figure.subplots(rows, plot.columns, squeeze=False).ravel()
-    # Fixed margins: a layout engine takes as long as the drawing.
-    figure.subplots_adjust(
-        left=_LEFT / _WIDTH, right=1.0 - _RIGHT / _WIDTH, bottom=_BELOW / whole, top=1.0 - above / whole,
-        hspace=between / panel, wspace=_LEFT / width,
-    )  # fmt: skip
-    if title:
-        figure.suptitle(title, x=0.01, y=1.0 - 0.05 / whole, ha="left", va="top", fontsize=10, fontweight="bold")
-    for spare in axes[len(plot.panels) :]:
-        spare.remove()
+    sheet = Sheet(_WIDTH, above + rows * height + (rows - 1) * between + _BELOW)
+    sheet.text(0.01 * _WIDTH, sheet.height - 0.05, title, 10.0, bold=True, va="top")
     shown: set[tuple[str, ...]] = set()
-    for one, ax in zip(plot.panels, axes, strict=False):
-        if isinstance(one, Heat):
-            _draw_heat(one, ax, figure)
+    for k, panel in enumerate(plot.panels):
+        row, column = divmod(k, plot.columns)
+        bottom = sheet.height - above - height - row * (height + between)
+        left = _LEFT + column * (width + _LEFT)
+        if isinstance(panel, Heat):
+            top = bottom + height + (above if row == 0 else between - _BELOW)
+            draw_heat(panel, sheet, Bbox.from_extents(left - _LEFT, bottom - _BELOW, left + width, top))
             continue
-        _draw_panel(one, ax, most)
-        if plot.share_x:
-            ax.set_xlim(*plot.x_range)
-        labels = tuple(_labels(one))
+        labels = tuple(_labels(panel))
+        box = Bbox.from_bounds(left, bottom, width, height)
+        title_at = box.y1 + 6.0 * POINT
         if labels and labels not in shown:
             shown.add(labels)
-            _add_legend(one, ax, width)
-    return figure
+            title_at += _draw_legend(panel, sheet, box)
+        _draw_panel(panel, sheet, box, plot.x_range if plot.share_x else panel.x_range, most)
+        sheet.text(box.x0, title_at, panel.title)
+    return sheet.figure
 
 
 def _labels(panel: Panel) -> list[str]:
@@ -142,81 +125,100 @@ def _extra_height(panels: Sequence[Panel | Heat], width: float) -> float:
     return _LEGEND_ROW * most
 
 
-def _add_legend(panel: Panel, axes: Axes, width: float) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    columns, beside = _legend_columns(panel, width)
-    place: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
-    if not panel.title:
-        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 0.98)}
-    elif not beside:
-        axes.set_title(panel.title, loc="left", fontsize=9, pad=6.0 + 72.0 * _LEGEND_ROW * -(-len(labels) // columns))
-    axes.legend(handles, labels, ncols=columns, frameon=False, fontsize=8,
-                handlelength=1.4, columnspacing=1.0, **place)  # fmt: skip
+def _draw_legend(panel: Panel, sheet: Sheet, box: Bbox) -> float:
+    """Draw the entries above the panel, and return how much higher than usual its title stands, inches."""
+    named = {mark.label: mark for mark in reversed(panel.marks) if mark.label}
+    labels = _labels(panel)
+    columns, beside = _legend_columns(panel, box.width)
+    rows = -(-len(labels) // columns)
+    parts = [labels[k : k + rows] for k in range(0, len(labels), rows)]
+    widths = [_HANDLE_WIDTH + _HANDLE_SPACE + max(text_width(label, _SMALL) for label in part) for part in parts]
+    whole = sum(widths) + _COLUMN_SPACE * (len(parts) - 1)
+    x = box.x1 - _LEGEND_PAD - whole if panel.title else 0.5 * (box.x0 + box.x1 - whole)
+    for part, width in zip(parts, widths, strict=True):
+        for k, label in enumerate(part):
+            y = box.y0 + 0.98 * box.height + _LEGEND_PAD + _LEGEND_ROW * (rows - 1 - k) + 2.0 * POINT
+            _draw_handle(named[label], sheet, x, y + 2.5 * POINT)
+            sheet.text(x + _HANDLE_WIDTH + _HANDLE_SPACE, y, label, _SMALL)
+        x += width + _COLUMN_SPACE
+    return 0.0 if beside or not panel.title else _LEGEND_ROW * rows
 
 
-def _draw_panel(panel: Panel, axes: Axes, most: int) -> None:
-    seen: set[str] = set()
-    for mark in panel.marks:
-        _draw_mark(panel, mark, axes, "" if mark.label in seen else mark.label, most)
-        seen.add(mark.label)
-    if panel.x_scale == "symlog":
-        transform = symlog_transform(panel.smallest)
-        axes.set_xscale("symlog", base=transform.base, linthresh=transform.linthresh, linscale=transform.linscale)
-        ticks = symlog_ticks(*panel.x_range, panel.smallest)
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes.xaxis.set_minor_locator(NullLocator())
-    else:
-        axes.set_xscale(panel.x_scale)
-    axes.set_yscale(panel.y_scale)
-    if panel.x_scale == "linear":
-        axes.xaxis.set_major_locator(MaxNLocator(8, steps=_STEPS))
-    if panel.y_scale == "linear":
-        axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
-    for axis, scale, ends in ((axes.xaxis, panel.x_scale, panel.x_range), (axes.yaxis, panel.y_scale, panel.y_range)):
-        if scale == "log" and ends[1] < _FEW_DECADES * ends[0]:
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-            axis.set_minor_locator(NullLocator())
-    axes.set(xlim=panel.x_range, ylim=panel.y_range, xlabel=panel.x_label, ylabel=panel.y_label)
-    if panel.title:
-        axes.set_title(panel.title, loc="left", fontsize=9)
-
-
-def _draw_mark(panel: Panel, mark: Mark, axes: Axes, label: str, most: int) -> None:
-    named = label or None
-    if isinstance(mark, Curve):
-        x, y = (mark.x, mark.y) if mark.dots else simplified(panel, mark, most, _CANVAS)
-        axes.plot(x, y, color=mark.colour, linewidth=mark.width, linestyle=mark.dash,
-                  marker="." if mark.dots else "", markersize=4, label=named)  # fmt: skip
+def _draw_handle(mark: Mark, sheet: Sheet, x: float, y: float) -> None:
+    ends, middle = np.array([x, x + _HANDLE_WIDTH]), np.array([x + 0.5 * _HANDLE_WIDTH])
+    if isinstance(mark, Band):
+        low, high = y - 2.8 * POINT, y + 2.8 * POINT
+        outline = np.array([[ends[0], low], [ends[1], low], [ends[1], high], [ends[0], high]])
+        sheet.area([outline], mark.colour, alpha=_BAND_ALPHA)
     elif isinstance(mark, Dots):
-        if mark.error is None:
-            axes.plot(mark.x, mark.y, ".", color=mark.colour, markersize=5, label=named)
-        else:
-            axes.errorbar(mark.x, mark.y, mark.error, fmt=".", color=mark.colour, markersize=4, elinewidth=0.6,
-                          label=named)  # fmt: skip
-    elif isinstance(mark, Band):
-        axes.fill_between(mark.x, mark.low, mark.high, color=mark.colour, alpha=0.35, linewidth=0.0, label=named)
+        if mark.error is not None:
+            bar = np.array([[[middle[0], y - 4.0 * POINT], [middle[0], y + 4.0 * POINT]]])
+            sheet.segments(bar, mark.colour, _BAR)
+        sheet.line(middle, np.array([y]), **_dots(mark))
     else:
-        line = axes.axvline if mark.upright else axes.axhline
-        line(mark.at, color=mark.colour, linewidth=0.7, linestyle=mark.dash, label=named)
+        sheet.line(ends, np.array([y, y]), **_line(mark))
+        if isinstance(mark, Curve) and mark.dots:
+            sheet.line(middle, np.array([y]), color=mark.colour, linestyle="", **_MARKER)
 
 
-def _draw_heat(heat: Heat, axes: Axes, figure: Figure) -> None:
-    axes.grid(visible=False)
-    image = axes.imshow(heat.values, vmin=-1.0, vmax=1.0, cmap="RdBu_r", interpolation="nearest")
-    count = len(heat.names)
-    size = max(3.5, min(9.0, 330.0 / max(1, count)))
-    axes.set_xticks(range(count), heat.names, rotation=90, fontsize=size)
-    axes.set_yticks(range(count), heat.names, fontsize=size)
-    axes.tick_params(length=0)
-    axes.set_title(heat.title, loc="left", fontsize=9)
-    if count <= 12:  # the figures have room in their squares
-        for (i, j), value in np.ndenumerate(heat.values):
-            if np.isfinite(value):
-                shade = "white" if abs(value) > 0.6 else "black"
-                text = f"{value:.2f}".replace("-0.00", "0.00")
-                axes.text(j, i, text, ha="center", va="center", fontsize=6, color=shade)
-    longest = 0.075 * size / 9.0 * max(map(len, heat.names), default=0)  # inches
-    height = figure.get_figheight()
-    figure.subplots_adjust(left=(0.2 + longest) / _WIDTH, bottom=(0.2 + longest) / height, top=1.0 - 0.3 / height)
-    figure.colorbar(image, ax=axes, shrink=0.6, label="correlation")
+def _draw_panel(panel: Panel, sheet: Sheet, box: Bbox, x_range: tuple[float, float], most: int) -> None:
+    x_axis = Axis(panel.x_scale, x_range, panel.smallest, box.x0, box.width)
+    y_axis = Axis(panel.y_scale, panel.y_range, panel.smallest, box.y0, box.height)
+    x_ticks, y_ticks = ticks_of(x_axis, 8), ticks_of(y_axis, 5)
+    x, y = x_axis.place(x_ticks.values), y_axis.place(y_ticks.values)
+    lines = [[(at, box.y0), (at, box.y1)] for at in x] + [[(box.x0, at), (box.x1, at)] for at in y]
+    sheet.segments(np.array(lines), "#b0b0b0", 0.8, alpha=0.3)
+    for mark in panel.marks:
+        _draw_mark(panel, mark, sheet, (x_axis, y_axis), box, most)
+    corners = [[(box.x0, box.y0), (box.x1, box.y0)], [(box.x0, box.y0), (box.x0, box.y1)]]
+    ticks = [[(at, box.y0), (at, box.y0 - _TICK)] for at in x] + [[(box.x0, at), (box.x0 - _TICK, at)] for at in y]
+    sheet.segments(np.array(corners + ticks), "black", 0.8)
+    small_x, small_y = x_axis.place(x_ticks.between), y_axis.place(y_ticks.between)
+    small = [[(at, box.y0), (at, box.y0 - _SMALL_TICK)] for at in small_x]
+    small += [[(box.x0, at), (box.x0 - _SMALL_TICK, at)] for at in small_y]
+    sheet.segments(np.array(small), "black", 0.6)
+    for at, label in zip(x, x_ticks.labels, strict=True):
+        sheet.text(at, box.y0 - 2.0 * _TICK, label, ha="center", va="top")
+    for at, label in zip(y, y_ticks.labels, strict=True):
+        sheet.text(box.x0 - 2.0 * _TICK, at, label, ha="right", va="center_baseline")
+    sheet.text(0.5 * (box.x0 + box.x1), box.y0 - _X_LABEL, panel.x_label, ha="center", va="top")
+    widest = max((text_width(label, 9.0) for label in y_ticks.labels), default=0.0)
+    label_at = max(_LINE, box.x0 - 2.0 * _TICK - widest - 4.0 * POINT)
+    sheet.text(label_at, 0.5 * (box.y0 + box.y1), panel.y_label, turned=True, ha="right", va="center")
+    sheet.text(box.x1, box.y0 - _X_LABEL, x_ticks.offset, ha="right", va="top")
+    sheet.text(box.x0 - 4.0 * POINT, box.y1 + 3.0 * POINT, y_ticks.offset, _SMALL, ha="right")
+
+
+def _draw_mark(panel: Panel, mark: Mark, sheet: Sheet, axes: tuple[Axis, Axis], box: Bbox, most: int) -> None:
+    x_axis, y_axis = axes
+    if isinstance(mark, Level):
+        at = float((x_axis if mark.upright else y_axis).place([mark.at])[0])
+        ends = [(at, at), (box.y0, box.y1)] if mark.upright else [(box.x0, box.x1), (at, at)]
+        sheet.line(np.array(ends[0]), np.array(ends[1]), box, **_line(mark))
+    elif isinstance(mark, Band):
+        x = x_axis.place(mark.x)
+        low, high = y_axis.place(mark.low), y_axis.place(mark.high)
+        known = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+        parts = [part for part in np.split(np.arange(len(x)), np.flatnonzero(~known)) if known[part].any()]
+        parts = [part[known[part]] for part in parts]
+        outlines = [np.column_stack([np.append(x[k], x[k][::-1]), np.append(low[k], high[k][::-1])]) for k in parts]
+        sheet.area(outlines, mark.colour, box, _BAND_ALPHA)
+    elif isinstance(mark, Dots):
+        x, y = x_axis.place(mark.x), y_axis.place(mark.y)
+        if mark.error is not None:
+            low, high = y_axis.place(mark.y - mark.error), y_axis.place(mark.y + mark.error)
+            sheet.segments(np.column_stack([x, low, x, high]).reshape(-1, 2, 2), mark.colour, _BAR, box)
+        sheet.line(x, y, box, **_dots(mark))
+    else:
+        points = (mark.x, mark.y) if mark.dots else simplified(panel, mark, most, _CANVAS)
+        markers = _MARKER if mark.dots else {}
+        sheet.line(x_axis.place(points[0]), y_axis.place(points[1]), box, **_line(mark), **markers)
+
+
+def _line(mark: Curve | Level) -> Any:
+    width = mark.width if isinstance(mark, Curve) else 0.7
+    return {"color": mark.colour, "linewidth": width, "linestyle": mark.dash}
+
+
+def _dots(mark: Dots) -> Any:
+    return {"color": mark.colour, "linestyle": "", "marker": ".", "markersize": 5.0 if mark.error is None else 4.0}

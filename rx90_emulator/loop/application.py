@@ -72,16 +72,18 @@ def _sections(values: Mapping[Leaf, Value]) -> dict[str, Changes]:
 
 def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     new: dict[str, Any] = {}
-    if "seed" in sections:
-        new["seed"] = _seed(sections["seed"][()][None])
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
         new["drives"] = _with_blocks("drives", setup.drives, sections["drives"])
     if "controller" in sections:
         new["controller"] = _controller(setup, sections["controller"])
-    if "arm" in sections:
-        new["robot"] = _robot(setup.robot, sections["arm"])
+    links = dict(sections.get("arm", {}))
+    seed = links.pop(("seed",), None)
+    if seed is not None:
+        new["seed"] = _seed(seed[None])
+    if links:
+        new["robot"] = _robot(setup.robot, links)
     return replace(setup, **new) if new else setup
 
 
@@ -134,7 +136,7 @@ def _with_blocks(where: str, holder: Any, changes: Changes) -> Any:
 
 def _seed(value: Value) -> int:
     if value != int(value):
-        raise ConfigError(f"seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
+        raise ConfigError(f"arm.seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
     return int(value)
 
 

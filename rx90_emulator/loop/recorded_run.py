@@ -77,7 +77,9 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         )
     row = int(np.argmin(states.stamp_ns))
     if initial_position is None:
-        initial_position = _position_at_rest(bag, states.position, states.velocity, row, setup)
+        initial_position = setup.plant().position_of(
+            _position_at_rest(bag, states.position, states.velocity, row, setup)
+        )
     commands = []
     for one in read_trajectories(bag):
         start = setup.rates.start_tick(one.start_ns / NANOSECONDS)

@@ -9,7 +9,9 @@ import numpy as np
 
 from rx90_common.base.arrays import Record
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype
 from rx90_common.friction.element import element_arrays, elements_dtype
+from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_controller.law.parameters import CONTROLLER_DTYPE
 
 FEW, MANY = 4, 16
@@ -63,11 +65,15 @@ class Groups(NamedTuple):
 
     Attributes:
         elements: friction elements, shape (groups, 7).
+        kinds: their bristles, shape (groups, 7).
+        blocks: what these remember, all zero, shape (groups, 7).
         servos: controllers, shape (groups, 6).
         states: all zero, shape (groups,).
     """
 
     elements: Record
+    kinds: Record
+    blocks: Record
     servos: Record
     states: Record
 
@@ -82,6 +88,8 @@ def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -
     """
     groups = -(-len(frictions) // lanes)
     elements = np.zeros((groups, ELEMENT_COUNT), elements_dtype(lanes))
+    kinds = np.zeros((groups, ELEMENT_COUNT), bristles_dtype(lanes))
+    blocks = np.zeros((groups, ELEMENT_COUNT), bristles_state_dtype(lanes))
     servos = np.zeros((groups, 6), servo_dtype(lanes))
     for run in range(groups * lanes):
         group, lane = divmod(run, lanes)
@@ -91,4 +99,7 @@ def pack(frictions: Sequence[FrictionSet], laws: Sequence[Record], lanes: int) -
             elements[name][group, ..., lane] = arrays[name][0].T
         for name in _SERVO_NAMES:
             servos[name][group, :, lane] = laws[source][name][0]
-    return Groups(elements, servos, np.zeros(groups, group_dtype(lanes)))
+    sources = np.minimum(np.arange(groups * lanes), len(frictions) - 1).reshape(groups, lanes)
+    for group, element in np.ndindex(kinds.shape):
+        fill_bristles(kinds[group, element], [frictions[run].elements[element].bristles for run in sources[group]])
+    return Groups(elements, kinds, blocks, servos, np.zeros(groups, group_dtype(lanes)))

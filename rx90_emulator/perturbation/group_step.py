@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.friction.bristle import bristle_step, load_elements
+from rx90_common.friction.bristles.step import bristles_step
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
@@ -62,6 +63,8 @@ def run_few(
     spacing: int,
     ratio: int,
     elements: Record,
+    kinds: Record,
+    blocks: Record,
     servos: Record,
     states: Record,
     series: Series,
@@ -74,11 +77,13 @@ def run_few(
         spacing: base ticks from one point of the coefficients to the next.
         ratio: base ticks in a position tick.
         elements: friction elements, shape (groups, 7), `elements_dtype`.
+        kinds: their bristles, shape (groups, 7), `bristles_dtype`.
+        blocks: what these remember, shape (groups, 7), `bristles_state_dtype`, advanced in place.
         servos: controllers, shape (groups, 6), `servo_dtype`.
         states: initial states, shape (groups,), `group_dtype`, advanced in place.
         series: written for the runs that exist.
     """
-    _run(plants[0], tables, spacing, ratio, elements, servos, states, series, FEW)
+    _run(plants[0], tables, spacing, ratio, elements, kinds, blocks, servos, states, series, FEW)
 
 
 @kernel
@@ -88,12 +93,14 @@ def run_many(
     spacing: int,
     ratio: int,
     elements: Record,
+    kinds: Record,
+    blocks: Record,
     servos: Record,
     states: Record,
     series: Series,
 ) -> None:
     """Run all groups of MANY lanes as `run_few` does; vectors have their width in their type."""
-    _run(plants[0], tables, spacing, ratio, elements, servos, states, series, MANY)
+    _run(plants[0], tables, spacing, ratio, elements, kinds, blocks, servos, states, series, MANY)
 
 
 @inlined
@@ -103,6 +110,8 @@ def _run(
     spacing: int,
     ratio: int,
     elements: Record,
+    kinds: Record,
+    blocks: Record,
     servos: Record,
     states: Record,
     series: Series,
@@ -121,7 +130,7 @@ def _run(
             _interpolate(tables.coefficients, k, spacing, state)
             _velocity_loops(servos[group], plant.gear, tables.reference[row, 1], tables.torque[k], state, lanes)
             _predict(state, lanes)
-            _substep(tables, k, elements[group], state, plant.period, lanes)
+            _substep(tables, k, elements[group], (kinds[group], blocks[group]), state, plant.period, lanes)
             _sample(plant, tables.position[k + 1], state, lanes)
 
 
@@ -242,7 +251,9 @@ def _predict(state: Any, lanes: int) -> None:
 
 
 @inlined
-def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: float, lanes: int) -> None:
+def _substep(
+    tables: Tables, tick: int, elements: Record, kinds: tuple[Record, Record], state: Any, step: float, lanes: int
+) -> None:
     """Evaluate arm and friction at the predicted midpoint and step with the mean acceleration found there."""
     velocity, slip = tables.velocity[tick], tables.slip[tick]
     half = 0.5 * step
@@ -254,7 +265,7 @@ def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: floa
         store(state.velocity[i], velocity[i] + v_mid)
         store(state.rhs[i], load(state.excess[i], lanes))
     store(state.velocity[6], load(state.velocity[4], lanes) + load(state.velocity[5], lanes))
-    _add_friction(elements, state, step, lanes)
+    _add_friction(elements, kinds, state, step, lanes)
     for i in range(6):
         rhs = _product(state.coefficients[1], i, state.v_mid, load(state.rhs[i], lanes), -1.0, lanes)
         store(state.rhs[i], _product(state.coefficients[2], i, state.q_mid, rhs, -1.0, lanes))
@@ -267,12 +278,19 @@ def _substep(tables: Tables, tick: int, elements: Record, state: Any, step: floa
 
 
 @inlined
-def _add_friction(elements: Record, state: Any, step: float, lanes: int) -> None:
+def _add_friction(elements: Record, kinds: tuple[Record, Record], state: Any, step: float, lanes: int) -> None:
     """Advance the bristles of the seven elements and take their torques from `rhs`."""
+    others, blocks = kinds
     for i in range(7):
-        z, torque = bristle_step(
-            load_elements(elements[i], lanes), load(state.z[i], lanes), load(state.velocity[i], lanes), step
+        element, z, velocity = (
+            load_elements(elements[i], lanes),
+            load(state.z[i], lanes),
+            load(state.velocity[i], lanes),
         )
+        if others[i].elastic_used or others[i].blocks_used:
+            z, torque = bristles_step(element, others[i], blocks[i], z, velocity, step, lanes)
+        else:
+            z, torque = bristle_step(element, z, velocity, step)
         store(state.z[i], z)
         if i < 6:
             store(state.rhs[i], load(state.rhs[i], lanes) - torque)

@@ -115,7 +115,8 @@ class PerturbationModel:
         if controllers is not None and len(controllers) != runs:
             raise ConfigError(f"{len(controllers)} controllers for {runs} friction sets; accepted: one for each")
         for friction in frictions:
-            refuse_parts(dict(zip(friction.names, friction.elements, strict=True)), "the perturbation method")
+            elements = dict(zip(friction.names, friction.elements, strict=True))
+            refuse_parts(elements, "the perturbation method", held=("bristles",))
         lanes = lanes_for(runs)
         groups = pack(frictions, self._laws(controllers, runs), lanes)
         states, motion = groups.states, self.motion

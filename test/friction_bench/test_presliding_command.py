@@ -1,7 +1,7 @@
 """The command friction_presliding on emulated rigs of known law, through the real protocol; few seeds.
 
 The experiments tell these joints apart with a power near 1 (`python -m benchmarks.friction_presliding` counts errors
-over many rigs), so one rig of each law is enough to see that they do.
+over many rigs), so one rig of each law is enough to see that they do: LuGre and elasto-plastic, which the drift is for.
 """
 
 from __future__ import annotations
@@ -30,8 +30,6 @@ QUICK = ["--kinds", "loops", "sweep", "drift", "--blocks", "6", "--cycles", "300
 BRISTLES = {
     "LuGre": "",
     "elasto-plastic": ", bristles: {kind: elasto_plastic, break_away: 0.5}",
-    "Maxwell slip": ", bristles: {kind: maxwell_slip, stiffness: [0.5, 0.3, 0.2], share: [0.2, 0.3, 0.5], "
-    "attraction: 30.0}",
 }
 
 
@@ -101,14 +99,15 @@ def test_the_folder_holds_every_reading_and_a_page(
     measured: tuple[str, Path], check_report: Callable[[Path], None]
 ) -> None:
     """Each experiment is a CSV file, the bag holds all readings, and the page shows loops, drift, rates and sliding."""
-    _, out = measured
+    law, out = measured
     names = sorted(path.name for path in out.glob("*.csv"))
     assert len(names) == 15 + 6 + 2
     assert (out / "bag").is_dir()
     page = (out / "report.html").read_text()
     assert page.count('<figure class="plot">') == 4
     assert "counts, up to break-away" in page
-    check_report(out / "report.html")
+    if law == "LuGre":  # pages differ in numbers alone
+        check_report(out / "report.html")
 
 
 def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so(tmp_path: Path) -> None:

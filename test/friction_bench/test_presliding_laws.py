@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from friction_bench.presliding.drift import Verdict, evaluate_drift, lugre_ratio
+from friction_bench.presliding.drift import DriftVerdict, evaluate_drift, lugre_ratio
 from friction_bench.presliding.five_laws import MAXWELL_SLIP, LoopBlock, settled, torque_along
 from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
 from friction_bench.presliding.stick_slip import SteadySliding
@@ -75,7 +75,7 @@ def test_the_rigs_joint_moves_as_scipy_integrates_it(rig: Rig, break_away: float
         gain_error=0.0,
         torque_noise=0.0,
         coulomb=0.0,
-                joint=replace(ELEMENT, bristles=bristles),
+        joint=replace(ELEMENT, bristles=bristles),
     )
     plant = RigPlant(quiet, rig.counts_per_revolution, 0, counts_down=True)
     plant.load(True)
@@ -151,15 +151,15 @@ def _cycled(drift: float, swing: float, phase: float, cycles: int = 2000) -> Tra
 @pytest.mark.parametrize(
     ("drift", "swing", "verdict"),
     [
-        (2.4, 7.0, Verdict.DRIFTS),
-        (0.024, 0.07, Verdict.DRIFTS),  # far below a count, and seen by 2000 cycles
-        (0.0, 7.0, Verdict.STAYS),
-        (0.0, 0.3, Verdict.UNKNOWN),  # too stiff for the encoder
-        (0.4, 7.0, Verdict.UNKNOWN),  # a drift that is not LuGre's
-        (20.0, 7.0, Verdict.UNKNOWN),
+        (2.4, 7.0, DriftVerdict.DRIFTS),
+        (0.024, 0.07, DriftVerdict.DRIFTS),  # far below a count, and seen by 2000 cycles
+        (0.0, 7.0, DriftVerdict.STAYS),
+        (0.0, 0.3, DriftVerdict.UNKNOWN),  # too stiff for the encoder
+        (0.4, 7.0, DriftVerdict.UNKNOWN),  # a drift that is not LuGre's
+        (20.0, 7.0, DriftVerdict.UNKNOWN),
     ],
 )
-def test_drift_decides_or_says_that_it_cannot(drift: float, swing: float, verdict: Verdict) -> None:
+def test_drift_decides_or_says_that_it_cannot(drift: float, swing: float, verdict: DriftVerdict) -> None:
     """The verdict follows drift over swing against LuGre's, at any phase of the encoder."""
     for phase in (0.0, 0.3, 0.9):
         result = evaluate_drift(_cycled(drift, swing, phase), 5, 25, 100.0)
@@ -222,9 +222,9 @@ def test_flicker_of_a_count_is_no_motion() -> None:
 def test_maxwell_law_has_shares_that_a_friction_file_accepts() -> None:
     """Any values of the fit give blocks whose stiffnesses and shares add up to 1."""
     sliding = SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0, 0)
-    for values in ([8.0, 0.0, 0.0, 0.0], [8.0, -30.0, 5.0, 40.0]):
+    for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -30.0, 5.0, 40.0, 0.0, 3.0]):
         bristles = MAXWELL_SLIP.element(values, sliding).bristles
         assert isinstance(bristles, MaxwellSlip)
         assert sum(bristles.share) == pytest.approx(1.0)
     block = LoopBlock(np.linspace(0.0, 1e-4, 50), np.array([10, 49]), np.array([0.1, 0.4]), 0.02)
-    assert MAXWELL_SLIP.predict([8.0, 0.0, 0.0, 0.0], sliding, block).shape == (2,)
+    assert MAXWELL_SLIP.predict([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], sliding, block).shape == (2,)

@@ -37,6 +37,7 @@ SIX = [
 POSITIVE_ONE = [("feed_forward", "coulomb_velocity"), ("current_loop", "bandwidth"), ("supervision", "over_speed")]
 ONE = [*POSITIVE_ONE, ("trajectory", "start_tolerance")]
 SWITCHES = [("feed_forward", key) for key in ("velocity", "acceleration", "coulomb", "viscous")]
+MODEL_SWITCHES = [("feed_forward", key) for key in ("inverse_dynamics", "friction_model")]
 
 
 def refusal(path: Path) -> str:
@@ -48,7 +49,7 @@ def test_these_are_all_keys(shipped_files: RobotFiles) -> None:
     """The lists above name every key of the shipped file, so that none goes untested."""
     data = yaml.safe_load(shipped_files.controller.read_text())
     keys = [(block, key) for block in data for key in data[block] if key not in {"source", "provenance"}]
-    assert sorted(keys) == sorted(SIX + ONE + SWITCHES)
+    assert sorted(keys) == sorted(SIX + ONE + SWITCHES + MODEL_SWITCHES)
 
 
 @pytest.mark.parametrize("place", SIX, ids=".".join)
@@ -88,7 +89,7 @@ def test_zero_is_refused_where_it_means_nothing(
     assert "is 0.0;" in refusal(edited_yaml(shipped_files.controller, where, 0.0))
 
 
-@pytest.mark.parametrize("place", SWITCHES, ids=".".join)
+@pytest.mark.parametrize("place", SWITCHES + MODEL_SWITCHES, ids=".".join)
 @pytest.mark.parametrize("value", [1, 0.0, "maybe", None])
 def test_a_switch_is_true_or_false(
     shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str], value: Any
@@ -155,16 +156,14 @@ def test_the_shipped_values_say_that_they_are_assumed(shipped_files: RobotFiles)
     assert np.all(load_controller(shipped_files.controller).inertia > 0)
 
 
-MODEL_SWITCHES = ("inverse_dynamics", "friction_model")
-
-
-@pytest.mark.parametrize("switch", MODEL_SWITCHES)
-def test_what_needs_a_model_takes_the_files_beside(shipped_files: RobotFiles, edited_yaml: Edit, switch: str) -> None:
-    """The parts by a model are off unless switched on; then the files beside are read, and a missing one is refused."""
-    assert not getattr(load_controller(shipped_files.controller).feed_forward, switch)
-    place = ("feed_forward", switch)
-    said = refusal(edited_yaml(shipped_files.controller, place, "on"))
-    assert f"{'.'.join(place)} is 'on'; accepted: true or false" in said
+@pytest.mark.parametrize("place", MODEL_SWITCHES, ids=".".join)
+def test_what_needs_a_model_takes_the_files_beside(
+    shipped_files: RobotFiles, edited_yaml: Edit, place: tuple[str, str]
+) -> None:
+    """The parts by a model are off where they are left out; on, the files beside are read, a missing one is refused."""
+    switch = place[1]
+    left_out = load_controller(edited_yaml(shipped_files.controller, place, None, remove=True))
+    assert not getattr(left_out.feed_forward, switch)
     path = edited_yaml(shipped_files.controller, place, True)
     assert "needs" in (said := refusal(path))
     assert f"{path.parent}/robot.urdf, which is not there; accepted: robot.urdf beside" in said
@@ -193,12 +192,16 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     ):
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said
-    other.write_text(other.read_text().replace("tau_c: 25.0", "tau_c: -25.0"))
+    whole = other.read_text()
+    other.write_text(whole.replace("{tau_c: 25.0", "{scatter: {deviation: 0.02, correlation_time: 10}, tau_c: 25.0"))
+    said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
+    assert f"{other}: elements.joint_1.scatter: the controller's friction model cannot hold this part" in said
+    other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said
 
 
-@pytest.mark.parametrize("switch", MODEL_SWITCHES)
+@pytest.mark.parametrize("switch", ["inverse_dynamics", "friction_model"])
 def test_without_a_model_its_parts_stay_off(shipped: Setup, switch: str) -> None:
     """Parameters built in Python without a model refuse the parts that need one."""
     on = dataclasses.replace(shipped.controller.feed_forward, **{switch: True})

@@ -145,11 +145,17 @@ class MaxwellSlipOracle:
 
 
 def swing(
-    oracle: ElastoPlasticOracle | MaxwellSlipOracle, inertia: float, force: Velocity, end: float, start: float
+    oracle: ElastoPlasticOracle | MaxwellSlipOracle,
+    inertia: float,
+    force: Velocity,
+    end: float,
+    start: float,
+    sense: float = 1.0,
 ) -> tuple[float, float, int]:
     """Return position and velocity of a mass after a time under a force, and how often it turned round.
 
-    Kinks are located: reversals, break-away, and where a block begins to slip.
+    Kinks are located: reversals, break-away, and where a block begins to slip. It begins with the velocity `start` in
+    the direction of `sense`.
     """
     e, blocks = oracle.element, isinstance(oracle, MaxwellSlipOracle)
     count = len(oracle.stiffness) if isinstance(oracle, MaxwellSlipOracle) else 1
@@ -174,7 +180,7 @@ def swing(
         left.terminal, left.direction = blocks, 1.0  # type: ignore[attr-defined]
         return left
 
-    time, turns, sense, y = 0.0, 0, math.copysign(1.0, start), np.array([0.0, start, *np.zeros(count)])
+    time, turns, y = 0.0, 0, np.array([0.0, start, *np.zeros(count)])
     while time < end:
         turn.terminal, turn.direction = True, -sense  # type: ignore[attr-defined]
         waiting = [i for i in range(count) if not (isinstance(oracle, MaxwellSlipOracle) and oracle.slips[i])]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from rx90_common.bags.ordering import Arrived
 from rx90_common.bags.recorder.stream import Stream
@@ -13,7 +13,7 @@ from rx90_common.base.errors import BagWriteError
 _NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, whatever it brings
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
-_QUIET_S = 0.2  # without a message after the end was asked for: nothing is under way any more
+_QUIET_S = 0.2  # without a message of a topic after the end was asked for: nothing is under way any more
 _MAX_DRAIN_S = 2.0
 
 
@@ -23,6 +23,7 @@ class MessageReader(threading.Thread):
     def __init__(self) -> None:
         super().__init__(name="message reader", daemon=True)
         self._end = threading.Event()
+        self._asked_ns = 0  # when the end was asked for, by the wall clock
         self._streams: tuple[Stream, ...] = ()
         self._lock = threading.Lock()
         self._queue: list[Arrived] = []
@@ -48,6 +49,7 @@ class MessageReader(threading.Thread):
 
     def finish(self) -> None:
         """Read what is still under way, then end the thread."""
+        self._asked_ns = time.time_ns()
         self._end.set()
         self.join()
 
@@ -61,16 +63,25 @@ class MessageReader(threading.Thread):
             self._error = error
 
     def _drain(self) -> None:
-        streams = self._streams
-        now = time.monotonic()
-        quiet_since, deadline = now, now + _MAX_DRAIN_S
-        while now < min(quiet_since + _QUIET_S, deadline):
-            if self._round(streams):
-                quiet_since = time.monotonic()
+        """Read until each topic is quiet, or at a message that was sent after the end was asked for.
+
+        Messages of a publisher come in the order in which they were sent: all that it had sent before are there then.
+        """
+        begin = now = time.monotonic()
+        heard = dict.fromkeys(self._streams, begin)
+        complete = False
+        while not complete and now < begin + _MAX_DRAIN_S:
+            for stream in heard:
+                if self._round([stream]):
+                    heard[stream] = time.monotonic()
             time.sleep(_NAP_S)
             now = time.monotonic()
+            # Not at once: the clock of another machine may be ahead.
+            complete = now >= begin + _QUIET_S and all(
+                stream.sent_ns > self._asked_ns or now >= at + _QUIET_S for stream, at in heard.items()
+            )
 
-    def _round(self, streams: Sequence[Stream]) -> int:
+    def _round(self, streams: Iterable[Stream]) -> int:
         received: list[Arrived] = []
         for stream in streams:
             count = 0

@@ -95,6 +95,7 @@ class Stream:
         definition: the text of its type, if bags of this project do not know it; else empty.
         in_bulk: whether messages are taken many at a time.
         repeated: messages that were the one before them once more.
+        sent_ns: when the message taken last was sent, by its publisher's wall clock.
 
     Raises:
         BagError: if the publishers disagree on the type, or it is not installed.
@@ -135,6 +136,7 @@ class Stream:
         self._incompatible = self._event(kinds.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS)
         self.counter = SequenceCounter(self.matched, transient_local=transient_local)
         self.repeated = 0
+        self.sent_ns = 0
         self._dated = self.msgtype in (JOINT_STATE, CLOCK)
         self._newest = b""
 
@@ -151,6 +153,8 @@ class Stream:
         """
         taken = self._taker.take()
         self.counter.add_many(taken.numbers)
+        if len(taken.sent_ns):
+            self.sent_ns = int(taken.sent_ns[-1])
         return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
 
     def _without_repetitions(self, taken: Taken) -> Taken:
@@ -165,7 +169,7 @@ class Stream:
             return taken
         self.repeated += int(again.sum())
         kept = np.flatnonzero(~again)
-        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept])
+        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept], taken.sent_ns[kept])
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""

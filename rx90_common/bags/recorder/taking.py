@@ -27,12 +27,12 @@ _SLICE: Final = 512  # messages of a call
 # What `_take_all` works on, as 64-bit numbers: addresses, sizes, what it has done, and a row for each message.
 _FUNCTION, _SUBSCRIPTION, _MESSAGE, _INFO, _MEMORY, _ROOM, _COUNT, _USED, _LEFT = range(9)
 _ROWS: Final = 9
-_ROW: Final = 4  # sequence number, time of reception, start, size
+_ROW: Final = 5  # sequence number, time of reception, start, size, time of sending
 _STATE_LENGTH: Final = _ROWS + _ROW * _SLICE
 _MESSAGE_LENGTH: Final = 8  # rcl_serialized_message_t: buffer, size, capacity, and an allocator of five pointers
 _BUFFER, _SIZE = 0, 1
 _INFO_LENGTH: Final = 16  # an rmw_message_info_t is shorter
-_RECEIVED, _NUMBER = 1, 2
+_SENT, _RECEIVED, _NUMBER = 0, 1, 2
 
 _intrinsic: Any = extending.intrinsic
 _memcpy: Any = types.ExternalFunction("memcpy", types.voidptr(types.voidptr, types.voidptr, types.int64))
@@ -84,7 +84,7 @@ def _take_all(state_at):  # type: ignore[no-untyped-def]  # an address
         _memcpy(_pointer(state[_MEMORY] + used), _pointer(message[_BUFFER]), size)
         row = _ROWS + _ROW * state[_COUNT]
         state[row], state[row + 1] = info[_NUMBER], info[_RECEIVED]
-        state[row + 2], state[row + 3] = used, size
+        state[row + 2], state[row + 3], state[row + 4] = used, size, info[_SENT]
         state[_COUNT], state[_USED], state[_LEFT] = state[_COUNT] + 1, used + size, 0
     return _OK
 
@@ -96,11 +96,13 @@ class Taken(NamedTuple):
         messages: as they came.
         numbers: their publishers' sequence numbers, int64 (n,).
         received_ns: the wall clock's time of reception, int64 (n,).
+        sent_ns: their publishers' wall clocks' time of sending, int64 (n,).
     """
 
     messages: MessageBatch
     numbers: Int64Array
     received_ns: Int64Array
+    sent_ns: Int64Array
 
 
 class Taker(Protocol):
@@ -163,8 +165,8 @@ class BulkTaker:
                 code = _take_all(self._state_at)
         if code not in {_OK, _NOTHING_THERE, _NO_ROOM}:
             raise BagError(f"{self._topic}: no message can be taken (rcl says {code})")
-        numbers, received_ns, start, size = self._rows[: state[_COUNT]].T.copy()
-        return Taken(MessageBatch(self._memory[: state[_USED]].copy(), start, size), numbers, received_ns)
+        numbers, received_ns, start, size, sent_ns = self._rows[: state[_COUNT]].T.copy()
+        return Taken(MessageBatch(self._memory[: state[_USED]].copy(), start, size), numbers, received_ns, sent_ns)
 
     def _make_room(self, size: int) -> None:
         self._memory = np.empty(size, dtype=np.uint8)
@@ -187,13 +189,9 @@ class SingleTaker:
                 if message is None:
                     break
                 taken.append(message)
-        numbers = [info["publication_sequence_number"] for _, info in taken]
-        received_ns = [info["received_timestamp"] for _, info in taken]
-        return Taken(
-            MessageBatch.of([raw for raw, _ in taken]),
-            np.array(numbers, dtype=np.int64),
-            np.array(received_ns, dtype=np.int64),
-        )
+        names = ("publication_sequence_number", "received_timestamp", "source_timestamp")
+        columns = (np.array([info[name] for _, info in taken], dtype=np.int64) for name in names)
+        return Taken(MessageBatch.of([raw for raw, _ in taken]), *columns)
 
 
 def bulk_taker(subscription: Subscription, topic: str) -> BulkTaker | None:

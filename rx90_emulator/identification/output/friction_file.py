@@ -102,7 +102,8 @@ def _sweeps(sliding: SlidingFit, names: Sequence[str], labels: Mapping[BagSource
 
 
 def _check(name: str, one: IdentifiedElement) -> None:
-    for parameter, value in vars(one.element).items():
+    for parameter in FRICTION_UNITS:
+        value = getattr(one.element, parameter)
         most = math.inf if parameter == "omega_d" else _LARGEST[FRICTION_UNITS[parameter]]
         estimate = one.estimates.get(parameter)
         spread = estimate.deviation if estimate is not None and estimate.identifiable else 0.0

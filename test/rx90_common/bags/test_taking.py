@@ -27,7 +27,7 @@ SIZES = [0, 1, 300, 65_536, 65_537, 1_000_000, *range(2000), 65_000, 700, 0]
 
 
 class Middleware:
-    """Stands for rcl: gives messages of these sizes, the k-th with number 7 + k and received at 1000 + k ns."""
+    """Stands for rcl: messages of these sizes, the k-th with number 7 + k, sent at 400 + k ns, received 600 ns on."""
 
     def __init__(self, sizes: list[int], end: int) -> None:
         self.messages = [bytes([k % 256]) * size for k, size in enumerate(sizes)]
@@ -44,6 +44,7 @@ class Middleware:
         place = ctypes.cast(message, ctypes.POINTER(taking._SerializedMessage)).contents
         self._kept = ctypes.create_string_buffer(content, len(content) + 1)
         place.buffer, place.size = ctypes.addressof(self._kept), len(content)
+        ctypes.cast(info, ctypes.POINTER(ctypes.c_int64))[0] = 400 + self.given
         ctypes.cast(info, ctypes.POINTER(ctypes.c_int64))[1] = 1000 + self.given
         ctypes.cast(info, ctypes.POINTER(ctypes.c_int64))[2] = 7 + self.given
         self.given += 1
@@ -56,17 +57,19 @@ class Handle(nullcontext[None]):
     pointer = 4711
 
 
-def _all(take: Callable[[], Taken]) -> tuple[list[bytes], list[int], list[int]]:
+def _all(take: Callable[[], Taken]) -> tuple[list[bytes], list[int], list[int], list[int]]:
     """Take until nothing is there."""
     messages: list[bytes] = []
     numbers: list[int] = []
     received: list[int] = []
+    sent: list[int] = []
     while len((taken := take()).messages):
         assert len(taken.messages) <= 512
         messages += taken.messages
         numbers += taken.numbers.tolist()
         received += taken.received_ns.tolist()
-    return messages, numbers, received
+        sent += taken.sent_ns.tolist()
+    return messages, numbers, received, sent
 
 
 def test_a_burst_is_taken_whole() -> None:
@@ -74,10 +77,11 @@ def test_a_burst_is_taken_whole() -> None:
     rcl = Middleware(SIZES, end=401)
     subscription: Any = SimpleNamespace(handle=Handle())
     taker = BulkTaker(subscription, "/topic", rcl.function, taking._SerializedMessage())
-    messages, numbers, received = _all(taker.take)
+    messages, numbers, received, sent = _all(taker.take)
     assert messages == rcl.messages
     assert numbers == list(range(7, 7 + len(SIZES)))
     assert received == list(range(1000, 1000 + len(SIZES)))
+    assert sent == list(range(400, 400 + len(SIZES)))
 
 
 def test_a_middleware_that_refuses_is_one_line() -> None:
@@ -115,16 +119,19 @@ def test_all_ways_give_the_same(node: Node, monkeypatch: pytest.MonkeyPatch) -> 
     for raw in sent:
         publisher.publish(raw)
     for take in (bulk.take, single.take):
-        messages, numbers, received = [], [], []
+        messages, numbers, received, sent_ns = [], [], [], []
         while len(messages) < count:
             more = _all(take)
             messages += more[0]
             numbers += more[1]
             received += more[2]
+            sent_ns += more[3]
         assert messages == sent
         assert numbers == list(range(1, count + 1))
         assert received == sorted(received)
-        assert began <= received[0]
+        assert sent_ns == sorted(sent_ns)
+        assert began <= sent_ns[0]
+        assert all(before <= after for before, after in zip(sent_ns, received, strict=True))
     assert 0 < gathering.pauses < count / 10
 
     def missing(_name: str) -> None:

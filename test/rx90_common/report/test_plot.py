@@ -8,11 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import interp1d
 
 from rx90_common.report.live import plot_json
 from rx90_common.report.plot import Band, Curve, Dots, Level, Panel, Plot, simplified, symlog
 from rx90_common.report.still import as_svg, drawn, write_picture
+from rx90_common.report.ticks import Axis, ticks_of
 
 TIME = np.linspace(0.0, 8.0, 8001)
 NOISE = np.random.default_rng(5).normal(size=len(TIME))
@@ -113,6 +118,42 @@ def test_equal_plots_are_equal_bytes(tmp_path: Path) -> None:
         assert first == second
 
 
+@pytest.mark.parametrize("ends", [(-0.3, 8.2), (-1.2e5, 1.1e5), (1.0 - 1e-7, 1.0 + 1e-7), (3e-4, 4.5e-4)])
+def test_ticks_are_those_of_matplotlibs_axes(ends: tuple[float, float]) -> None:
+    """A linear axis has the ticks, labels and offset that matplotlib's own axis has there, each in its place."""
+    axes = Figure().subplots()
+    axes.set_xlim(*ends)
+    axes.xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 2.5, 5, 10]))
+    axes.figure.draw_without_rendering()
+    shown = [tick for tick in axes.get_xticks() if ends[0] <= tick <= ends[1]]
+    named = {round(label.get_position()[0], 12): label.get_text() for label in axes.get_xticklabels()}
+    axis = Axis("linear", ends, 1.0, 2.0, 5.0)
+    found = ticks_of(axis, 8)
+    assert found.values == pytest.approx(shown)
+    assert list(found.labels) == [named[round(tick, 12)] for tick in shown]
+    assert found.offset == axes.xaxis.get_offset_text().get_text()
+    assert axis.place(found.values) == pytest.approx([2.0 + 5.0 * (t - ends[0]) / (ends[1] - ends[0]) for t in shown])
+
+
+def test_logarithmic_ticks_are_decades_or_their_parts() -> None:
+    """Over many decades each has a tick and nine parts, over few 1, 2 and 5 have one; places go by the logarithm."""
+    many = ticks_of(Axis("log", (1e-3, 1e3), 1.0, 0.0, 6.0), 5)
+    assert many.values == pytest.approx(10.0 ** np.arange(-3.0, 4.0))
+    assert {f"{k}e{d}" for d in range(-3, 3) for k in range(2, 10)} <= {
+        f"{t:.0e}".replace("e-0", "e-").replace("e+0", "e") for t in many.between
+    }
+    few = ticks_of(Axis("log", (1.0, 50.0), 1.0, 0.0, 6.0), 5)
+    assert few.labels == ["1", "2", "5", "10", "20", "50"]
+    assert Axis("log", (1e-3, 1e3), 1.0, 0.0, 6.0).place([1.0, 100.0, -1.0]) == pytest.approx(
+        [3.0, 5.0, np.nan], nan_ok=True
+    )
+
+
+def test_names_are_written_as_they_are() -> None:
+    """Dollar signs in a name from outside do not make it a formula, which could even be a wrong one."""
+    assert "a$\\frac$b" in as_svg(Plot([panel(Curve(TIME[:2], NOISE[:2], r"a$\frac$b"))]))
+
+
 @pytest.mark.parametrize("columns", [1, 2])
 @pytest.mark.parametrize("count", [1, 3, 9])
 @pytest.mark.parametrize("words", ["up", "no feed-forward, no integral, soft gains"])
@@ -121,13 +162,14 @@ def test_a_legend_covers_neither_title_nor_panel_nor_the_edge(count: int, words:
     marks = [Curve(TIME[:2], NOISE[:2] + k, f"{words} {k}") for k in range(count)]
     figure = drawn(Plot([panel(*marks), panel(*marks[:-1]), panel(Dots(TIME[:2], NOISE[:2], words))], columns), 100)
     figure.draw_without_rendering()
-    others = [ax.get_window_extent() for ax in figure.axes] + [ax._left_title.get_window_extent() for ax in figure.axes]  # type: ignore[attr-defined]
-    legends = [legend.get_window_extent() for ax in figure.axes if (legend := ax.get_legend())]
-    assert len(legends) >= 1
-    for box in legends:
+    written = [(text.get_text(), text.get_window_extent()) for text in figure.findobj(Text)]
+    frames = [line.get_clip_box() for line in figure.findobj(Line2D) if line.get_clip_box() is not None]
+    legends = [box for said, box in written if said.startswith(words)]
+    others = [box for said, box in written if not said.startswith(words)] + frames
+    assert len(legends) >= count
+    for k, box in enumerate(legends):
         assert box.x0 >= 0.0
         assert box.x1 <= figure.bbox.x1 + 1.0
         assert box.y1 <= figure.bbox.y1
-        # The frame of a legend is empty space around its entries: as much as its font is high.
-        inside = box.padded(-8.0)
-        assert not any(inside.overlaps(other) for other in others)
+        inside = box.padded(-1.0)  # letters touch neither what is above nor below their line
+        assert not any(inside.overlaps(other) for other in [*others, *legends[:k]])

@@ -116,6 +116,7 @@ WRITTEN = {
     "--output": {
         "friction_ramp": [],
         "rx90_bag": ["record"],
+        "rx90_config": ["friction", "nowhere"],
         "rx90_demo": [],
         "rx90_experiment": ["run", "--engine", "--robot", "nowhere"],
         "rx90_identify": ["nowhere"],
@@ -123,7 +124,11 @@ WRITTEN = {
         "rx90_run": ["--task", "nowhere"],
         "rx90_sweep": ["run", "nowhere"],
     },
-    "--report": {"rx90_identify": ["nowhere"], "rx90_compare_measured": ["nowhere"]},
+    "--report": {
+        "rx90_identify": ["nowhere"],
+        "rx90_compare_measured": ["nowhere"],
+        "rx90_sweep": ["run", "nowhere", "--output", "x"],
+    },
     "--arrays": {"rx90_run": ["--task", "nowhere"]},
     "bag": {"rx90_bag": ["import", "--mapping", "nowhere", "nowhere"]},
 }

@@ -22,6 +22,7 @@ from rx90_common.friction import FrictionSet, load_friction
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments import job as experiments_job
 from rx90_emulator.identification.experiments.engine import run_on_engine
+from rx90_emulator.identification.experiments.excitation import job as excitation_job
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation
 from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.experiments.folder import read_index
@@ -163,6 +164,10 @@ def test_experiments_run_on_the_real_nodes(
     """
     cell = processes.start("rx90_cell", "--ros-args", "-p", "rx90_sim:real_time_factor:=0.0")
     planned, cut = tmp_path / "planned", tmp_path / "cut"
+    # The run for the validation, which the command always adds, is recorded like the one before it.
+    plan = excitation_job.plan_with_progress
+    one_run = lambda setup, options: plan(setup, replace(options, validation=False))  # noqa: E731
+    monkeypatch.setattr(excitation_job, "plan_with_progress", one_run)
     words = ["--excitation", "--output", str(planned)]
     for name in ("runs", "harmonics", "period", "periods", "steps"):
         words += [f"--{name}", str(getattr(EXCITATION, name))]

@@ -7,8 +7,10 @@ from dataclasses import fields
 import pytest
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.elasticity import Elasticity
+from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.table import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -20,7 +22,9 @@ from rx90_emulator.loop.catalogue import Catalogue, Leaf
     ("prefix", "kind", "without"),
     [
         ("friction.joint_5_6", FrictionElement, set(PARTS)),
-        ("drives", DriveParameters, {"elasticity"}),
+        ("drives", DriveParameters, {"elasticity", "cogging", "winding", "current_sensor"}),
+        ("drives.winding", Windings, set()),
+        ("drives.current_sensor", CurrentSensor, set()),
         ("drives.elasticity", Elasticity, {"friction_side"}),
         ("controller", CS7BParameters, {"feed_forward", "model"}),
         ("controller.feed_forward", FeedForward, set()),
@@ -72,7 +76,7 @@ def test_values_are_those_of_the_files(catalogue: Catalogue) -> None:
     [
         ("friction.joint_9.c0", "'joint_9' is unknown; accepted there: joint_1, joint_2"),
         ("friction.joint_1.c9", "'c9' is unknown; accepted there: alpha, c0, c1, c2"),
-        ("fricton.joint_1.c0", "accepted there: arm, controller, drives, friction, seed, task"),
+        ("fricton.joint_1.c0", "accepted there: arm, controller, drives, friction, task"),
         ("friction.joint_1", "is a group of values"),
         ("drives.gear[0].x", "is not a path"),
         ("task.speed.x", "goes on after a value; accepted: task.speed"),

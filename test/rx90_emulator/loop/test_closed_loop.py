@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
@@ -78,6 +79,7 @@ CASES = {
     "three substeps": (Rates(), 3, 0),
     "other rates": (Rates(8000, 500), 1, 5),
     "one rate": (Rates(2000, 2000), 2, 0),
+    "elastic gears with play": (Rates(), 1, 0),
 }
 
 
@@ -86,6 +88,8 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
     """Every sample of every topic is the same to the last bit as from Plant and CS7B called tick by tick."""
     rates, substeps, start = CASES[case]
     setup = dataclasses.replace(shipped, rates=rates)
+    if "elastic" in case:
+        setup = elastic(setup, SOFT, 2e-4 * SOFT, 1e-4)
     start_time = start / rates.position_hz
     got = series(simulate(setup, there_and_back(), HOME, 0.8, start_time, substeps, record_fast=True))
     want = step_by_step(setup, 0.8, start, substeps)

@@ -54,8 +54,8 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
         ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
         ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
-        ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there"),
-        ("seed", 0.5, "seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
+        ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
+        ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
     ],
 )  # fmt: skip
 def test_wrong_values_of_parts_are_refused(parted: Setup, path: str, value: float, said: str) -> None:
@@ -67,7 +67,7 @@ def test_wrong_values_of_parts_are_refused(parted: Setup, path: str, value: floa
 
 def test_the_seed_is_the_plants(parted: Setup) -> None:
     """The seed of a setup is a parameter, a whole number that the plant takes."""
-    setup = rx.with_parameters(parted, {"seed": 12})
+    setup = rx.with_parameters(parted, {"arm.seed": 12})
     assert setup.seed == 12
     assert setup.plant().constants["parts"]["scatter"]["seed"][0] == 12
     with pytest.raises(ConfigError, match="seed is -1; accepted: a whole number from 0"):

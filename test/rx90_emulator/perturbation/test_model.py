@@ -7,12 +7,15 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
+from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
 from benchmarks.agreement import agreement
 from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
+from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
+from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
@@ -106,6 +109,28 @@ def test_a_short_task_agrees_with_the_full_simulation(shipped: Setup, case: str)
     assert compared.relative_difference < 0.02
     reach = np.abs(full.slow.friction_states[:, 0]).max(axis=0)
     assert (np.abs(result.bristles[0] - full.slow.friction_states[:, 0]) < 0.05 * reach).all()
+
+
+def test_other_bristles_agree_with_the_full_simulation(shipped: Setup) -> None:
+    """Elements of all kinds in one robot, and runs with other kinds side by side, are those of full simulations."""
+    kinds = [ElastoPlastic(0.7), MaxwellSlip((0.6, 0.3, 0.1), (0.3, 0.3, 0.4), 3000.0), None]
+    frictions = [
+        FrictionSet(
+            shipped.friction.names,
+            tuple(dataclasses.replace(e, bristles=kinds[(i + n) % 3]) for i, e in enumerate(shipped.friction.elements)),
+        )
+        for n in range(3)
+    ]
+    result = prepare(shipped, there_and_back(), HOME, 0.7).run(frictions)
+    plain = prepare(shipped, there_and_back(), HOME, 0.7).run_one()
+    for run, friction in enumerate(frictions[:2]):
+        full = simulate(dataclasses.replace(shipped, friction=friction), there_and_back(), HOME, 0.7)
+        tip = forward(shipped.robot.chain, full.slow.joint_states[:, 0]).position
+        distance = np.linalg.norm(tip - result.tip_position(run), axis=1).max()
+        assert distance < 0.02 * np.linalg.norm(result.tip_deviation[run], axis=1).max()
+        assert distance < 0.2 * np.linalg.norm(result.tip_deviation[run] - plain.tip_deviation[0], axis=1).max()
+        reach = np.abs(full.slow.friction_states[:, 0]).max(axis=0)
+        assert (np.abs(result.bristles[run] - full.slow.friction_states[:, 0]) < 0.05 * reach).all()
 
 
 def test_a_run_begins_as_the_full_simulation_does(shipped: Setup) -> None:
@@ -242,6 +267,7 @@ def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: Perturbation
         "duration is inf s": lambda: prepare(shipped, stay(), HOME, float("inf")),
         "start time is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, float("nan")),
         "initial position of joint_2 is 9.0 rad": lambda: prepare(shipped, stay(), [0, 9, 0, 0, 0, 0], 0.1),
+        "drives.elasticity.stiffness[0] is 150000 Nm/rad": lambda: prepare(elastic(shipped, SOFT), stay(), HOME, 0.1),
     }
     for text, call in calls.items():
         with pytest.raises(ConfigError) as refusal:

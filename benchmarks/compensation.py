@@ -1,0 +1,303 @@
+"""What feed-forward by a model of arm and friction gains on the reference task, right and wrong, and what is left.
+
+    python -m benchmarks.compensation [--plot FILE]
+
+The plant keeps its parameters, but for the temperatures; the controller's model is right or wrong by what the
+conditions say. For the CS7B's own feed-forward they concern its Coulomb and viscous values. The numbers are exact: the
+closed loop gives the same bits on each run. Speed is in CPU time, in turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.measured_bristles import run_measured
+from benchmarks.report import merge, print_table
+from rx90_common.base.config import load_yaml, yaml_text
+from rx90_common.base.rates import Rates
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
+from rx90_common.report.still import write_picture
+from rx90_controller.law.model import ModelFiles
+from rx90_controller.law.parameters import FeedForward
+from rx90_controller.lines.task import LineTask, load_task
+from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.line import LineRun, plan_line, run_line
+from rx90_emulator.loop.setup import Setup
+
+LAWS = {
+    "CS7B's own": FeedForward(),
+    "+ inverse dynamics": FeedForward(inverse_dynamics=True),
+    "+ friction model": FeedForward(friction_model=True),
+    "both": FeedForward(inverse_dynamics=True, friction_model=True),
+}
+OWN, BOTH = "CS7B's own", "both"
+RIGHT = "right model"
+OFF = {"friction 30 % too low": 0.7, "friction 30 % too high": 1.3}
+LIGHT = "tool half as heavy"
+TEMPERATURES = {
+    # Factors of the viscous friction, of the Stribeck velocity and of the rise from Coulomb to static torque. The
+    # trends are those of Bittencourt and Gunnarsson (2012): with temperature the first falls exponentially, the other
+    # two grow. The factors are assumed.
+    "cold arm": (2.0, 0.6, 0.6),
+    "hot arm": (0.5, 1.5, 1.5),
+}
+GAINS = (0.0, 30.0)  # of the bristles that follow the measured velocity, 1/s
+ROUNDS = 15
+SETTLED = 300  # position ticks
+TARGET = 0.03  # mm
+_STIFF = 1000.0  # times as stiff: bristles without presliding to speak of
+
+_OF_TORQUE = ("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative", "c0", "c1", "c2")
+_BUDGET: dict[str, dict[str, float]] = {
+    "as shipped": {},
+    "encoders of 24 bits": {"drives.encoder_counts[*]": 2.0**24},
+    "current loop that follows at once": {"controller.current_bandwidth": 1e5},
+    "velocity measured by 1900 Hz instead of 400": {"drives.velocity_bandwidth": 1900.0},
+}
+_ALL = {path: value for changes in _BUDGET.values() for path, value in changes.items()}
+
+
+class Outcome(NamedTuple):
+    """What a run leaves: path error m, largest joint error rad, what PI and D give, by the peak torque."""
+
+    worst: float
+    rms: float
+    joint: float
+    feedback: float
+
+    @classmethod
+    def of(cls, run: LineRun) -> Outcome:
+        """Return it of a run, from the line's beginning until it has settled at its end."""
+        path, rates = run.path_accuracy, run.setup.rates
+        rows = np.rint(path.times / rates.position_period).astype(int)
+        drives = run.setup.drives
+        left = run.slow.tracking_error[rows, 2] - run.slow.reference[rows, 2]
+        share = np.sqrt(np.mean(left**2, axis=0)) / (drives.peak_torque * np.abs(drives.gear))
+        error = run.slow.reference[rows, 0] - run.slow.joint_states[rows, 0]
+        return cls(path.worst, path.rms, float(np.abs(error).max()), float(share.max()))
+
+
+class Models:
+    """Setups whose controllers have models that are wrong in a way of their own; files in a folder."""
+
+    def __init__(self, setup: Setup, folder: Path) -> None:
+        self._setup, self._folder = setup, folder
+        assert setup.controller.model is not None
+        self._files = setup.controller.model
+
+    def all(self) -> dict[str, Setup]:
+        """Return a setup for each condition."""
+        return {
+            RIGHT: self._setup,
+            **{name: self._friction(factor) for name, factor in OFF.items()},
+            LIGHT: self._with(dataclasses.replace(self._files, tool=self._tool(0.5))),
+            **{name: self._at(*factors) for name, factors in TEMPERATURES.items()},
+        }
+
+    def _with(self, files: ModelFiles) -> Setup:
+        return dataclasses.replace(self._setup, controller=dataclasses.replace(self._setup.controller, model=files))
+
+    def _friction(self, factor: float) -> Setup:
+        """Return the setup with a controller that knows all friction by a factor wrong."""
+        path = self._folder / f"friction_{factor}.yaml"
+        elements = dict(zip(self._setup.friction.names, scaled(self._setup.friction, factor), strict=True))
+        path.write_text(FrictionFile(elements).text(), encoding="utf-8")
+        setup = self._with(dataclasses.replace(self._files, friction=path))
+        own = setup.controller
+        wrong = dataclasses.replace(own, coulomb=factor * own.coulomb, viscous=factor * own.viscous)
+        return dataclasses.replace(setup, controller=wrong)
+
+    def _tool(self, factor: float) -> Path:
+        """Return a tool file with other mass and inertia."""
+        assert self._files.tool is not None
+        content = load_yaml(self._files.tool).content
+        inertial = content["inertial"]
+        inertial["mass"] *= factor
+        inertial["inertia"] = [factor * value for value in inertial["inertia"]]
+        path = self._folder / f"tool_{factor}.yaml"
+        path.write_text(yaml_text(content), encoding="utf-8")
+        return path
+
+    def _at(self, viscous: float, velocity: float, rise: float) -> Setup:
+        """Return the setup with an arm at another temperature."""
+
+        def there(element: FrictionElement) -> FrictionElement:
+            static = {
+                f"tau_s_{sign}": coulomb + rise * (getattr(element, f"tau_s_{sign}") - coulomb)
+                for sign in ("positive", "negative")
+                for coulomb in [getattr(element, f"tau_c_{sign}")]
+            }
+            return dataclasses.replace(element, c2=viscous * element.c2, omega_s=velocity * element.omega_s, **static)
+
+        friction = self._setup.friction
+        elements = tuple(there(element) for element in friction.elements)
+        return dataclasses.replace(self._setup, friction=dataclasses.replace(friction, elements=elements))
+
+
+def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
+    """Return elements whose torques are so many times as large at every velocity and deflection."""
+    return tuple(
+        dataclasses.replace(element, **{name: factor * getattr(element, name) for name in _OF_TORQUE})
+        for element in friction.elements
+    )
+
+
+def with_law(setup: Setup, switches: FeedForward) -> Setup:
+    """Return the setup with these parts of the feed-forward on."""
+    return dataclasses.replace(setup, controller=dataclasses.replace(setup.controller, feed_forward=switches))
+
+
+def print_conditions(runs: Mapping[str, Mapping[str, LineRun]]) -> None:
+    """Print a table for each quantity: conditions down, laws across."""
+    found = {condition: [Outcome.of(run) for run in laws.values()] for condition, laws in runs.items()}
+
+    def table(title: str, cell: Callable[[Outcome], str]) -> None:
+        print_table((title, *LAWS), [(name, *map(cell, outcomes)) for name, outcomes in found.items()])
+        print()
+
+    table("path error, worst (RMS), mm", lambda one: f"{one.worst * 1e3:.4f} ({one.rms * 1e3:.4f})")
+    table("joint error, worst joint, urad", lambda one: f"{one.joint * 1e6:.0f}")
+    table("torque of PI and D, % of peak", lambda one: f"{one.feedback * 100:.1f}")
+    print("the last: RMS along the line, of the joint that has most of it\n")
+
+
+def budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
+    """Return (what is ideal, worst, RMS path error in m) with the right model."""
+    both = with_law(setup, LAWS[BOTH])
+    found = []
+    for name, changes in {**_BUDGET, "all three": _ALL}.items():
+        path = run_line(with_parameters(both, changes), task).path_accuracy
+        found.append((name, path.worst, path.rms))
+    faster = dataclasses.replace(with_parameters(both, _ALL), rates=Rates(16000, 4000))
+    path = run_line(faster, task).path_accuracy
+    return [*found, ("all three, rates fourfold", path.worst, path.rms)]
+
+
+def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
+    """Return the same of the CS7B's own feed-forward, as one after the other of what it does not know is taken away."""
+    known = with_law(setup, LAWS["+ inverse dynamics"])
+    # A ramp that is over within rounding of zero: the sign function as written.
+    plain = with_parameters(known, {"controller.coulomb_velocity": 1e-12})
+    coulomb = tuple(
+        dataclasses.replace(e, tau_s_positive=e.tau_c_positive, tau_s_negative=e.tau_c_negative, c0=_STIFF * e.c0)
+        for e in setup.friction.elements
+    )
+    without = with_parameters(plain, {"controller.coulomb[5]": 0.0, "controller.viscous[5]": 0.0})
+    none = dict.fromkeys(("tau_c_positive", "tau_c_negative", "tau_s_positive", "tau_s_negative"), 1e-9)
+    wrist = tuple(dataclasses.replace(element, **none, c1=0.0, c2=0.0) for element in coulomb[5:])
+
+    def of(controlled: Setup, elements: tuple[FrictionElement, ...]) -> Setup:
+        return dataclasses.replace(controlled, friction=dataclasses.replace(setup.friction, elements=elements))
+
+    cases = {
+        "as shipped": setup,
+        "inverse dynamics": known,
+        "and Coulomb and viscous friction alone": of(plain, coulomb),
+        "and none in joint 6 and joints 5+6": of(without, (*coulomb[:5], *wrist)),
+    }
+    paths = {name: run_line(one, task).path_accuracy for name, one in cases.items()}
+    return [(name, path.worst, path.rms) for name, path in paths.items()]
+
+
+def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
+    """Print what is left."""
+    print_table((title, "worst, um", "RMS, um"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
+    print()
+
+
+def print_measured(setups: Mapping[str, Setup], task: LineTask) -> None:
+    """Print what bristles that follow the measured velocity would do, beside those of the product."""
+    rows = []
+    rest = dataclasses.replace(task, rest_after=2.0)
+    blind = FeedForward(coulomb=False, viscous=False, inverse_dynamics=True)
+    for name in (RIGHT, *OFF):
+        run = run_line(with_law(setups[name], LAWS[BOTH]), rest)
+        cases = [("set-points", run.path_accuracy.worst, run.slow.joint_states[-SETTLED:, 0])]
+        for gain in GAINS:
+            path, position = run_measured(with_law(setups[name], blind), rest, gain)
+            cases.append((f"measured, k = {gain:g}/s", path.worst, position[-SETTLED:]))
+        for kind, worst, settled in cases:
+            swing = float(np.ptp(settled, axis=0).max())
+            rows.append((f"{name}, {kind}", f"{worst * 1e3:.4f}", f"{swing * 1e6:.1f}"))
+    print_table(("the model, its bristles follow", "worst, mm", "swing at rest, urad"), rows)
+    print()
+
+
+def speed(setup: Setup, task: LineTask) -> dict[str, float]:
+    """Return how many times faster than real time the closed loop is, without and with both parts."""
+    setups = {"feed-forward as shipped": setup, "both parts of the model": with_law(setup, LAWS[BOTH])}
+    plan = plan_line(setup, task)
+    took: dict[str, list[float]] = {name: [] for name in setups}
+    for turn in range(ROUNDS + 1):
+        for name, one in setups.items():
+            began = time.process_time()
+            simulate(one, plan.points, plan.start_pose, plan.duration)
+            if turn:
+                took[name].append(time.process_time() - began)
+    return {name: plan.duration / statistics.median(times) for name, times in took.items()}
+
+
+def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
+    """Draw the path error along the line for the right model and those that are off."""
+    panels = []
+    shown = {RIGHT: list(LAWS), **{name: [OWN, BOTH] for name in OFF}, **{name: [OWN, BOTH] for name in TEMPERATURES}}
+    for condition, laws in shown.items():
+        marks: list[Curve | Level] = [Level(TARGET, "0.03 mm", dash="dotted")]
+        for law in laws:
+            path = runs[condition][law].path_accuracy
+            colour = COLOURS[list(LAWS).index(law)]
+            marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, law, colour))
+        title = condition.capitalize()
+        x_label = "along the line, mm" if condition == list(shown)[-1] else ""
+        panels.append(Panel(marks, title, x_label, "path error, mm", from_zero=True))
+    write_picture(Plot(panels, height=2.3), file)
+
+
+def main() -> int:
+    """Run all of it, print the tables, merge the figures and draw the plot if asked for."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.compensation", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("--plot", type=Path, help="picture to write")
+    options = parser.parse_args()
+    setup, task = Setup.load(), load_task()
+    with tempfile.TemporaryDirectory() as folder:
+        setups = Models(setup, Path(folder)).all()
+        runs = {
+            name: {law: run_line(with_law(one, switches), task) for law, switches in LAWS.items()}
+            for name, one in setups.items()
+        }
+        print_conditions(runs)
+        print_budget("both of the right model, what is left", budget(setup, task))
+        print_budget("CS7B's own, what is left", own_budget(setup, task))
+        print_measured(setups, task)
+    faster = speed(setup, task)
+    print_table(("closed loop, one core", "x real time"), [(name, f"{value:.0f}") for name, value in faster.items()])
+    if options.plot is not None:
+        draw(runs, options.plot)
+    merge(
+        {
+            "path_error_inverse_dynamics_mm": runs[RIGHT]["+ inverse dynamics"].path_accuracy.worst * 1e3,
+            "path_error_friction_model_mm": runs[RIGHT]["+ friction model"].path_accuracy.worst * 1e3,
+            "path_error_model_mm": runs[RIGHT][BOTH].path_accuracy.worst * 1e3,
+            "feed_forward_by_model_real_time": faster["both parts of the model"],
+        }
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""The end of a recording: what was sent before it is in the bag, and nobody waits for publishers that go on."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rx90_common.bags.batch import MessageBatch
+from rx90_common.bags.ordering import TimeSource
+from rx90_common.bags.recorder import message_reader
+from rx90_common.bags.recorder.taking import Taken
+
+SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
+LONG = 120.0
+
+
+class Publisher:
+    """Stands for a stream: a publisher that sends on and on, and whose messages come late, one in each round."""
+
+    index = 0
+    time_source = TimeSource.NEWEST
+
+    def __init__(self) -> None:
+        self.sent_ns = 0
+        self.taken = 0
+        self._calls = 0
+        self._begin_ns = time.time_ns()
+
+    def take(self) -> Taken:
+        """Return a message and, in the next call, none."""
+        self._calls += 1
+        if self._calls % 2 == 0:
+            return Taken(MessageBatch.of([]), *np.empty((3, 0), dtype=np.int64))
+        self.taken += 1
+        self.sent_ns = self._begin_ns if self.taken <= SENT_BEFORE else time.time_ns()
+        return Taken(MessageBatch.of([b"%d" % self.taken]), *np.array([[self.taken], [0], [self.sent_ns]]))
+
+
+def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not."""
+    monkeypatch.setattr(message_reader, "_MAX_DRAIN_S", LONG)
+    publisher: Any = Publisher()
+    reader = message_reader.MessageReader()
+    reader.add(publisher)
+    reader.start()
+    begin = time.monotonic()
+    reader.finish()
+    assert time.monotonic() - begin < LONG / 2.0
+    read = [message for each in reader.collect() for message in each.messages]
+    assert read[:SENT_BEFORE] == [b"%d" % number for number in range(1, SENT_BEFORE + 1)]
+    assert len(read) == publisher.taken > SENT_BEFORE

@@ -1,0 +1,158 @@
+"""Who takes friction elements with parts, and who refuses them in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+import yaml
+
+import rx90_emulator as rx
+from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.errors import REFUSED, Rx90Error
+from rx90_common.base.share import config_path
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.cli.frame import run
+from rx90_emulator.configuration.origins import OF_CODE, file_values
+from rx90_emulator.identification.model.options import RobotOptions
+from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.perturbation.model import prepare
+from rx90_emulator.view.panel.element_model import changed
+
+PARTS = {"load": rx.LoadPart(0.05, 0.1), "scatter": rx.ScatterPart(0.05, 0.2)}
+
+
+@pytest.fixture
+def parted_file(shipped: Setup, tmp_path: Path) -> Path:
+    """Return a copy of the shipped friction file whose second joint has two parts."""
+    assert shipped.friction.file is not None
+    file = rx.FrictionFile.read(shipped.friction.file)
+    element = replace(file.elements["joint_2"], **PARTS)
+    path = tmp_path / "parted.yaml"
+    path.write_text(replace(file, elements={**file.elements, "joint_2": element}).text(), encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def parted(parted_file: Path) -> Setup:
+    """Return the shipped setup with these parts."""
+    return rx.load_setup(friction=parted_file)
+
+
+def test_the_perturbation_method_refuses_parts(parted: Setup, shipped: Setup) -> None:
+    """It names the element and the part that it cannot hold, also of one run among several."""
+    rest = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
+    names = shipped.robot.joint_names
+    points = TrajectoryPoints.create(names, names, [0.0, 0.02], [rest] * 2, [0 * rest] * 2, [0 * rest] * 2)
+    model = prepare(shipped, points, rest, 0.02)
+    with pytest.raises(Rx90Error) as caught:
+        model.run([shipped.friction, parted.friction])
+    assert str(caught.value) == (
+        "friction.joint_2.load: the perturbation method cannot hold this part; accepted: left out"
+    )
+
+
+@pytest.mark.parametrize(
+    ("refuse", "words"),
+    [
+        (lambda path: RecordedRobot.load(RobotOptions(fallback=str(path))), "an identification with it as --fallback"),
+        (lambda path: rx.check_friction(path, ["no_bag"]), "a validation by recorded torques"),
+    ],
+    ids=["fallback", "validation"],
+)
+def test_identification_refuses_parts(parted_file: Path, refuse: Callable[[Path], object], words: str) -> None:
+    """A friction file with parts is refused as fallback and in a validation, by file, element and part."""
+    with pytest.raises(Rx90Error) as caught:
+        refuse(parted_file)
+    assert str(caught.value) == (
+        f"{parted_file}: elements.joint_2.load: {words} cannot hold this part; accepted: left out"
+    )
+
+
+def test_a_ramp_test_does_not_replace_an_element_with_parts(
+    parted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before any ramp, `friction_ramp --element` refuses an element whose parts it would drop; others are no matter."""
+    robot = tmp_path / "robot"
+    copytree(config_path("robots/rx90b"), robot)
+    (robot / "friction.yaml").write_bytes(parted_file.read_bytes())
+    words = ["--robot", str(robot), "--output", str(tmp_path / "out"), "--element", "joint_2"]
+    assert run("friction_ramp", words) == REFUSED
+    told = "elements.joint_2.load: the element that a ramp test replaces cannot hold this part"
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_emulated_rig_refuses_parts(tmp_path: Path) -> None:
+    """A rig file's element with a part is refused by file and path."""
+    text = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    path = tmp_path / "rig.yaml"
+    content = yaml.safe_load(text)
+    content["emulation"]["joint_friction"]["lugre"]["load"] = {"driving": 0.1, "driven": 0.1}
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    with pytest.raises(Rx90Error) as caught:
+        load_rig(path)
+    assert str(caught.value) == (
+        f"{path}: emulation.joint_friction.lugre.load: the emulated rig cannot hold this part; accepted: left out"
+    )
+
+
+def test_a_value_changed_by_hand_leaves_the_parts(parted_file: Path) -> None:
+    """The panel's file with one value changed has the element's parts as they were."""
+    file = rx.FrictionFile.read(parted_file)
+    after = changed(file, "joint_2", {"c1": 90.0}).elements["joint_2"]
+    assert after == replace(file.elements["joint_2"], c1=90.0)
+    assert after.parts == PARTS
+
+
+def test_config_shows_where_each_value_of_a_part_comes_from(parted_file: Path) -> None:
+    """`rx90_config show` lists values of parts with unit, line and provenance, and what the code adds."""
+    found = {one.name: one for one in file_values("friction", parted_file)}
+    given = found["friction.elements.joint_2.scatter.correlation_time"]
+    line = int(given.origin.rpartition(":")[2])
+    assert "joint_2" in "".join(parted_file.read_text(encoding="utf-8").splitlines()[line - 12 : line])
+    assert (given.value, given.unit, given.provenance) == (0.2, "s", "assumed")
+    added = found["friction.elements.joint_2.load.relax_time"]
+    assert (added.value, added.unit, added.origin) == (1e-3, "s", OF_CODE)
+    assert "friction.elements.joint_1.load.driving" not in found
+
+
+def test_a_sweep_varies_parts_and_the_seed(parted_file: Path, tmp_path: Path) -> None:
+    """Values of parts and whole seeds reach the runs; the same seed gives the same run, another one another."""
+    plan = tmp_path / "plan.yaml"
+    plan.write_text(
+        f"""
+base: {{friction: {parted_file.name}}}
+blocks:
+  seeds:
+    grid:
+      arm.seed: {{value: {{linspace: [3, 5, 3]}}}}
+      friction.joint_2.load.driving: {{value: [0.0, 0.3]}}
+""",
+        encoding="utf-8",
+    )
+    sweep = rx.Sweep(rx.load_sweep_plan(plan))
+    runs = [sweep.simulate(index) for index in (0, 1, 2)]
+    assert [(r.setup.seed, r.setup.friction["joint_2"].load.driving) for r in runs] == [(3, 0.0), (3, 0.3), (4, 0.0)]
+    worst = [run.slow.joint_states[:, 0].tobytes() for run in runs]
+    assert len(set(worst)) == 3
+    assert sweep.simulate(0).slow.joint_states[:, 0].tobytes() == worst[0]
+
+
+def test_rx90_run_takes_a_seed(parted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two runs with one seed are the same to the last bit, with another they differ; one out of range is refused."""
+    drawn = []
+    for k, seed in enumerate((4, 4, 5)):
+        words = ["--friction", str(parted_file), "--seed", str(seed), "--arrays", str(tmp_path / f"{k}.npz")]
+        assert run("rx90_run", [*words, "--slow-only"]) == 0
+        with np.load(tmp_path / f"{k}.npz") as arrays:
+            drawn.append({name: arrays[name].tobytes() for name in arrays.files})
+    assert drawn[0] == drawn[1]
+    assert drawn[0] != drawn[2]
+    assert run("rx90_run", ["--seed", "-1"]) == REFUSED
+    assert "seed is -1; accepted: a whole number from 0 to 9007199254740992" in capsys.readouterr().err
