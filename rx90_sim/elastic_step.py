@@ -23,6 +23,7 @@ from typing import Any
 from rx90_common.base.arrays import Array
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
+from rx90_sim.cogging import add_cogging
 from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
 from rx90_sim.transmission import mean_torque, twist_at_rest
@@ -135,12 +136,14 @@ def _to_motor_side(joint: Array, twist: Array, motor: Array) -> None:
 
 @kernel
 def _add_friction(plant: Any, state: Any, step: float) -> None:
-    """Advance friction elements and closed brakes; take their torques off those of motors or links."""
+    """Write the motors' torques with cogging; take those of friction and closed brakes off motors or links."""
     gears = state.transmission
     _to_motor_side(state.q_mid, gears.twist_mid, gears.motor_angle)
     _to_motor_side(state.v_mid, gears.rate_mid, gears.motor_velocity)
     for i in range(6):
         gears.drive[i] = state.drive_torque[i]
+    if plant.cogging.terms > 0:
+        add_cogging(plant, state, gears.motor_angle, gears.motor_velocity, gears.drive, step)
     if plant.transmission.link_friction:
         add_element_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
         add_brakes(plant, state, gears.motor_velocity, gears.drive, step)

@@ -18,7 +18,10 @@ from rx90_common.friction.element import element_arrays, elements_dtype
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.kernels.elementary_arrays import exponential_of
+from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
+from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
 from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
+from rx90_sim.winding import WINDING_DTYPE, fill_windings
 
 PLANT_DTYPE = np.dtype(
     [
@@ -39,6 +42,9 @@ PLANT_DTYPE = np.dtype(
         ("substeps", np.int64),
         ("speed_limit", np.float64, 6),
         ("transmission", TRANSMISSION_DTYPE),
+        ("cogging", COGGING_DTYPE),
+        ("winding", WINDING_DTYPE),
+        ("sensor", SENSOR_DTYPE),
     ],
     align=True,
 )
@@ -66,6 +72,9 @@ STATE_DTYPE = np.dtype(
         ("v_mid", np.float64, 6),
         ("rhs", np.float64, 6),
         ("transmission", TRANSMISSION_STATE_DTYPE),
+        ("cogging", COGGING_STATE_DTYPE),
+        ("sensor", SENSOR_STATE_DTYPE),
+        ("temperature", np.float64, 6),  # of the windings, degrees Celsius
         # Of friction elements with parts alone.
         ("parts", parts_state_dtype(ELEMENT_COUNT)),
         ("after_friction", np.float64, 6),  # workspace: drive torque less friction, Nm
@@ -105,10 +114,13 @@ def plant_record(
     plant = record[0]
     plant["arm"] = manipulator_record(robot.chain, drives)[0]
     _fill_transmission(plant["transmission"], drives)
+    fill_cogging(plant["cogging"], drives.cogging, drives.gear)
+    fill_windings(plant["winding"], drives.winding, drives.torque_constant)
     if plant["transmission"]["flexible"]:
         plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
+    fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque

@@ -19,6 +19,8 @@ from rx90_common.description.wrist import to_joint_torque, to_motor
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
+from rx90_sim.cogging import add_cogging
+from rx90_sim.current_sensor import reset_sensors, sense_currents
 from rx90_sim.drives import encoder_reading, observe
 from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
 from rx90_sim.end_stops import add_stops
@@ -30,6 +32,7 @@ from rx90_sim.joint_friction import (
     friction_now,
     reset_friction,
 )
+from rx90_sim.winding import current_share, warm_windings
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
 
@@ -48,12 +51,17 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
         state.q[i] = position[i]
         state.v[i] = state.acceleration[i] = state.drive_torque[i] = state.motor_torque[i] = 0.0
         state.saturated[i] = 0
+        state.temperature[i] = plant.winding.initial
     state.brakes_closed = 1
     if plant.transmission.flexible:
         hang_links(plant, state)
     mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
     factorise(state.mass_matrix, state.factor)
     reset_friction(plant, state)
+    if plant.cogging.terms > 0:
+        _hold_cogging(plant, state, position)
+    if plant.sensor.used:
+        reset_sensors(plant.sensor, state.sensor)
     to_motor(plant.gear, state.q, state.observer)
     if plant.transmission.flexible:
         elastic_reset(plant, state)
@@ -61,6 +69,17 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
         state.motor_velocity[i] = 0.0
+
+
+@kernel
+def _hold_cogging(plant: Any, state: Any, position: NDArray[np.float64]) -> None:
+    """Let the brakes hold the motors against their cogging, too."""
+    for i in range(6):
+        state.rhs[i] = 0.0
+    add_cogging(plant, state, position, state.v, state.rhs, plant.period)
+    for i in range(6):
+        element = i if i < 5 else 6
+        state.brake_z[element] += state.cogging.torque[i] / plant.brake.c0[element]
 
 
 @kernel
@@ -87,6 +106,8 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
             _substep(plant, state, step)
     if plant.parts.used:
         advance_walks(plant, state)
+    if plant.winding.used:
+        warm_windings(plant.winding, state.motor_torque, state.temperature, plant.period)
     for i in range(6):
         # The comparison is false for NaN too.
         if not abs(state.v[i]) <= plant.speed_limit[i]:
@@ -152,11 +173,15 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
     for i in range(6):
         torque = command[i] if powered else 0.0
         peak = plant.peak_torque[i]
+        if plant.winding.used:
+            peak *= current_share(plant.winding, state.temperature[i])
         if abs(torque) > peak:
             torque = math.copysign(peak, torque)
             state.saturated[i] += 1
         state.motor_torque[i] = torque
         state.rhs[i] = -state.drive_torque[i]
+    if plant.sensor.used:
+        sense_currents(plant.sensor, state.sensor, state.motor_torque, powered)
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
     if plant.transmission.flexible:
         return
@@ -176,6 +201,8 @@ def _substep(plant: Any, state: Any, step: float) -> None:
         state.q_mid[i] = state.q[i] + half * (state.v[i] + 0.5 * half * state.acceleration[i])
     for i in range(6):
         state.rhs[i] = state.drive_torque[i]
+    if plant.cogging.terms > 0:
+        add_cogging(plant, state, state.q_mid, state.v_mid, state.rhs, step)
     # Friction first: the arm does not wait for it, so the processor works on both where one would stall.
     add_friction(plant, state, state.q_mid, state.v_mid, state.rhs, step)
     if plant.parts.used:

@@ -41,7 +41,7 @@ TRANSMISSION_STATE_DTYPE = np.dtype(
         ("twist", np.float64, 6),  # of the motor, seen through the gear, beyond what it moves, rad
         ("rate", np.float64, 6),
         ("torque", np.float64, 6),  # mean over the last step, Nm
-        ("friction", np.float64, 6),  # on the motors, brakes included, mean over the last step, Nm
+        ("friction", np.float64, 6),  # on the motors, brakes and cogging included, mean over the last step, Nm
         ("link_torque", np.float64, 6),  # on the links, but for the transmitted one, in the last step, Nm
         # Workspace of a step.
         ("acceleration", np.float64, 6),  # of the twist

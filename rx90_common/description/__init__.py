@@ -3,6 +3,8 @@
 __all__ = [
     "branch",
     "chain",
+    "cogging",
+    "current_sensor",
     "drives",
     "elasticity",
     "inverse",
@@ -17,5 +19,6 @@ __all__ = [
     "tip",
     "tool",
     "urdf",
+    "winding",
     "wrist",
 ]

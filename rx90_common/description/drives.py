@@ -15,7 +15,10 @@ from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import Integer, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.description.cogging import COGGING, Cogging
+from rx90_common.description.current_sensor import CURRENT_SENSOR, CurrentSensor
 from rx90_common.description.elasticity import ELASTICITY, Elasticity
+from rx90_common.description.winding import WINDING, Windings
 from rx90_common.description.wrist import coupled_inertia
 
 _six = partial(Numbers, count=6, low=0.0)
@@ -69,6 +72,9 @@ DRIVES = Group(
             },
         ),
         "elasticity": ELASTICITY,
+        "cogging": COGGING,
+        "winding": WINDING,
+        "current_sensor": CURRENT_SENSOR,
     },
 )  # fmt: skip
 """What a drives file holds."""
@@ -92,6 +98,9 @@ class DriveParameters:
         stop_stiffness: stiffness of the mechanical end stops, Nm/rad.
         stop_damping: damping of the mechanical end stops, Nm s/rad.
         elasticity: between the motors and what they move; rigid if left out.
+        cogging: torque by the angle of the motors; none if left out.
+        winding: temperatures of the windings; as warm as they are if left out.
+        current_sensor: errors of the current sensors; none if left out.
     """
 
     gear: Array
@@ -107,6 +116,9 @@ class DriveParameters:
     stop_stiffness: Array
     stop_damping: Array
     elasticity: Elasticity = field(default_factory=Elasticity)
+    cogging: Cogging = field(default_factory=Cogging)
+    winding: Windings = field(default_factory=Windings)
+    current_sensor: CurrentSensor = field(default_factory=CurrentSensor)
 
     def __post_init__(self) -> None:
         for name in (one.name for one in fields(self) if one.default_factory is MISSING):
@@ -166,4 +178,7 @@ def _parameters(content: Mapping[str, Any]) -> DriveParameters:
         stop_stiffness=six("end_stops", "stiffness"),
         stop_damping=six("end_stops", "damping"),
         elasticity=Elasticity.of_file(content.get("elasticity")),
+        cogging=Cogging.of_file(content.get("cogging")),
+        winding=Windings.of_file(content.get("winding")),
+        current_sensor=CurrentSensor.of_file(content.get("current_sensor")),
     )

@@ -83,6 +83,8 @@ def run_ticks(
             fast.motor_states[k, 0] = state.motor_position
             fast.motor_states[k, 1] = state.motor_velocity
             fast.motor_states[k, 2] = state.motor_torque
+            if plants[0].sensor.used:
+                fast.motor_states[k, 2] = state.sensor.torque
             fast.motor_commands[k] = law.command
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:
@@ -192,4 +194,6 @@ def run_setpoints(
         plant.raise_divergence(end)
     if end == TRIPPED:
         controller.note_fault()
-        raise SupervisionError(f"{controller.fault}; the controller's supervision has cut the power")
+        warm = plant.warm_motors()
+        cut = f"{controller.fault}; the controller's supervision has cut the power"
+        raise SupervisionError(f"{cut}; {warm}" if warm else cut)

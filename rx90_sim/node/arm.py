@@ -53,6 +53,7 @@ class SimulatedArm:
     ) -> None:
         self._node, self._parameters, self._step_ticks = node, parameters, step_ticks
         robot, self._plant = build_plant(node, files, parameters)
+        self._warm = False
         self._robot_name = plain(robot.model.name)
         transforms = Transforms.of_parameters(node, robot, self._plant, parameters)
         self.ticks = Ticks(node, self._plant, parameters, make_channel, transforms)
@@ -142,6 +143,12 @@ class SimulatedArm:
             "brakes": "closed" if plant.brakes_closed else "open",
             "saturated ticks": " ".join(str(n) for n in plant.saturated),
         }
+        warm = plant.warm_motors()
+        if plant.constants["winding"]["used"][0]:
+            values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
+        if warm and not self._warm:
+            self._node.get_logger().warning(warm)
+        self._warm = bool(warm)
         if ticks.control.held:
             return DiagnosticStatus.OK, "inactive", values
         if ticks.control.paused:
@@ -150,5 +157,7 @@ class SimulatedArm:
             return DiagnosticStatus.ERROR, "two controllers send commands", values
         if counts.ticks == 0:
             return DiagnosticStatus.WARN, "waiting for the controller", values
+        if warm:
+            return DiagnosticStatus.WARN, warm, values
         behind = counts.dropped > 0 and self._parameters.time_mode != LOCK_STEP
         return DiagnosticStatus.WARN if behind else DiagnosticStatus.OK, "running", values
