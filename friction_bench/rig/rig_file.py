@@ -223,7 +223,7 @@ class Rig:
 def _friction(section: Section, content: dict[str, Any]) -> JointFriction | FrictionElement:
     if content["model"] == "lugre":
         element = read_element(section.section("lugre"))
-        refuse_parts({"lugre": element}, "the emulated rig", section.where(""))
+        refuse_parts({"lugre": element}, "the emulated rig", section.where(""), held=("bristles",))
         return element
     return JointFriction(content["coulomb"], content["viscous"])
 

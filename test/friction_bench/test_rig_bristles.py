@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from friction_bench.rig.plant import RigPlant
 from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
@@ -51,6 +53,24 @@ def test_each_kind_deflects_by_its_own_curve() -> None:
     assert deflection(None, load) == pytest.approx(-g * np.log(1.0 - load / 0.9), rel=0.02)
     # Block 1 slips from 0.2 * 0.9 Nm on; the other carries what is left.
     assert deflection(BLOCKS, load) == pytest.approx((load - 0.2 * 0.9) / (0.4 * 2e3), rel=0.005)
+
+
+def test_the_rig_s_file_takes_bristles_and_no_other_part(tmp_path: Path) -> None:
+    """The joint of a rig's file may have other bristles; a part that the rig cannot hold is refused in one line."""
+    shipped = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "rig.yaml"
+    for block, message in (
+        ("bristles: {kind: elasto_plastic, break_away: 0.7}", ""),
+        ("scatter: {deviation: 0.03, correlation_time: 120}", "the emulated rig cannot hold this part"),
+    ):
+        file.write_text(shipped.replace("omega_d: 1.0}", f"omega_d: 1.0, {block}}}"), encoding="utf-8")
+        if message:
+            with pytest.raises(ConfigError, match=message):
+                load_rig(file)
+        else:
+            joint = load_rig(file).plant.joint
+            assert isinstance(joint, FrictionElement)
+            assert joint.bristles == ElastoPlastic(0.7)
 
 
 def test_a_joint_put_on_again_begins_anew() -> None:
