@@ -55,6 +55,16 @@ def test_each_kind_deflects_by_its_own_curve() -> None:
     assert deflection(BLOCKS, load) == pytest.approx((load - 0.2 * 0.9) / (0.4 * 2e3), rel=0.005)
 
 
+def test_the_rig_s_file_takes_bristles(tmp_path: Path) -> None:
+    """The joint of a rig's file may have other bristles than LuGre's."""
+    shipped = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    file, block = tmp_path / "rig.yaml", "bristles: {kind: elasto_plastic, break_away: 0.7}"
+    file.write_text(shipped.replace("omega_d: 1.0}", f"omega_d: 1.0, {block}}}"), encoding="utf-8")
+    joint = load_rig(file).plant.joint
+    assert isinstance(joint, FrictionElement)
+    assert joint.bristles == ElastoPlastic(0.7)
+
+
 def test_a_joint_put_on_again_begins_anew() -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
     plant, paths = rig(BLOCKS), []
