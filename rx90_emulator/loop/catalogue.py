@@ -18,6 +18,7 @@ import numpy as np
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
+from rx90_common.friction.parts.table import PARTS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 
@@ -226,6 +227,9 @@ class Catalogue:
                 return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
+        if wanted[0] == "friction" and depth == 2 and wanted[depth] in PARTS:
+            who = "no element has the part" if wanted[1] == "*" else f"{wanted[1]} has no part"
+            return f"{quoted(path)}: {who} {wanted[2]}; accepted: with a friction file that has it"
         return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
 
 
