@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from friction_bench.rig.plant import RigPlant
 from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
@@ -65,3 +67,16 @@ def test_a_joint_put_on_again_begins_anew() -> None:
             paths[-1].append((plant.angle, plant.speed, plant.bristle))
     assert paths[0] == paths[1]
     assert paths[0][-1][2] > 0.0
+
+
+def test_a_joint_that_warms_is_refused(tmp_path: Path) -> None:
+    """The emulated rig's joint has no temperature: a rig file with that part is refused in one line."""
+    warm = (
+        "temperature: {reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity: 100, resistance: 1, "
+        "viscous_scale: 20}"
+    )
+    text = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "rig.yaml"
+    file.write_text(text.replace("omega_d: 1.0}", f"omega_d: 1.0, {warm}}}"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"joint_friction\.lugre\.temperature: the emulated rig cannot hold this"):
+        load_rig(file)
