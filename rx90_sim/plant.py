@@ -13,6 +13,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_sim.joint_temperatures import JointTemperatures
 from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
 from rx90_sim.winding import current_share
@@ -30,6 +31,7 @@ class Plant:
         tick: number of the tick whose states are sampled now.
         constants: compiled constants, shape (1,), PLANT_DTYPE.
         state: compiled state, shape (1,), STATE_DTYPE.
+        temperatures: how warm the joints are.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class Plant:
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
         self._friction_states = state["z"][0], np.zeros(ELEMENT_COUNT), np.zeros(ELEMENT_COUNT)
+        self.temperatures = JointTemperatures(friction, self.constants, state)
         self.reset(np.clip(np.zeros(6), self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:

@@ -47,7 +47,7 @@ def start(joint: RigJoint) -> None:
     """Begin anew: nothing is transmitted, no bristle is bent."""
     state = joint.state[0]
     state.transmitted[0] = 0.0
-    reset_parts(joint.parts[0], state, load(state.transmitted, 1))
+    reset_parts(joint.parts[0], state, load(state.transmitted, 1), 1)
 
 
 @kernel

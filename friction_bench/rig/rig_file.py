@@ -17,6 +17,7 @@ from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.friction_file import read_element
+from rx90_common.friction.friction_set import refuse_parts
 from rx90_common.friction.parameters import ELEMENT
 
 CODES = 255
@@ -244,7 +245,11 @@ class Rig:
 
 def _friction(section: Section, content: dict[str, Any]) -> JointFriction | FrictionElement:
     if content["model"] == "lugre":
-        return read_element(section.section("lugre"))
+        element = read_element(section.section("lugre"))
+        # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
+        held = [part for part in element.parts if part != "temperature"]
+        refuse_parts({"lugre": element}, "the emulated rig", section.where("").removesuffix("lugre."), held)
+        return element
     return JointFriction(content["coulomb"], content["viscous"])
 
 

@@ -143,7 +143,9 @@ class SimulatedArm:
             "brakes": "closed" if plant.brakes_closed else "open",
             "saturated ticks": " ".join(str(n) for n in plant.saturated),
         }
-        warm = plant.warm_motors()
+        warm = "; ".join(text for text in (plant.warm_motors(), plant.temperatures.beyond_law()) if text)
+        if plant.temperatures.elements:
+            values["joints, °C"] = " ".join(f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements)
         if plant.constants["winding"]["used"][0]:
             values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
         if warm and not self._warm:
