@@ -50,7 +50,9 @@ class Plant:
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper
         state = self.state
-        self._motor_states = state["motor_position"][0], state["motor_velocity"][0], state["motor_torque"][0]
+        sensed = self.constants["sensor"]["used"][0]
+        torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
+        self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
         self._friction_states = state["z"][0], np.zeros(ELEMENT_COUNT), np.zeros(ELEMENT_COUNT)
         self.temperatures = JointTemperatures(friction, self.constants, state)
@@ -153,7 +155,7 @@ class Plant:
         )
 
     def motor_states(self) -> tuple[Array, Array, Array]:
-        """Return position by the encoder rad, observed velocity rad/s, torque Nm, motor side, shape (6,).
+        """Return position by the encoder rad, observed velocity rad/s, torque by the current sensor Nm, motor side.
 
         Views of the state, always the same ones.
         """

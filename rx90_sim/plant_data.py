@@ -19,6 +19,7 @@ from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_sta
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
+from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
 from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 from rx90_sim.winding import WINDING_DTYPE, fill_windings
 
@@ -43,6 +44,7 @@ PLANT_DTYPE = np.dtype(
         ("transmission", TRANSMISSION_DTYPE),
         ("cogging", COGGING_DTYPE),
         ("winding", WINDING_DTYPE),
+        ("sensor", SENSOR_DTYPE),
     ],
     align=True,
 )
@@ -71,6 +73,7 @@ STATE_DTYPE = np.dtype(
         ("rhs", np.float64, 6),
         ("transmission", TRANSMISSION_STATE_DTYPE),
         ("cogging", COGGING_STATE_DTYPE),
+        ("sensor", SENSOR_STATE_DTYPE),
         ("temperature", np.float64, 6),  # of the windings, degrees Celsius
         # Of friction elements with parts alone.
         ("parts", parts_state_dtype(ELEMENT_COUNT)),
@@ -117,6 +120,7 @@ def plant_record(
         plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
     _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
+    fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
     plant["peak_torque"] = drives.peak_torque

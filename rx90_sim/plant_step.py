@@ -20,6 +20,7 @@ from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_sim.cogging import add_cogging
+from rx90_sim.current_sensor import reset_sensors, sense_currents
 from rx90_sim.drives import encoder_reading, observe
 from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
 from rx90_sim.end_stops import add_stops
@@ -59,6 +60,8 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     reset_friction(plant, state)
     if plant.cogging.terms > 0:
         _hold_cogging(plant, state, position)
+    if plant.sensor.used:
+        reset_sensors(plant.sensor, state.sensor)
     to_motor(plant.gear, state.q, state.observer)
     if plant.transmission.flexible:
         elastic_reset(plant, state)
@@ -177,6 +180,8 @@ def _actuate(plant: Any, state: Any, command: NDArray[np.float64], powered: bool
             state.saturated[i] += 1
         state.motor_torque[i] = torque
         state.rhs[i] = -state.drive_torque[i]
+    if plant.sensor.used:
+        sense_currents(plant.sensor, state.sensor, state.motor_torque, powered)
     to_joint_torque(plant.gear, state.motor_torque, state.drive_torque)
     if plant.transmission.flexible:
         return

@@ -80,7 +80,7 @@ def _aside() -> RobotModel:
 def _constants(record: np.ndarray[Any, Any]) -> Iterator[np.ndarray[Any, Any]]:
     """Yield the fields of a record one after the other; what is off, by default, leaves no bytes."""
     switches = {"parts": "used", "transmission": "flexible", "model": "parts"}
-    switches |= {"cogging": "terms", "winding": "used"}
+    switches |= {"cogging": "terms", "winding": "used", "sensor": "used"}
     for name in record.dtype.names or ():
         field = record[name]
         if name in switches and not field[switches[name]].any():

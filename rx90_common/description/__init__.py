@@ -4,6 +4,7 @@ __all__ = [
     "branch",
     "chain",
     "cogging",
+    "current_sensor",
     "drives",
     "elasticity",
     "inverse",

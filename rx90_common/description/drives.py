@@ -16,6 +16,7 @@ from rx90_common.base.entries import Integer, Number, Numbers
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.description.cogging import COGGING, Cogging
+from rx90_common.description.current_sensor import CURRENT_SENSOR, CurrentSensor
 from rx90_common.description.elasticity import ELASTICITY, Elasticity
 from rx90_common.description.winding import WINDING, Windings
 from rx90_common.description.wrist import coupled_inertia
@@ -73,6 +74,7 @@ DRIVES = Group(
         "elasticity": ELASTICITY,
         "cogging": COGGING,
         "winding": WINDING,
+        "current_sensor": CURRENT_SENSOR,
     },
 )  # fmt: skip
 """What a drives file holds."""
@@ -98,6 +100,7 @@ class DriveParameters:
         elasticity: between the motors and what they move; rigid if left out.
         cogging: torque by the angle of the motors; none if left out.
         winding: temperatures of the windings; as warm as they are if left out.
+        current_sensor: errors of the current sensors; none if left out.
     """
 
     gear: Array
@@ -115,6 +118,7 @@ class DriveParameters:
     elasticity: Elasticity = field(default_factory=Elasticity)
     cogging: Cogging = field(default_factory=Cogging)
     winding: Windings = field(default_factory=Windings)
+    current_sensor: CurrentSensor = field(default_factory=CurrentSensor)
 
     def __post_init__(self) -> None:
         for name in (one.name for one in fields(self) if one.default_factory is MISSING):
@@ -176,4 +180,5 @@ def _parameters(content: Mapping[str, Any]) -> DriveParameters:
         elasticity=Elasticity.of_file(content.get("elasticity")),
         cogging=Cogging.of_file(content.get("cogging")),
         winding=Windings.of_file(content.get("winding")),
+        current_sensor=CurrentSensor.of_file(content.get("current_sensor")),
     )

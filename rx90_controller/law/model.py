@@ -21,14 +21,16 @@ from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
 from rx90_common.dynamics import manipulator_record
 from rx90_common.friction import load_friction
 from rx90_common.friction.element import element_arrays
+from rx90_common.friction.friction_set import refuse_parts
 
-_ROLES: Final = ("urdf", "tool", "drives", "friction")
+ROLES: Final = ("urdf", "tool", "drives", "friction")
+"""The files of a model, by their names in the block `model` and in ModelFiles."""
 
 MODEL = Group(
     "What the controller knows of the arm, for inverse_dynamics and friction_model; it may be wrong. A file is looked "
     "for beside this one, then as everywhere: a path, or a name below config/. One that is left out is the robot "
     "folder's own, beside this file.",
-    keys={role: Text(f"The {DESCRIPTIONS[role]}.", default=LEFT_OUT) for role in _ROLES},
+    keys={role: Text(f"The {DESCRIPTIONS[role]}.", default=LEFT_OUT) for role in ROLES},
     default=LEFT_OUT,
 )
 """The block `model` of a controller file."""
@@ -66,7 +68,7 @@ class ModelFiles:
         """
         named = root.section("model") if "model" in root else Section({}, root.file, "model")
         found: dict[str, Path | None] = {}
-        for role in _ROLES:
+        for role in ROLES:
             if role in named:
                 found[role] = None if role == "tool" and named.text(role) == NO_TOOL else _resolved(named, role)
             else:
@@ -81,7 +83,7 @@ class ModelFiles:
         Raises:
             ConfigError: naming file, key, value and what is accepted.
         """
-        for role in _ROLES:
+        for role in ROLES:
             path: Path | None = getattr(self, role)
             if path is not None and not path.is_file():
                 raise ConfigError(
@@ -89,8 +91,11 @@ class ModelFiles:
                     f"beside the controller file, or model.{role} in it"
                 )
         robot = load_robot(self.urdf, self.tool)
-        elements = load_friction(self.friction, robot.joint_names).elements
-        return ModelConstants(manipulator_record(robot.chain, load_drives(self.drives)), element_arrays(elements))
+        friction = load_friction(self.friction, robot.joint_names)
+        elements = dict(zip(friction.names, friction.elements, strict=True))
+        refuse_parts(elements, "the controller's friction model", f"{plain(self.friction)}: elements.")
+        arm = manipulator_record(robot.chain, load_drives(self.drives))
+        return ModelConstants(arm, element_arrays(friction.elements))
 
 
 def _resolved(named: Section, role: str) -> Path:

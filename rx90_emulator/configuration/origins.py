@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,8 +11,9 @@ from rx90_common.base.entries import LEFT_OUT, Entry
 from rx90_common.base.groups import Either, Entries, Group, Variants
 from rx90_common.base.section import ABOUT
 from rx90_common.base.share import config_path, resolve_config
-from rx90_common.description.robot_files import FILES, RobotFiles
+from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.parameters import SIGNS
+from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_emulator.configuration.check import kind_named
 
 OF_CODE = "default of the code"
@@ -152,6 +153,21 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         path: Path | None = getattr(files, role)
         if role != "urdf" and path is not None:
             found += file_values(role, path)
+    return found + _model_files(files, {one.name for one in found})
+
+
+def _model_files(files: RobotFiles, named: Collection[str]) -> list[ShownValue]:
+    """Return the files of the controller's own model that its file does not name, if it has one that is there."""
+    root = load_yaml(files.controller)
+    model = ModelFiles.of(root)
+    origin = f"beside {place_of(files.controller)}"
+    found = []
+    for role in ROLES:
+        path: Path | None = getattr(model, role)
+        if f"controller.model.{role}" not in named and (path is None or path.is_file()):
+            found.append(
+                ShownValue(f"controller.model.{role}", NO_TOOL if path is None else place_of(path), "", origin)
+            )
     return found
 
 

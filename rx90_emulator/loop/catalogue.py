@@ -18,6 +18,7 @@ import numpy as np
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.base.quoting import quoted
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FRICTION_UNITS
+from rx90_common.friction.parts.table import PARTS
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 
@@ -41,7 +42,17 @@ DRIVES_UNITS = {
     "stop_stiffness": "Nm/rad",
     "stop_damping": "Nm s/rad",
 }
-ELASTICITY_UNITS = {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"}
+DRIVE_BLOCKS = {
+    "elasticity": {"stiffness": "Nm/rad", "damping": "Nm s/rad", "backlash": "rad"},
+    "winding": {
+        "resistance": "Ohm",
+        "thermal_resistance": "K/W",
+        "heat_capacity": "J/K",
+        **dict.fromkeys(("ambient", "initial", "reference", "derating", "limit"), "°C"),
+        "coefficient": "1/K",
+    },
+    "current_sensor": {**dict.fromkeys(("offset", "noise", "resolution"), "A"), "bandwidth": "Hz"},
+}
 CONTROLLER_UNITS = {
     "inertia": "kg m^2",
     "kp": "1/s",
@@ -133,7 +144,8 @@ class Catalogue:
         self._values: dict[Key, Any] = {}
         self._add(("arm",), setup, {"seed": "1"})
         self._add(("drives",), setup.drives, DRIVES_UNITS)
-        self._add(("drives", "elasticity"), setup.drives.elasticity, ELASTICITY_UNITS)
+        for block, units in DRIVE_BLOCKS.items():
+            self._add(("drives", block), getattr(setup.drives, block), units)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)
         self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
         if task is not None:
@@ -215,6 +227,9 @@ class Catalogue:
                 return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
+        if wanted[0] == "friction" and depth == 2 and wanted[depth] in PARTS:
+            who = "no element has the part" if wanted[1] == "*" else f"{wanted[1]} has no part"
+            return f"{quoted(path)}: {who} {wanted[2]}; accepted: with a friction file that has it"
         return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
 
 

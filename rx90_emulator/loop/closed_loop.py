@@ -86,6 +86,8 @@ def run_ticks(
             fast.motor_states[k, 0] = state.motor_position
             fast.motor_states[k, 1] = state.motor_velocity
             fast.motor_states[k, 2] = state.motor_torque
+            if plants[0].sensor.used:
+                fast.motor_states[k, 2] = state.sensor.torque
             fast.motor_commands[k] = law.command
         joint = plant_step(plants, plant_states, law.command, True)
         if joint >= 0:

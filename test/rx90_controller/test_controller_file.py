@@ -192,7 +192,11 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     ):
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said
-    other.write_text(other.read_text().replace("tau_c: 25.0", "tau_c: -25.0"))
+    whole = other.read_text()
+    other.write_text(whole.replace("{tau_c: 25.0", "{scatter: {deviation: 0.02, correlation_time: 10}, tau_c: 25.0"))
+    said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
+    assert f"{other}: elements.joint_1.scatter: the controller's friction model cannot hold this part" in said
+    other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said
 

@@ -158,7 +158,9 @@ def test_resistance_that_rises_against_a_solver(shipped: Setup) -> None:
 
 def test_the_amplifier_folds_back(shipped: Setup) -> None:
     """Above the first temperature the peak torque falls linearly, at the limit it is 0; a reset cools the windings."""
-    drives = dataclasses.replace(shipped.drives, winding=windings(heat_capacity=np.full(6, 0.02), thermal_resistance=np.full(6, 9.0)))
+    drives = dataclasses.replace(
+        shipped.drives, winding=windings(heat_capacity=np.full(6, 0.02), thermal_resistance=np.full(6, 9.0))
+    )
     plant = dataclasses.replace(shipped, drives=drives).plant()
     peak = drives.peak_torque
     hot = np.array([100.0, 120.0, 125.0, 130.0, 138.0, 150.0])

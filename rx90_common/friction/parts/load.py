@@ -60,12 +60,12 @@ _quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0, default=0.0)
 _TABLE = Group(
     "Friction by the torque that the joint transmits.",
     keys={
-        "driving": _coefficient("Coulomb torque by load torque where the motor moves the link."),
-        "driven": _coefficient("Coulomb torque by load torque where the link moves the motor."),
-        "stribeck_driving": _coefficient("What static torque by load torque has beyond driving.", default=0.0),
-        "stribeck_driven": _coefficient("What static torque by load torque has beyond driven.", default=0.0),
-        "quadratic_driving": _quadratic("Static torque by the square of the load torque, driving."),
-        "quadratic_driven": _quadratic("Static torque by the square of the load torque, driven."),
+        "driving": _coefficient("Share of the load torque by which friction grows where the motor moves the link."),
+        "driven": _coefficient("The same where the link moves the motor."),
+        "stribeck_driving": _coefficient("Share by which static torque grows beyond driving.", default=0.0),
+        "stribeck_driven": _coefficient("Share by which static torque grows beyond driven.", default=0.0),
+        "quadratic_driving": _quadratic("Growth of static torque by the square of the load torque, driving."),
+        "quadratic_driven": _quadratic("Growth of static torque by the square of the load torque, driven."),
         "omega_s": Number(
             "Stribeck velocity of the load's share; 0: that of the element.", "rad/s", low=0.0, high=1e6, default=0.0,
         ),

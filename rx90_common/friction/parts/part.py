@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -76,7 +77,7 @@ class FrictionPart:
     @classmethod
     def legend(cls) -> str:
         """Return the table as lines of comment, as they stand at the head of friction files."""
-        lines = f"# {cls.name:<8} {cls.table.about[0].lower()}{cls.table.about[1:]}\n"
+        lines = f"# {cls.name:<8} {cls.table.about[0].lower()}{cls.table.about[1:-1]}:\n"
         for key, entry in cls.table.keys.items():
             optional = "" if entry.default is REQUIRED else f"; {_default(entry)} if it is left out"
             lines += (
@@ -96,6 +97,6 @@ def _default(entry: Entry) -> str:
 
 def _range(entry: Entry) -> str:
     number = entry.item if isinstance(entry, ListOf) else entry
-    if not isinstance(number, Number):
+    if not isinstance(number, Number) or (number.low, number.high) == (-math.inf, math.inf):
         return ""
     return f", {range_text(number.low, number.high, number.above).rpartition('number ')[2]}"

@@ -46,8 +46,8 @@ _TABLE = Group(
         for angle in ANGLES
         for what, about, unit, limits in (
             ("harmonic", "Waves in a turn of the", "1", {"low": 0.0, "high": 1000.0, "above": True}),
-            ("amplitude", "Share of Coulomb and static torque, by the angle of the", "1", {"low": 0.0, "high": 0.99}),
-            ("phase", "Phase of the cosine at the zero of the", "rad", {}),
+            ("amplitude", "Share of Coulomb and static torque, of each wave of the", "1", {"low": 0.0, "high": 0.99}),
+            ("phase", "Phase of each cosine where the angle is 0, of the", "rad", {}),
         )
     },
     default=LEFT_OUT,

@@ -29,6 +29,7 @@ from rx90_common.base.groups import Group
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+from rx90_common.kernels.random_numbers import GOLDEN, mixed, of_four
 
 BOUND = 4.0
 """Largest |w| in deviations."""
@@ -93,40 +94,18 @@ def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], period: float
             record["kick"][i] = math.sqrt(-exponential_less_one_of(-2.0 * ticks))
 
 
-_GOLDEN, _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_THIRTY, _27, _31 = np.uint64(30), np.uint64(27), np.uint64(31)
-_SIXTEEN, _LOW = np.uint64(16), np.uint64(0xFFFF)
-_MIDDLE = 2.0 * (2**16 - 1)
-"""Mean of the sum of four numbers of 16 bits."""
-_DEVIATION = math.sqrt(4.0 * (2.0**32 - 1.0) / 12.0)
-"""Standard deviation of it."""
-
-
-@inlined
-def _mixed(word: Any) -> Any:
-    """Return the output of SplitMix64 for its counter."""
-    word = (word ^ (word >> _THIRTY)) * _FIRST
-    word = (word ^ (word >> _27)) * _SECOND
-    return word ^ (word >> _31)
-
-
 @inlined
 def _draw(state: Any, element: int) -> float:
     """Return the next random number of an element: of mean 0 and variance 1, within 3.5."""
-    state.scatter_counter[element] += _GOLDEN
-    word = _mixed(state.scatter_counter[element])
-    total = 0.0
-    for _ in range(4):
-        total += float(word & _LOW)
-        word >>= _SIXTEEN
-    return (total - _MIDDLE) / _DEVIATION
+    state.scatter_counter[element] += GOLDEN
+    return of_four(mixed(state.scatter_counter[element]))
 
 
 @inlined
 def start_scatter(part: Any, state: Any) -> None:
     """Draw where the walks begin, always the same for a seed."""
     for i in range(part.deviation.size):
-        state.scatter_counter[i] = _mixed(part.seed + _mixed(np.uint64(i + 1) * _GOLDEN))
+        state.scatter_counter[i] = mixed(part.seed + mixed(np.uint64(i + 1) * GOLDEN))
         total = 0.0
         for _ in range(4):  # sixteen uniform numbers are normal as far as four deviations
             total += _draw(state, i)

@@ -42,6 +42,8 @@ class JogSliders:
             slider = page.gui.add_slider(f"{name}, deg", low, high, _STEP, min(max(0.0, low), high), disabled=True)
             slider.on_update(from_user(lambda joint=joint: self._dragged(joint), page))  # type: ignore[misc]
             self._sliders.append(slider)
+        # What each slider was last seen with: another value is one that a user has just given, and is taken first.
+        self._seen = [slider.value for slider in self._sliders]
 
     def close(self) -> None:
         """End the thread that sends."""
@@ -52,8 +54,10 @@ class JogSliders:
         self._arm = arm
         if arm is not None:
             shown = np.degrees(self._target.shown(arm.position, time.monotonic()))
-            for slider, angle in zip(self._sliders, shown, strict=True):
-                put(slider, min(max(round(float(angle), 1), slider.min), slider.max))
+            for joint, (slider, angle) in enumerate(zip(self._sliders, shown, strict=True)):
+                if slider.value == self._seen[joint]:
+                    put(slider, min(max(round(float(angle), 1), slider.min), slider.max))
+                    self._seen[joint] = slider.value
         for slider in self._sliders:
             if slider.disabled != (arm is None or not ready):
                 slider.disabled = not slider.disabled
@@ -63,7 +67,8 @@ class JogSliders:
         self._target.forget()
 
     def _dragged(self, joint: int) -> None:
+        self._seen[joint] = self._sliders[joint].value
         if self._arm is not None:
-            angle = float(np.radians(self._sliders[joint].value))
+            angle = float(np.radians(self._seen[joint]))
             now = time.monotonic()
             self._sending.give((self._arm, self._target.drag(joint, angle, self._arm.position, now)))

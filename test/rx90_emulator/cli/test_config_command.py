@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shutil
@@ -15,9 +16,11 @@ from config_samples import shipped, written
 
 from rx90_common.base.config import load_yaml
 from rx90_common.base.share import config_path
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import EXECUTABLES, run
 from rx90_emulator.configuration.check import kind_of
 from rx90_emulator.configuration.kinds import KINDS
+from rx90_emulator.configuration.origins import setup_values
 
 Captured = pytest.CaptureFixture[str]
 Show = Callable[..., dict[str, dict[str, object]]]
@@ -384,3 +387,16 @@ def test_the_completion_knows_every_command(shell: str, capsys: Captured) -> Non
     if shutil.which(shell):
         done = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True, check=False, timeout=60)
         assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_show_names_the_files_of_the_controller_s_model(
+    shipped_files: RobotFiles, edited_yaml: Callable[..., Path]
+) -> None:
+    """Those that the controller file names with their lines, the others beside it; none that is not there."""
+    shown = {one.name: one for one in setup_values(shipped_files, {})}
+    friction = shown["controller.model.friction"]
+    assert (friction.value, friction.origin) == ("robots/rx90b/friction.yaml", "beside robots/rx90b/controller.yaml")
+    shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
+    named = dataclasses.replace(shipped_files, controller=edited_yaml(shipped_files.controller, ("model",), shared))
+    of_model = {one.name: one.value for one in setup_values(named, {}) if one.name.startswith("controller.model.")}
+    assert of_model == {f"controller.model.{role}": name for role, name in {**shared, "tool": "none"}.items()}

@@ -7,8 +7,10 @@ from dataclasses import fields
 import pytest
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.elasticity import Elasticity
+from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.table import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -20,7 +22,9 @@ from rx90_emulator.loop.catalogue import Catalogue, Leaf
     ("prefix", "kind", "without"),
     [
         ("friction.joint_5_6", FrictionElement, set(PARTS)),
-        ("drives", DriveParameters, {"elasticity"}),
+        ("drives", DriveParameters, {"elasticity", "cogging", "winding", "current_sensor"}),
+        ("drives.winding", Windings, set()),
+        ("drives.current_sensor", CurrentSensor, set()),
         ("drives.elasticity", Elasticity, {"friction_side"}),
         ("controller", CS7BParameters, {"feed_forward", "model"}),
         ("controller.feed_forward", FeedForward, set()),

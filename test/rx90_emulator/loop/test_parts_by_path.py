@@ -54,7 +54,7 @@ def test_every_value_of_a_part_has_a_path(parted: Setup) -> None:
         ("friction.joint_2.load.driving", 2.0, "friction.joint_2: load: driving is 2.0; accepted: a number in [0"),
         ("friction.joint_2.ripple.motor_amplitude[0]", 0.9, "friction.joint_2: ripple: the amplitudes sum to 1.05"),
         ("friction.joint_2.tau_c", -1.0, "friction.joint_2: tau_c_positive is -1.0; accepted"),
-        ("friction.joint_1.load.driving", 0.1, "names nothing: 'load' is unknown; accepted there"),
+        ("friction.joint_1.load.driving", 0.1, "joint_1 has no part load; accepted: with a friction file"),
         ("arm.seed", 0.5, "arm.seed is 0.5; accepted: a whole number from 0 to 9007199254740992"),
     ],
 )  # fmt: skip

@@ -39,12 +39,12 @@ def test_a_killed_simulation_begins_again_with_the_same_controller(processes: Pr
     first = processes.start("rx90_sim", *UNPACED)
     controller = processes.start("rx90_controller")
     heard = client.listen("rx90_controller/reference")
-    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 1.0, "time to run")
+    client.spin_until(lambda: bool(heard) and seconds(heard[-1]) > 0.6, "time to run")
     first.signal(signal.SIGKILL)
     controller.wait_for("waiting for a simulation")
     processes.start("rx90_sim", *UNPACED)
     client.spin_until(lambda: seconds(heard[-1]) < 0.5, "time to begin again")
-    client.spin_until(lambda: seconds(heard[-1]) > 1.0, "time to run again")
+    client.spin_until(lambda: seconds(heard[-1]) > 0.6, "time to run again")
     assert sum("waiting for a simulation" in line for line in controller.lines) <= 2
 
 

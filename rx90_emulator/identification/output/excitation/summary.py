@@ -173,7 +173,7 @@ def _fits(result: ExcitationIdentification) -> list[str]:
     names = result.problem.arm.names
     runs = [*(("fitted", run) for run in result.torques), *(("unseen", one.torques) for one in result.validations)]
     width = max(8, *(len(run.source.path.name) + 9 for _, run in runs))
-    columns = [max(8, len(name) + 2) for name in names]
+    columns = [max(10, len(name) + 2) for name in names]
     head = (
         f"{'torque RMS':<{width}}" + "".join(f"{n:>{w}}" for n, w in zip(names, columns, strict=True)) + f"{'all':>8}"
     )

@@ -212,8 +212,8 @@ def test_an_interrupt_leaves_nothing(
     monkeypatch.setattr(excitation_job, "identify_excitation", lambda *_, **__: outcome.result)
     monkeypatch.setattr(excitation_job, "report_page", lambda *_: "page")
     if place == "write_folder":
-        whole = Path.write_text
-        monkeypatch.setattr(Path, "write_text", lambda *a, **k: (whole(*a, **k), interrupted()))
+        whole = Path.write_bytes
+        monkeypatch.setattr(Path, "write_bytes", lambda *a: (whole(*a), interrupted()))
     else:
         monkeypatch.setattr(excitation_job, place, interrupted)
     assert bench.identify("--excitation", bench.folder / "run", "--output", tmp_path / "folder") == INTERRUPTED

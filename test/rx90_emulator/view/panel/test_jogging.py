@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import queue
 import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rx90_controller.lines.approach import Approach
-from rx90_controller.trajectory import TrajectoryGenerator
+from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.panel.jog_sliders import JogSliders
 from rx90_emulator.view.panel.jogging import JogTarget, jog, slider_range
 from rx90_emulator.view.panel.newest import NewestOnly
 
@@ -95,3 +100,42 @@ def test_the_newest_overtakes_what_waits(burst: list[int]) -> None:
     assert done.wait(10.0)
     newest.close()
     assert worked == [1, burst[-1]]
+
+
+class _Slider:
+    """Stands for viser's slider: a value, limits, and who is called when a user changes it."""
+
+    def __init__(self, low: float, high: float, value: float) -> None:
+        self.min, self.max, self.value, self.disabled = low, high, value, True
+        self.changed: Callable[[object], None] = lambda _: None
+
+    def on_update(self, callback: Callable[[object], None]) -> None:
+        """Keep who is called."""
+        self.changed = callback
+
+
+def test_a_slider_that_a_user_has_moved_is_not_put_back(shipped: Setup) -> None:
+    """The arm's state that comes between a user's change and its taking does not overwrite it: the joint goes there."""
+    sliders: list[_Slider] = []
+    waiting: list[Callable[[], None]] = []
+    sent: queue.Queue[TrajectoryPoints] = queue.Queue()
+
+    def add_slider(_: str, low: float, high: float, __: float, value: float, **___: object) -> _Slider:
+        sliders.append(_Slider(low, high, value))
+        return sliders[-1]
+
+    page: Any = SimpleNamespace(gui=SimpleNamespace(add_slider=add_slider), later=waiting.append)
+    jogs = JogSliders(page, shipped.controller.limits(shipped.robot), sent.put)
+    arm: Any = SimpleNamespace(position=np.full(6, 0.1), velocity=ZERO)
+    jogs.follow(arm, ready=True)
+    assert sliders[0].value == 5.7  # 0.1 rad in tenths of a degree
+    sliders[0].value = 12.3
+    sliders[0].changed(SimpleNamespace(client_id=1))
+    jogs.follow(arm, ready=True)
+    waiting.pop()()
+    target = sent.get(timeout=60.0).position[-1]
+    jogs.follow(arm, ready=True)
+    jogs.close()
+    np.testing.assert_allclose(np.degrees(target[0]), 12.3)
+    np.testing.assert_array_equal(target[1:], arm.position[1:])
+    assert sliders[0].value == 12.3
