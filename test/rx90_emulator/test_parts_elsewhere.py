@@ -22,7 +22,11 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare
 from rx90_emulator.view.panel.element_model import changed
 
-PARTS = {"load": rx.LoadPart(0.05, 0.1), "scatter": rx.ScatterPart(0.05, 0.2)}
+PARTS = {
+    "load": rx.LoadPart(0.05, 0.1),
+    "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 9000.0, 0.4, 20.7, 0.3),
+    "scatter": rx.ScatterPart(0.05, 0.2),
+}
 
 
 @pytest.fixture
