@@ -43,13 +43,16 @@ class JointTemperatures:
 
     def beyond_law(self) -> str:
         """Return in words which joints are warmer than the law of their friction holds; '' if none is."""
-        highest = self._constants["parts"]["temperature"]["highest"][0]
-        return ", ".join(
-            f"{self._friction.names[i]} at {self.now[i]:.1f} °C keeps the friction of {highest[i]:g} °C, the highest "
-            "of its law"
-            for i in self.elements
-            if self.now[i] > highest[i]
-        )
+        return beyond_law(self._friction, self.now)
+
+
+def beyond_law(friction: FrictionSet, temperatures: Array) -> str:
+    """Return the same for any temperatures of the seven elements, degrees Celsius."""
+    return ", ".join(
+        f"{name} at {now:.1f} °C keeps the friction of {part.highest:g} °C, the highest of its law"
+        for name, element, now in zip(friction.names, friction.elements, temperatures, strict=True)
+        if (part := element.temperature) is not None and now > part.highest
+    )
 
 
 @kernel

@@ -83,7 +83,7 @@ def main(options: argparse.Namespace) -> None:
     _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.cli.run_hours import run_hours
+    from rx90_emulator.cli.run_hours import run_hours, warn_of_heat
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
@@ -99,6 +99,7 @@ def main(options: argparse.Namespace) -> None:
         run_hours(setup, options)
         return
     result = _simulate(setup, options)
+    warn_of_heat(setup, result.slow.temperatures)
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:

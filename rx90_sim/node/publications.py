@@ -83,7 +83,6 @@ class Publications:
         if self._friction_sample and self._friction.get_subscription_count():
             self._friction.publish(self._friction_sample)
         self._sampled.repeat()
-        self._temperatures.repeat()
         if self._transforms is not None:
             self._transforms.repeat()
         self._clock.publish(self._time)

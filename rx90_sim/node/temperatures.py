@@ -29,19 +29,21 @@ class Temperatures:
         self._plant, self._period_ns = plant, rates.period_ns
         self._ticks = ticks_per("temperature_rate", rates.base_hz, parameters.temperature_rate)
         self.publisher: Publisher = publish(node, Temperature, TEMPERATURES, STATE_QOS.profile)
-        self._newest: list[Temperature] = []
+        self._tick = self._sent = -1
 
     def publish_due(self, tick: int) -> None:
-        """Publish the temperatures of this tick if they are due, to those who listen."""
-        if tick % self._ticks == 0 and self._plant.temperatures.elements:
-            self._newest = [self._message(i, tick * self._period_ns) for i in self._plant.temperatures.elements]
-            self.repeat()
+        """Publish the temperatures of this tick if they are due, once, to those who listen.
 
-    def repeat(self) -> None:
-        """Publish the newest again."""
-        if self._newest and self.publisher.get_subscription_count():
-            for message in self._newest:
-                self.publisher.publish(message)
+        They are not repeated while time stands still: a recorder could not tell them from others of the same stamp.
+        """
+        if tick < self._tick:  # after a reset
+            self._sent = -1
+        self._tick = tick
+        if tick % self._ticks or tick == self._sent or not self.publisher.get_subscription_count():
+            return
+        self._sent = tick
+        for element in self._plant.temperatures.elements:
+            self.publisher.publish(self._message(element, tick * self._period_ns))
 
     def _message(self, element: int, stamp: int) -> Temperature:
         message = Temperature(temperature=float(self._plant.temperatures.now[element]))  # variance 0: exact
