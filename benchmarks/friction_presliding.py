@@ -20,7 +20,6 @@ from tqdm import tqdm
 
 from benchmarks.report import merge, print_table
 from friction_bench.presliding.campaign import Campaign
-from friction_bench.presliding.choice import choose
 from friction_bench.presliding.drift import DriftVerdict
 from friction_bench.presliding.evaluation import PreslidingResult, evaluate
 from friction_bench.presliding.follow import follow
@@ -68,8 +67,8 @@ def random_rig(seed: int, number: int, kind: str) -> Rig:
     return replace(rig, plant=replace(rig.plant, joint=joint))
 
 
-def measured(rig: Rig, seed: int, cycles: int) -> tuple[PreslidingResult, str]:
-    """Return the result of a whole measurement, and what loops and sliding alone say."""
+def measured(rig: Rig, seed: int, cycles: int) -> PreslidingResult:
+    """Return the result of a whole measurement."""
     emulated = EmulatedRig(rig, seed)
     emulated.plant.load(True)
     client = RigClient(VirtualPort(emulated), rig)
@@ -78,9 +77,7 @@ def measured(rig: Rig, seed: int, cycles: int) -> tuple[PreslidingResult, str]:
     plan = CampaignPlan(rig, ("loops", "sweep", "drift"), 10, cycles)
     for what in runs(plan, campaign, hello.torque_limit_code):
         campaign.add(what, follow(client, what.law, what.label))
-    result = evaluate(campaign, rig)
-    assert result.readings is not None
-    return result, choose(result.blocks, result.readings, None).text
+    return evaluate(campaign, rig)
 
 
 def _right(kind: str, text: str) -> str:
@@ -109,8 +106,10 @@ def main() -> int:
         (kind, method): dict.fromkeys(("right", "cannot tell", "wrong"), 0) for kind in KINDS for method in methods
     }
     for number, kind in tqdm([(n, kind) for n in range(options.rigs) for kind in KINDS], disable=None):
-        result, loops = measured(random_rig(options.seed, number, kind), number, options.cycles)
+        result = measured(random_rig(options.seed, number, kind), number, options.cycles)
         assert result.choice is not None
+        left = result.choice.by_loops
+        loops = left[0] if len(left) == 1 else "cannot tell"
         assert result.drift is not None
         for method, verdict in (
             ("loops and sliding", _right(kind, loops)),

@@ -16,7 +16,6 @@ from rx90_common.friction import ELEMENT_COUNT, FrictionSet
 from rx90_sim.joint_temperatures import JointTemperatures
 from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
-from rx90_sim.winding import current_share
 
 _NO_COMMAND = np.zeros(6)
 _MOST_CORRECTIONS = 50
@@ -136,22 +135,6 @@ class Plant:
     def winding_temperatures(self) -> Array:
         """Return how warm the windings of the motors are, degrees Celsius, shape (6,)."""
         return np.array(self.state["temperature"][0])
-
-    def current_shares(self) -> Array:
-        """Return the share of its peak current that each amplifier gives its winding, 1 where it is not too warm."""
-        winding = self.constants["winding"][0]
-        if not winding["used"]:
-            return np.ones(6)
-        return np.array([current_share(winding, float(one)) for one in self.state["temperature"][0]])
-
-    def warm_motors(self) -> str:
-        """Return in words which amplifiers give less than their peak current because of their windings; '' if none."""
-        pairs = enumerate(zip(self.winding_temperatures(), self.current_shares(), strict=True), 1)
-        return ", ".join(
-            f"motor_{k} at {warm:.1f} °C has {100.0 * share:.0f} % of its peak current"
-            for k, (warm, share) in pairs
-            if share < 1.0
-        )
 
     def motor_states(self) -> tuple[Array, Array, Array]:
         """Return position by the encoder rad, observed velocity rad/s, torque by the current sensor Nm, motor side.

@@ -67,14 +67,14 @@ class Choice:
         scores: of all laws, in the order of LAWS.
         law: that is chosen, None where several are left.
         left: names of the laws that are left.
-        by_drift: the drift under small cycles decided.
+        by_loops: names of the laws that loops and sliding leave, without the drift.
         sliding: steady sliding, from all readings.
     """
 
     scores: tuple[LawScore, ...]
     law: FrictionLaw | None
     left: tuple[str, ...]
-    by_drift: bool
+    by_loops: tuple[str, ...]
     sliding: SlidingFriction
 
     @property
@@ -88,7 +88,7 @@ class Choice:
         """Return the verdict in words."""
         if self.law is None:
             return f"cannot tell: {' or '.join(self.left)}"
-        return self.law.name + (", by its drift" if self.by_drift else "")
+        return self.law.name + (", by its drift" if len(self.by_loops) > 1 else "")
 
 
 def choose(
@@ -126,8 +126,13 @@ def choose(
     judged = _judged(scores)
     left = _simplest([score.law for score in judged if not score.refuted])
     told = _by_drift(left, drift)
-    names = tuple(law.name for law in told)
-    return Choice(tuple(judged), told[0] if len(told) == 1 else None, names, len(told) < len(left), sliding[True])
+    return Choice(
+        scores=tuple(judged),
+        law=told[0] if len(told) == 1 else None,
+        left=tuple(law.name for law in told),
+        by_loops=tuple(law.name for law in left),
+        sliding=sliding[True],
+    )
 
 
 def fits() -> int:

@@ -29,6 +29,8 @@ from rx90_common.kernels.compiled import kernel
 class LoopBlock:
     """One block of loops, beginning at rest without torque after a slide, so that nothing before it matters.
 
+    The joint swings to rest there, which leaves no bristle bent; blocks of Maxwell slip come near to that.
+
     Attributes:
         angle: of the joint at each reading from the rest after the slide on, rad, without the encoder's flicker,
             shape (n,).
@@ -66,27 +68,9 @@ def settled(counts: Array) -> Array:
 
 
 @kernel
-def slid_and_released(joint: RigJoint, steady: float) -> float:
-    """Let a joint slide on and then go back without torque, slowly; return its deflection, rad.
-
-    Args:
-        joint: advanced in place.
-        steady: its deflection in steady sliding, rad.
-    """
-    z, torque = 0.0, 1.0
-    for _ in range(20):
-        z, torque = friction_over(joint, z, 0.0, steady, 1.0)
-    for _ in range(2000):
-        if torque <= 0.0:
-            break
-        z, torque = friction_over(joint, z, 0.0, -0.005 * steady, 1.0)
-    return z
-
-
-@kernel
-def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float, z: float = 0.0) -> NDArray[np.float64]:
+def torque_along(joint: RigJoint, angle: NDArray[np.float64], tick: float) -> NDArray[np.float64]:
     """Return the mean friction torque over the tick before each reading, Nm, and 0 for the first, shape (n,)."""
-    torque = np.zeros(angle.size)
+    torque, z = np.zeros(angle.size), 0.0
     for k in range(1, angle.size):
         velocity = (angle[k] - angle[k - 1]) / tick
         z, torque[k] = friction_over(joint, z, angle[k], velocity, tick)
@@ -115,10 +99,8 @@ class FrictionLaw:
         """Return the torque at each of the block's readings, Nm, shape (k,)."""
         if self.bristles is None:
             return _rigid(sliding.tau_s if self.stribeck else sliding.tau_c, block)
-        element = self.element(values, sliding)
-        joint = joint_record(element, 1.0, block.tick, 0)
-        z = slid_and_released(joint, element.tau_s_positive / element.c0)
-        return np.asarray(torque_along(joint, block.angle, block.tick, z)[block.readings])
+        joint = joint_record(self.element(values, sliding), 1.0, block.tick, 0)
+        return np.asarray(torque_along(joint, block.angle, block.tick)[block.readings])
 
     def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:
         """Return the friction element of a law with bristles."""
@@ -141,8 +123,8 @@ def _rigid(static: float, block: LoopBlock) -> Array:
 
 REACHES = np.geomspace(0.15, 4.0, 6)
 """Of the blocks of Maxwell slip, in proportion: where their springs give way."""
-ATTRACTION = 50.0
-"""Nm/s: fast against the readings, which do not show it."""
+ATTRACTION = 1e4
+"""Nm/s: at once, for a velocity that is held for a tick; the readings, at rest, do not show how fast it is."""
 
 
 def _maxwell(values: Sequence[float]) -> tuple[float, MaxwellSlip]:
@@ -152,6 +134,11 @@ def _maxwell(values: Sequence[float]) -> tuple[float, MaxwellSlip]:
     stiffness, share = (np.clip(part, 1e-6, 1.0) for part in (stiffness, share))
     stiffness, share = stiffness / stiffness.sum(), share / share.sum()
     return math.exp(values[0]), MaxwellSlip(tuple(stiffness.tolist()), tuple(share.tolist()), ATTRACTION)
+
+
+def _maxwell_starts(c0: float) -> list[list[float]]:
+    """Return even springs, and stiff ones that give way early; none is 0, which would take a fit's steps away."""
+    return [[math.log(1.3 * c0), 0.5, 0.4, 0.3, 0.2, 0.1], [math.log(2.0 * c0), 2.0, 1.5, 1.0, 0.6, 0.2]]
 
 
 def _elastic(values: Sequence[float]) -> tuple[float, ElastoPlastic]:
@@ -164,8 +151,6 @@ LUGRE = FrictionLaw("LuGre", 5, True, lambda c0: [[math.log(c0)]], lambda v: (ma
 ELASTO_PLASTIC = FrictionLaw(
     "elasto-plastic", 6, True, lambda c0: [[math.log(c0), -0.5], [math.log(c0), 1.2]], _elastic
 )
-MAXWELL_SLIP = FrictionLaw(
-    "Maxwell slip", 4 + REACHES.size, True, lambda c0: [[math.log(c0)] + (REACHES.size - 1) * [0.0]], _maxwell
-)
+MAXWELL_SLIP = FrictionLaw("Maxwell slip", 4 + REACHES.size, True, _maxwell_starts, _maxwell)
 LAWS = (COULOMB, STRIBECK, LUGRE, ELASTO_PLASTIC, MAXWELL_SLIP)
 """From the simplest to the one with most parameters."""

@@ -18,6 +18,7 @@ from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, Slow
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
+from rx90_sim.winding import warm_motors
 
 TRIPPED = -2
 """How a run ends in which the controller's supervision cuts the power."""
@@ -197,6 +198,6 @@ def run_setpoints(
         plant.raise_divergence(end)
     if end == TRIPPED:
         controller.note_fault()
-        warm = plant.warm_motors()
+        warm = warm_motors(plant.constants, plant.winding_temperatures())
         cut = f"{controller.fault}; the controller's supervision has cut the power"
         raise SupervisionError(f"{cut}; {warm}" if warm else cut)

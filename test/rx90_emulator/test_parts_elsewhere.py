@@ -9,10 +9,8 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-import yaml
 
 import rx90_emulator as rx
-from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.errors import REFUSED, Rx90Error
 from rx90_common.base.share import config_path
 from rx90_controller.trajectory import TrajectoryPoints
@@ -90,20 +88,6 @@ def test_a_ramp_test_does_not_replace_an_element_with_parts(
     told = "elements.joint_2.load: the element that a ramp test replaces cannot hold this part"
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_an_emulated_rig_refuses_parts(tmp_path: Path) -> None:
-    """A rig file's element with a part is refused by file and path."""
-    text = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
-    path = tmp_path / "rig.yaml"
-    content = yaml.safe_load(text)
-    content["emulation"]["joint_friction"]["lugre"]["load"] = {"driving": 0.1, "driven": 0.1}
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(Rx90Error) as caught:
-        load_rig(path)
-    assert str(caught.value) == (
-        f"{path}: emulation.joint_friction.lugre.load: the emulated rig cannot hold this part; accepted: left out"
-    )
 
 
 def test_a_value_changed_by_hand_leaves_the_parts(parted_file: Path) -> None:
