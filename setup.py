@@ -11,6 +11,7 @@ EXECUTABLES = (
     "rx90_cell",
     "friction_bench",
     "friction_ramp",
+    "friction_presliding",
     "friction_rig_emulator",
     "rx90_line",
     "rx90_run",

@@ -1,9 +1,10 @@
 """Run the benchmarks and write out/bench.json: all of them, or those named.
 
-    python -m benchmarks [closed_loop] [control_law] [command_delay] [accuracy] [mujoco_lugre] [friction_parts]
-                         [perturbation] [lockstep] [composition] [speed] [view] [sweep] [bag_memory] [friction_ramp]
-                         [friction_ramp_coverage] [identification] [identification_presliding] [identification_time]
-                         [excitation_coverage] [excitation_time] [wrong_zeros] [published_friction]
+    python -m benchmarks [closed_loop] [control_law] [compensation] [command_delay] [accuracy] [mujoco_lugre]
+                         [friction_parts] [perturbation] [lockstep] [composition] [speed] [view] [sweep]
+                         [bag_memory] [friction_ramp] [friction_ramp_coverage] [friction_presliding] [identification]
+                         [identification_presliding] [identification_time] [excitation_coverage] [excitation_time]
+                         [wrong_zeros] [published_friction] [bristles] [bristle_kinds]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -21,6 +22,7 @@ from benchmarks.report import BENCH_FILE, ROOT
 NAMES = (
     "closed_loop",
     "control_law",
+    "compensation",
     "command_delay",
     "accuracy",
     "mujoco_lugre",
@@ -34,6 +36,7 @@ NAMES = (
     "bag_memory",
     "friction_ramp",
     "friction_ramp_coverage",
+    "friction_presliding",
     "identification",
     "identification_presliding",
     "identification_time",
@@ -41,6 +44,8 @@ NAMES = (
     "excitation_time",
     "wrong_zeros",
     "published_friction",
+    "bristles",
+    "bristle_kinds",
 )
 
 

@@ -261,7 +261,8 @@ def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
             colour = COLOURS[list(LAWS).index(law)]
             marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, law, colour))
         title = condition.capitalize()
-        panels.append(Panel(marks, title, "along the line, mm", "path error, mm", from_zero=True))
+        x_label = "along the line, mm" if condition == list(shown)[-1] else ""
+        panels.append(Panel(marks, title, x_label, "path error, mm", from_zero=True))
     write_picture(Plot(panels, height=2.3), file)
 
 

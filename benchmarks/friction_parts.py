@@ -27,6 +27,7 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -42,16 +43,23 @@ THROUGH[4, 5] = -1
 """Torques that go through the elements for those of the joints: all of joint 6 goes through motor 6, past motor 5."""
 STEPS = np.array([1, 2, 4, 8])
 _LOAD, _SCATTER = LoadPart(0.05, 0.08), ScatterPart(0.02, 10.0)
+_WARM = TemperaturePart(40.0, 20.0, 90.0, 25.0, 20.0, 9000.0, 0.4, 20.7, 0.3, 0.03, 0.02)
 _RIPPLE = RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.05,))
 CASES: dict[str, dict[str, Any]] = {
     "no part": {},
     "load": {"load": _LOAD},
     "load and viscous exponent": {"load": _LOAD, "alpha": 0.7},
+    "load, temperature, viscous exponent": {"load": _LOAD, "temperature": _WARM, "alpha": 0.7},
     "ripple": {"ripple": _RIPPLE},
     "scatter": {"scatter": _SCATTER},
     "load, ripple, scatter": {"load": _LOAD, "ripple": _RIPPLE, "scatter": _SCATTER},
 }
-_KEYS = {"load": "parts_load", "load and viscous exponent": "parts_load_exponent", "load, ripple, scatter": "parts_all"}
+_KEYS = {
+    "load": "parts_load",
+    "load and viscous exponent": "parts_load_exponent",
+    "load, temperature, viscous exponent": "parts_load_temperature_exponent",
+    "load, ripple, scatter": "parts_all",
+}
 
 
 def with_elements(setup: Setup, **values: Any) -> Setup:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from friction_bench.experiment.ramp import Guard
 from friction_bench.experiment.record import RampRecord
-from friction_bench.rig.plant import PlantParameters, Shaft, turn, turn_with_joint
+from friction_bench.rig.plant import PlantParameters, turn_with_joint
 from friction_bench.rig.rig_file import CODES, RAMP_FRACTION, Rig
+from friction_bench.rig.shaft import Shaft, turn
 from rx90_common.friction.element import FrictionElement, element_arrays
 from rx90_common.kernels.compiled import kernel
 

@@ -11,13 +11,15 @@
 
 Setups          load_setup, parameters, with_parameters, Setup, Rates
 Motions         load_task, plan_line, load_trajectory, LineTask, LinePlan, TrajectoryPoints
-Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy
+Runs            run_line, simulate, path_accuracy, LineRun, RunResult, PathAccuracy; for hours: repeat_line,
+                RepeatedLine
 Series and bags read_bag, read_joint_states, write_bag, write_joint_states, save_arrays, JointSeries
 Comparison      compare_bags, compare_series, comparison_text, BagComparison, TopicComparison, Scope, Tolerances,
                 Verdict
 Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
                 MeasuredTolerances
-Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, RipplePart, ScatterPart
+Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart,
+                ScatterPart
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
     from rx90_common.friction.parts.load import LoadPart
     from rx90_common.friction.parts.ripple import RipplePart
     from rx90_common.friction.parts.scatter import ScatterPart
+    from rx90_common.friction.parts.temperature import TemperaturePart
     from rx90_controller.lines.plan import LinePlan
     from rx90_controller.lines.task import LineTask, load_task
     from rx90_controller.trajectory import TrajectoryPoints
@@ -87,6 +90,7 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.result import RunResult, save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup, load_setup
     from rx90_emulator.loop.trajectory_file import load_trajectory
+    from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
     from rx90_emulator.measured.compare import compare_measured
     from rx90_emulator.measured.comparison import MeasuredComparison
     from rx90_emulator.measured.job import write_measured
@@ -122,6 +126,7 @@ __all__ = [
     "PathAccuracy",
     "Payload",
     "Rates",
+    "RepeatedLine",
     "RipplePart",
     "RobotFiles",
     "RobotOptions",
@@ -134,6 +139,7 @@ __all__ = [
     "SweepBase",
     "SweepPlan",
     "SweptParameter",
+    "TemperaturePart",
     "Tolerances",
     "TopicComparison",
     "TrajectoryPoints",
@@ -165,6 +171,7 @@ __all__ = [
     "read_payloads",
     "read_sweep",
     "record_on_engine",
+    "repeat_line",
     "run_line",
     "run_sweep",
     "save_arrays",
@@ -192,6 +199,7 @@ _HOMES = {
     "rx90_common.friction.parts.load": "LoadPart",
     "rx90_common.friction.parts.ripple": "RipplePart",
     "rx90_common.friction.parts.scatter": "ScatterPart",
+    "rx90_common.friction.parts.temperature": "TemperaturePart",
     "rx90_controller.lines.plan": "LinePlan",
     "rx90_controller.lines.task": "LineTask load_task",
     "rx90_controller.trajectory": "TrajectoryPoints",
@@ -217,6 +225,7 @@ _HOMES = {
     "rx90_emulator.loop.result": "RunResult save_arrays write_bag",
     "rx90_emulator.loop.setup": "Setup load_setup",
     "rx90_emulator.loop.trajectory_file": "load_trajectory",
+    "rx90_emulator.loop.working_day": "RepeatedLine repeat_line",
     "rx90_emulator.measured.compare": "compare_measured",
     "rx90_emulator.measured.comparison": "MeasuredComparison",
     "rx90_emulator.measured.job": "write_measured",

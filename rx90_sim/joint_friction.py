@@ -12,7 +12,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import parts_step, parts_torque, reset_parts
+from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts
+from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
 
@@ -35,7 +36,7 @@ def reset_friction(plant: Any, state: Any) -> None:
         state.brake_z[element] = -carried / plant.brake.c0[element]
         state.parts.transmitted[i] = state.bias[i]
     _give_to_elements(state.parts.transmitted)
-    reset_parts(plant.parts, state.parts, load(state.parts.transmitted, 7))
+    reset_parts(plant.parts, state.parts, load(state.parts.transmitted, 7), 7)
 
 
 @kernel
@@ -101,11 +102,13 @@ def _take_off(torque: Array, friction: Lanes) -> None:
 @kernel
 def _parted_friction(plant: Any, state: Any, angle: Array, velocity: Array, step: float) -> None:
     """Advance the bristles of elements with parts, and write their torques."""
+    inputs = element_inputs(velocity)
     z, torque = parts_step(
-        plant.friction, plant.parts, state.parts, load(state.z, 7), element_inputs(angle), element_inputs(velocity),
-        step, 7,
-    )  # fmt: skip
+        plant.friction, plant.parts, state.parts, load(state.z, 7), element_inputs(angle), inputs, step, 7
+    )
     store(state.z, z)
+    if plant.parts.temperature.used:
+        add_work(state.parts.temperature, torque, inputs, step, 7)
     store(state.parts.friction, torque)
 
 
@@ -153,6 +156,20 @@ def _give_to_elements(transmitted: Array) -> None:
 
 
 @kernel
-def advance_walks(plant: Any, state: Any) -> None:
-    """Advance the random walks of the friction by a tick."""
+def advance_parts(plant: Any, state: Any) -> None:
+    """Advance by a tick what changes slowly: random walks and temperatures of the friction."""
     advance_scatter(plant.parts.scatter, state.parts)
+    if plant.parts.temperature.used:
+        _warm_joints(plant, state)
+
+
+@kernel
+def _warm_joints(plant: Any, state: Any) -> None:
+    """Let friction and motors heat the joints over a tick."""
+    warm = 1.0 + plant.winding.coefficient * (load(state.temperature, 6) - plant.winding.reference)
+    motor = load(state.motor_torque, 6)
+    heating = warm * motor * motor
+    stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, 7), 7)
+    advance_temperatures(
+        plant.parts.temperature, state.parts.temperature, stored, append(heating, lane(heating, 5)), plant.period, 7
+    )

@@ -13,9 +13,9 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_sim.joint_temperatures import JointTemperatures
 from rx90_sim.plant_data import STATE_DTYPE, plant_record
 from rx90_sim.plant_step import friction_states, plant_reset, plant_step
-from rx90_sim.winding import current_share
 
 _NO_COMMAND = np.zeros(6)
 _MOST_CORRECTIONS = 50
@@ -30,6 +30,7 @@ class Plant:
         tick: number of the tick whose states are sampled now.
         constants: compiled constants, shape (1,), PLANT_DTYPE.
         state: compiled state, shape (1,), STATE_DTYPE.
+        temperatures: how warm the joints are.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Plant:
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque
         self._joint_states = state["q"][0], state["v"][0], state["drive_torque"][0]
         self._friction_states = state["z"][0], np.zeros(ELEMENT_COUNT), np.zeros(ELEMENT_COUNT)
+        self.temperatures = JointTemperatures(friction, self.constants, state)
         self.reset(np.clip(np.zeros(6), self._lower, self._upper))
 
     def reset(self, position: ArrayLike) -> None:
@@ -134,22 +136,6 @@ class Plant:
     def winding_temperatures(self) -> Array:
         """Return how warm the windings of the motors are, degrees Celsius, shape (6,)."""
         return np.array(self.state["temperature"][0])
-
-    def current_shares(self) -> Array:
-        """Return the share of its peak current that each amplifier gives its winding, 1 where it is not too warm."""
-        winding = self.constants["winding"][0]
-        if not winding["used"]:
-            return np.ones(6)
-        return np.array([current_share(winding, float(one)) for one in self.state["temperature"][0]])
-
-    def warm_motors(self) -> str:
-        """Return in words which amplifiers give less than their peak current because of their windings; '' if none."""
-        pairs = enumerate(zip(self.winding_temperatures(), self.current_shares(), strict=True), 1)
-        return ", ".join(
-            f"motor_{k} at {warm:.1f} °C has {100.0 * share:.0f} % of its peak current"
-            for k, (warm, share) in pairs
-            if share < 1.0
-        )
 
     def motor_states(self) -> tuple[Array, Array, Array]:
         """Return position by the encoder rad, observed velocity rad/s, torque by the current sensor Nm, motor side.

@@ -158,7 +158,9 @@ def _fill_parts(
                 f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
                 f"step, {period / substeps:g} s"
             )
-    fill_parts(parts, friction.elements, [*drives.gear, drives.gear[5]], period, seed)
+    # Motor 6 turns with joints 5 and 6 together, as the seventh element does, and warms that one alone.
+    heat = (drives.winding.resistance / drives.torque_constant**2).tolist()
+    fill_parts(parts, friction.elements, [*drives.gear, drives.gear[5]], period, seed, [*heat[:5], 0.0, heat[5]])
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

@@ -27,7 +27,7 @@ from rx90_sim.end_stops import add_stops
 from rx90_sim.joint_friction import (
     add_friction,
     advance_loads,
-    advance_walks,
+    advance_parts,
     element_inputs,
     friction_now,
     reset_friction,
@@ -105,7 +105,7 @@ def plant_step(plants: Record, states: Record, command: NDArray[np.float64], pow
         else:
             _substep(plant, state, step)
     if plant.parts.used:
-        advance_walks(plant, state)
+        advance_parts(plant, state)
     if plant.winding.used:
         warm_windings(plant.winding, state.motor_torque, state.temperature, plant.period)
     for i in range(6):

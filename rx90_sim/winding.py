@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Record
 from rx90_common.description.winding import Windings
 from rx90_common.friction.bristle import decay
 from rx90_common.kernels.compiled import kernel
@@ -63,3 +63,24 @@ def warm_windings(winding: Any, torque: Array, temperature: Array, duration: flo
     rate = heat * (1.0 + winding.coefficient * (before - winding.reference)) - cooling * (before - winding.ambient)
     mean, _ = decay(duration * (cooling - heat * winding.coefficient))
     store(temperature, before + duration * rate * mean)
+
+
+def current_shares(plant: Record, temperature: Array) -> Array:
+    """Return the share of its peak current that each amplifier gives its winding, 1 where it is not too warm.
+
+    Args:
+        plant: constants, shape (1,), PLANT_DTYPE.
+        temperature: of the windings, degrees Celsius, shape (6,).
+    """
+    winding = plant["winding"][0]
+    return np.array([current_share(winding, float(one)) if winding["used"] else 1.0 for one in temperature])
+
+
+def warm_motors(plant: Record, temperature: Array) -> str:
+    """Return in words which amplifiers give less than their peak current; '' if none; arguments as above."""
+    pairs = enumerate(zip(temperature, current_shares(plant, temperature), strict=True), 1)
+    return ", ".join(
+        f"motor_{k} at {warm:.1f} °C has {100.0 * share:.0f} % of its peak current"
+        for k, (warm, share) in pairs
+        if share < 1.0
+    )

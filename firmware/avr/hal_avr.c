@@ -1,11 +1,12 @@
 /* ATmega328P at 16 MHz (an Arduino Uno or Nano). Pins, by Arduino number:
- *   0, 1    UART            2      encoder A (INT0)
+ *   0, 1    UART            2      encoder A (INT0), or the decoder's pulse; 3 its direction, high is forward
  *   4 .. 7  DAC bits 0..3   8..11  DAC bits 4..7
  *   12      power stage enable, active low, with a pull-up: off while the pins float after a reset
  *   A0      current sense */
 #include "hal.h"
 
 #include "rig.h"
+#include "rig_config.h"
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
@@ -36,6 +37,12 @@ void stop_watchdog(void)
 
 ISR(INT0_vect)
 {
+#if COUNTS_DOWN
+    if (!(PIND & _BV(PD3))) {
+        edges--;
+        return;
+    }
+#endif
     edges++;
 }
 

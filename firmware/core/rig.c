@@ -201,6 +201,32 @@ static void on_frame(void)
     ack_sequence = sequence;
 }
 
+/* Since arming, in units of 256 counts. */
+static uint16_t travelled(void)
+{
+    uint16_t distance = (uint16_t)((uint16_t)(counts >> 8) - travel_start);
+#if COUNTS_DOWN
+    if (distance & 0x8000u)
+        distance = (uint16_t)(0u - distance);
+#endif
+    return distance;
+}
+
+/* Advances the counts to those of the tick; returns how many there were, in either direction. */
+static uint16_t count(void)
+{
+    uint16_t moved = (uint16_t)(hal_tick_counts - (uint16_t)counts);
+#if COUNTS_DOWN
+    if (moved & 0x8000u) {
+        moved = (uint16_t)(0u - moved);
+        counts -= moved;
+        return moved;
+    }
+#endif
+    counts += moved;
+    return moved;
+}
+
 static void supervise(uint16_t moved)
 {
     if (state != ARMED && state != RAMPING)
@@ -210,7 +236,7 @@ static void supervise(uint16_t moved)
     over_current = adc > CURRENT_LIMIT_CODE ? (uint8_t)(over_current + 1u) : 0;
     if (over_current >= CURRENT_LIMIT_TICKS)
         trip(FAULT_CURRENT);
-    if ((uint16_t)((uint16_t)(counts >> 8) - travel_start) > travel_limit)
+    if (travelled() > travel_limit)
         trip(FAULT_TRAVEL);
     if (moved > speed_limit)
         trip(FAULT_SPEED);
@@ -272,8 +298,7 @@ static void send_report(void)
 
 static void on_tick(void)
 {
-    uint16_t moved = (uint16_t)(hal_tick_counts - (uint16_t)counts);
-    counts += moved;
+    uint16_t moved = count();
     adc = hal_adc();
     supervise(moved);
     advance_ramp();

@@ -1,12 +1,14 @@
 /* 89C51 or AT89S52 at 11.0592 MHz. Pins:
  *   P1    DAC0808                P2    ADC0804 in its self-clocking connection (WR tied to INTR)
- *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal)
+ *   P3.0  RXD   P3.1  TXD        P3.2  encoder A (INT0, falling edge of the inverted signal), or the decoder's pulse
+ *   P3.3  the decoder's direction, high is forward
  *   P3.4  power stage enable, active low: a reset sets all ports high, so off */
 #include <8051.h>
 #include <stdbool.h>
 
 #include "hal.h"
 #include "rig.h"
+#include "rig_config.h"
 
 #define RX_RING 8u
 #define STAGE_OFF P3_4
@@ -36,10 +38,21 @@ unsigned char _sdcc_external_startup(void)
 /* 20,000 edges a second leave 46 cycles each: two instructions, no register, no flag. */
 void encoder_isr(void) __interrupt(0) __naked
 {
+#if COUNTS_DOWN
+    __asm
+        jb _P3_3, 00001$
+        dec _edges
+        reti
+    00001$:
+        inc _edges
+        reti
+    __endasm;
+#else
     __asm
         inc _edges
         reti
     __endasm;
+#endif
 }
 
 /* Timer 0 in mode 2 overflows every 256 cycles by itself; 72 overflows are 18432 cycles, 20 ms to
@@ -62,7 +75,11 @@ void five_milliseconds(void) __interrupt(7)
 {
     uint8_t now = edges;
     sub_ticks = 18;
+#if COUNTS_DOWN
+    hal_tick_counts += (uint16_t)(int8_t)(now - last_edges); /* 127 either way in 5 ms: 25,400 a second */
+#else
     hal_tick_counts += (uint8_t)(now - last_edges);
+#endif
     last_edges = now;
     if (--quarter)
         return;

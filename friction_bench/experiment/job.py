@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     _check(options, base)
     if options.no_load_file or options.loaded_file:
         records = _read(options, rig)
-        _folder(out)
+        new_measurement(out)
         origin = f"{len(records)} recorded ramps"
     else:
         plan = _plan(options, rig)
@@ -94,7 +94,7 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
         raise ConfigError(f"--velocity is {options.velocity}; accepted: with --text velocity alone")
 
 
-def _folder(out: Path) -> None:
+def new_measurement(out: Path) -> None:
     """Make the folder, and make sure that files can be written in it: a measurement must not be lost at its end."""
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -122,9 +122,9 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -> tuple[list[RampRecord], str]:
-    _folder(out)
+    new_measurement(out)
     try:
-        port, couple, close = _open(options, rig)
+        port, couple, close = open_rig(options, rig)
     except Rx90Error:
         out.rmdir()  # nothing was measured, and the next try may take the same name
         raise
@@ -133,7 +133,7 @@ def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -
     loads = _LOADS[options.load]
     total = sum(plan.duration(loaded) for loaded in loads)
     try:
-        with tqdm(total=round(total, 1), unit="s", desc="ramps", disable=None, bar_format=_BAR) as bar:
+        with tqdm(total=round(total, 1), unit="s", desc="ramps", disable=None, bar_format=BAR) as bar:
             client = RigClient(port, rig)
             client.connect()
             if options.clear:
@@ -196,10 +196,12 @@ def _run_load(
     run_planned(one, plan, loaded, choose)
 
 
-_BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
+BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
 
 
-def _open(options: argparse.Namespace, rig: Rig) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
+def open_rig(
+    options: argparse.Namespace, rig: Rig
+) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
     """Return the port, what couples the joint, and what ends an emulated rig."""
     if options.port != "emulated":
         port: Port = SerialPort(options.port, options.baud or rig.baud)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Protocol
 
 from friction_bench.protocol.errors import RigInputError
-from friction_bench.rig.native import NativeBoard
-from friction_bench.rig.plant import RigPlant
+from friction_bench.rig.native import NativeBoard, native_library
+from friction_bench.rig.plant import PART_PERIOD, RigPlant
 from friction_bench.rig.rig_file import CODES, Rig
 
-SLICE_US = 1000
+SLICE_US = round(PART_PERIOD * 1e6)
 """Firmware and plant exchange DAC, ADC and encoder this often."""
 
 
@@ -23,7 +23,7 @@ class Board(Protocol):
         """Return what the board has sent."""
 
     def run(self, slice_us: int, edges: int, adc: int) -> None:
-        """Let time pass with these encoder edges and this ADC code."""
+        """Let time pass with these encoder edges, negative where the motor turned back, and this ADC code."""
 
     @property
     def dac(self) -> int:
@@ -51,8 +51,8 @@ class EmulatedRig:
         if rig.plant is None:
             raise RigInputError(f"{rig.file}: has no section 'emulation', so this rig cannot be emulated")
         self.rig = rig
-        self.board: Board = board or NativeBoard(rig.baud)
-        self.plant = RigPlant(rig.plant, rig.counts_per_revolution, seed)
+        self.board: Board = board or NativeBoard(rig.baud, native_library(rig.firmware_figures))
+        self.plant = RigPlant(rig.plant, rig.counts_per_revolution, seed, rig.counts_down)
         self.time = 0.0
         self._edges = 0
         self._adc = 0

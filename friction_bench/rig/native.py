@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from friction_bench.protocol.errors import RigError
@@ -28,8 +29,8 @@ def _cache() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "rx90_emulator" / "firmware"
 
 
-def compile_core(sources: Path, library: Path) -> None:
-    """Compile the firmware in `sources` for this computer into `library`.
+def compile_core(sources: Path, library: Path, figures: Mapping[str, int]) -> None:
+    """Compile the firmware in `sources` for this computer into `library`; `figures` replace those of rig_config.h.
 
     Raises:
         RigError: if there is no C compiler or it refuses the sources.
@@ -38,6 +39,7 @@ def compile_core(sources: Path, library: Path) -> None:
     if not compiler:
         raise RigError("the emulated rig runs the real firmware and needs a C compiler: none found as cc or gcc")
     command = [*compiler.split(), "-std=c11", "-O2", "-fPIC", "-shared", f"-I{sources / 'core'}"]
+    command += [f"-D{name}={value}u" for name, value in figures.items()]
     command += [str(sources / name) for name in _SOURCES] + ["-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -45,18 +47,21 @@ def compile_core(sources: Path, library: Path) -> None:
         raise RigError(f"the C compiler {compiler} refused the firmware: {reason}")
 
 
-def native_library() -> Path:
-    """Return the compiled firmware, building it where these sources were not built before."""
+def native_library(figures: Mapping[str, int] | None = None) -> Path:
+    """Return the compiled firmware, building it where these sources were not built with these figures before."""
+    figures = figures or {}
     sources = firmware_directory()
     digest = hashlib.sha256()
     for name in (*_SOURCES, *_HEADERS):
         digest.update((sources / name).read_bytes())
+    if figures:
+        digest.update(repr(sorted(figures.items())).encode())
     library = _cache() / f"librig_{digest.hexdigest()[:16]}.so"
     if not library.exists():
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             fresh = Path(folder) / library.name
-            compile_core(sources, fresh)
+            compile_core(sources, fresh, figures)
             fresh.replace(library)  # atomic: two programs may build at the same time
     return library
 

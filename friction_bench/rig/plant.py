@@ -11,17 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.friction.bristle import bristle_step, load_elements, one_element
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
+from friction_bench.rig.joint_parts import RigJoint, joint_record, start, turn_with_parts
+from friction_bench.rig.shaft import BRISTLE_STEPS, Shaft, turn
+from rx90_common.friction.bristle import bristle_step, one_element
 from rx90_common.friction.element import FrictionElement, element_arrays
-from rx90_common.friction.parts.bristles import fill_bristles
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import lane, load, store
 
 
 @dataclass(frozen=True)
@@ -32,12 +30,8 @@ class JointFriction:
     viscous: float
 
 
-class Shaft(NamedTuple):
-    """What turns, at the motor: inertia, kg m², Coulomb friction, Nm, and viscous friction, Nm s/rad."""
-
-    inertia: float
-    coulomb: float
-    viscous: float
+PART_PERIOD = 1e-3
+"""Time for which the torque is held, s: the slice in which firmware and plant exchange theirs."""
 
 
 @dataclass(frozen=True)
@@ -81,39 +75,6 @@ class PlantParameters:
 
 
 @kernel
-def turn(angle: float, speed: float, torque: float, shaft: Shaft, dt: float) -> tuple[float, float]:
-    """Advance J w' = torque - f_v w - f_c sgn w over `dt` with a constant torque, exactly.
-
-    Returns angle and speed. A body that comes to rest stays there unless the torque exceeds f_c.
-    """
-    left = dt
-    for _ in range(2):  # at most one reversal: torque is constant
-        sign = 1.0 if speed > 0.0 or (speed == 0.0 and torque > 0.0) else -1.0
-        if speed == 0.0 and abs(torque) <= shaft.coulomb:
-            return angle, 0.0
-        final = (torque - sign * shaft.coulomb) / shaft.viscous
-        tau = shaft.inertia / shaft.viscous
-        run = left
-        stops = speed * final < 0.0
-        if stops:
-            rest = tau * math.log((final - speed) / final)
-            stops = rest < left
-            run = min(rest, left)
-        decay = math.exp(-run / tau)
-        angle += final * run + (speed - final) * tau * (1.0 - decay)
-        speed = final + (speed - final) * decay
-        if not stops:
-            return angle, speed
-        speed = 0.0
-        left -= run
-    return angle, speed
-
-
-_BRISTLE_STEPS = 20
-"""Substeps of a slice with LuGre friction: 50 µs, a sixtieth of the stiffest joint's period."""
-
-
-@kernel
 def turn_with_joint(
     angle: float,
     speed: float,
@@ -128,45 +89,12 @@ def turn_with_joint(
 
     Returns angle, speed and bristle deflection.
     """
-    step, element = dt / _BRISTLE_STEPS, one_element(joint[0], 0)
+    step, element = dt / BRISTLE_STEPS, one_element(joint[0], 0)
     ratio, efficiency = gear
-    for _ in range(_BRISTLE_STEPS):
+    for _ in range(BRISTLE_STEPS):
         z, friction = bristle_step(element, z, speed / ratio, step)
         angle, speed = turn(angle, speed, torque - friction / (ratio * efficiency), shaft, step)
     return angle, speed, z
-
-
-_BRISTLED = np.dtype(
-    [("kinds", bristles_dtype(1)), ("state", bristles_state_dtype(1)), ("z", np.float64, 1), ("speed", np.float64, 1)],
-    align=True,
-)
-
-
-@kernel
-def turn_with_bristles(
-    angle: float,
-    speed: float,
-    bristled: NDArray[np.void],
-    torque: float,
-    shaft: Shaft,
-    gear: tuple[float, float],
-    joint: NDArray[np.void],
-    dt: float,
-) -> tuple[float, float]:
-    """Advance as `turn_with_joint`, with bristles of another kind, whose record is advanced in place.
-
-    Returns angle and speed.
-    """
-    step, element, record = dt / _BRISTLE_STEPS, load_elements(joint[0], 1), bristled[0]
-    ratio, efficiency = gear
-    for _ in range(_BRISTLE_STEPS):
-        record.speed[0] = speed / ratio
-        z, friction = bristles_step(
-            element, record.kinds, record.state, load(record.z, 1), load(record.speed, 1), step, 1
-        )
-        store(record.z, z)
-        angle, speed = turn(angle, speed, torque - lane(friction, 0) / (ratio * efficiency), shaft, step)
-    return angle, speed
 
 
 class RigPlant:
@@ -175,17 +103,22 @@ class RigPlant:
     Args:
         parameters: the rig.
         counts_per_revolution: of the encoder on the motor's shaft.
-        seed: of amplifier, converter and encoder phase.
+        seed: of amplifier, converter, encoder phase and the joint's scatter.
+        counts_down: the encoder tells the direction; else its edges count up in both.
     """
 
-    def __init__(self, parameters: PlantParameters, counts_per_revolution: int, seed: int) -> None:
+    def __init__(
+        self, parameters: PlantParameters, counts_per_revolution: int, seed: int, counts_down: bool = False
+    ) -> None:
         self.parameters = parameters
+        self._counts_down = counts_down
+        self._joint: RigJoint | None = None
         self.angle = self.torque = 0.0
+        self.load(False)
         joint = parameters.joint
         self._element = element_arrays((joint,)) if isinstance(joint, FrictionElement) else None
-        self._bristled = np.zeros(1, _BRISTLED)
-        self._other = isinstance(joint, FrictionElement) and joint.bristles is not None
-        self.load(False)
+        if isinstance(joint, FrictionElement) and joint.parts:
+            self._joint = joint_record(joint, parameters.gear_ratio, PART_PERIOD, seed)
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()
@@ -197,10 +130,9 @@ class RigPlant:
         """Couple the revolute joint to the load shaft, or take it off; the shaft is at rest then."""
         self.loaded = loaded
         self.speed = self.bristle = 0.0
-        self._bristled[:] = 0
-        if isinstance(self.parameters.joint, FrictionElement):
-            fill_bristles(self._bristled[0]["kinds"], [self.parameters.joint.bristles])
         self._shaft = self.parameters.shaft(loaded)
+        if self._joint is not None:
+            start(self._joint)
 
     def _normal(self) -> float:
         for value in self._noise:
@@ -221,27 +153,30 @@ class RigPlant:
         return max(0.0, min(self._gain * command + noise, highest))
 
     def advance(self, command: float, dt: float) -> int:
-        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time."""
+        """Hold the commanded torque, Nm, for `dt` seconds; return the encoder counts in that time.
+
+        They are negative where the motor turned back, if the encoder tells the direction.
+        """
         self.torque = self.motor_torque(command, dt)
         self._move(dt)
         count = math.floor(self.angle * self._scale + self._phase)
-        edges = abs(count - self._last_count)
+        edges = count - self._last_count
         self._last_count = count
-        return edges
+        return edges if self._counts_down else abs(edges)
 
     def _move(self, dt: float) -> None:
         state = self.angle, self.speed
-        if self.loaded and self._element is not None:
-            gear = self.parameters.gear_ratio, self.parameters.gear_efficiency
-            if self._other:
-                self.angle, self.speed = turn_with_bristles(
-                    *state, self._bristled, self.torque, self._shaft, gear, self._element, dt
-                )
-                self.bristle = float(self._bristled["z"][0, 0])
-            else:
-                self.angle, self.speed, self.bristle = turn_with_joint(
-                    *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
-                )
+        p = self.parameters
+        gear = p.gear_ratio, p.gear_efficiency
+        if self.loaded and self._joint is not None:
+            beyond = p.load_inertia + p.joint_inertia
+            self.angle, self.speed, self.bristle = turn_with_parts(
+                (*state, self.bristle), self.torque, self._shaft, gear, beyond, self._joint, dt
+            )
+        elif self.loaded and self._element is not None:
+            self.angle, self.speed, self.bristle = turn_with_joint(
+                *state, self.bristle, self.torque, self._shaft, gear, self._element, dt
+            )
         else:
             self.angle, self.speed = turn(*state, self.torque, self._shaft, dt)
 

@@ -12,7 +12,7 @@ from friction_bench.protocol.errors import RigInputError
 from friction_bench.protocol.messages import HelloReply
 from friction_bench.rig.plant import JointFriction, PlantParameters
 from rx90_common.base.config import load_yaml
-from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers
+from rx90_common.base.entries import LEFT_OUT, Integer, Number, Numbers, Switch
 from rx90_common.base.groups import Group, Variants
 from rx90_common.base.section import Section
 from rx90_common.friction.element import FrictionElement
@@ -82,6 +82,10 @@ RIG = Group(
     "A friction rig: scales, limits and default ramps; motor side unless a key says load.",
     keys={
         "counts_per_revolution": Integer("Encoder counts per turn of the motor.", low=1, high=65535),
+        "counts_down": Switch(
+            "Whether the counts go down when the motor turns back; a firmware built with COUNTS_DOWN does that.",
+            default=False,
+        ),
         "tick_us": Integer("Period of the firmware's reports.", "us", low=1000, high=65535),
         "baud": Integer("Rate of the serial line.", "baud", low=1200, high=1_000_000),
         "gear": Group(
@@ -146,6 +150,7 @@ class Rig:
 
     Attributes:
         counts_per_revolution: encoder counts per turn of the motor.
+        counts_down: they go down when it turns back.
         tick: period of the reports, s.
         efficiency_uncertainty: standard uncertainty of the gear's efficiency.
         scale_uncertainty: relative standard uncertainty of the torque scale.
@@ -156,6 +161,7 @@ class Rig:
 
     file: Path
     counts_per_revolution: int
+    counts_down: bool
     tick: float
     baud: int
     gear_ratio: float
@@ -168,6 +174,23 @@ class Rig:
     speed_limit: float
     ramps: RampPlan
     plant: PlantParameters | None
+
+    @property
+    def firmware_figures(self) -> dict[str, int]:
+        """Return the figures that the firmware of an emulated rig is built for, where they are not the shipped ones."""
+        if not self.counts_down:
+            return {}
+        return {"COUNTS_PER_REV": self.counts_per_revolution, "COUNTS_DOWN": 1, "MAX_SPEED": self.limit_codes()[1]}
+
+    @property
+    def joint_step(self) -> float:
+        """Return what one count stands for at the joint, rad."""
+        return math.tau / self.counts_per_revolution / self.gear_ratio
+
+    @property
+    def joint_scale(self) -> float:
+        """Return the torque at the joint for 1 Nm of the motor that drives it."""
+        return self.gear_ratio * self.gear_efficiency
 
     def torque(self, dac_code: float) -> float:
         """Return the commanded torque, Nm, of a DAC code."""
@@ -223,7 +246,9 @@ class Rig:
 def _friction(section: Section, content: dict[str, Any]) -> JointFriction | FrictionElement:
     if content["model"] == "lugre":
         element = read_element(section.section("lugre"))
-        refuse_parts({"lugre": element}, "the emulated rig", section.where(""))
+        # A run on the rig lasts minutes, and its joint does not warm in them; temperatures are a robot's.
+        held = [part for part in element.parts if part != "temperature"]
+        refuse_parts({"lugre": element}, "the emulated rig", section.where("").removesuffix("lugre."), held)
         return element
     return JointFriction(content["coulomb"], content["viscous"])
 
@@ -255,6 +280,7 @@ def load_rig(path: Path) -> Rig:
     return Rig(
         file=path,
         counts_per_revolution=content["counts_per_revolution"],
+        counts_down=content["counts_down"],
         tick=content["tick_us"] * 1e-6,
         baud=content["baud"],
         gear_ratio=gear["ratio"],

@@ -10,6 +10,7 @@ from rx90_common.exchange.topics import (
     MOTOR_CURRENT,
     PARAMETERS,
     REFERENCE_ACCELERATION,
+    TEMPERATURES,
     TRAJECTORY_ACCEPTED,
 )
 
@@ -18,6 +19,7 @@ CLOCK: Final = "rosgraph_msgs/msg/Clock"
 STRING: Final = "std_msgs/msg/String"
 JOINT_TRAJECTORY: Final = "trajectory_msgs/msg/JointTrajectory"
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+TEMPERATURE: Final = "sensor_msgs/msg/Temperature"
 PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 
 
@@ -29,6 +31,7 @@ USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
 SUITE_TOPICS: Final = (
     "joint_states",
     "friction_states",
+    TEMPERATURES,
     "motor_states",
     "motor_commands",
     "rx90_controller/joint_trajectory",

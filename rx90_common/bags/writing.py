@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, POINT_FIELDS, STRING, absolute
+from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, POINT_FIELDS, STRING, TEMPERATURE, absolute
 from rx90_common.bags.whole import SeriesEncoder, encoded, named_at_the_end
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain, quoted
@@ -260,6 +260,14 @@ def string_message(topic: str, text: str) -> RawMessage:
     """Return a latched std_msgs/String, such as robot_description."""
     content = typestore().types[STRING](data=text)
     return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
+
+
+def temperature_message(topic: str, stamp_ns: int, element: str, temperature: float) -> RawMessage:
+    """Return a sensor_msgs/Temperature, degrees Celsius, of a friction element."""
+    types = typestore().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NANOSECONDS)), element)
+    message = types[TEMPERATURE](header, temperature, 0.0)
+    return RawMessage(topic, TEMPERATURE, stamp_ns, bytes(typestore().serialize_cdr(message, TEMPERATURE)))
 
 
 def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:

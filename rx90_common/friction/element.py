@@ -18,6 +18,7 @@ from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.table import PARTS
+from rx90_common.friction.parts.temperature import TemperaturePart
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,12 @@ class FrictionElement:
         omega_d: velocity in the fading c1 exp(-(v/omega_d)^2), rad/s.
         alpha: viscous exponent, 1.
         load: friction that grows with the transmitted torque; None is off, as for the parts below.
+        temperature: viscous and static friction by the temperature of the joint, which friction heats.
         ripple: friction that changes with the angles of joint and motor.
         scatter: a slow random walk of the friction.
         bristles: of another kind than LuGre's, in place of equation 17.
 
-    The curves below are those without load, in the mean over angle and scatter.
+    The curves below are those without load, at the reference temperature, in the mean over angle and scatter.
 
     Raises:
         ConfigError: for a value that is not finite or not in its range.
@@ -66,6 +68,7 @@ class FrictionElement:
     omega_d: float = math.inf
     alpha: float = 1.0
     load: LoadPart | None = None
+    temperature: TemperaturePart | None = None
     ripple: RipplePart | None = None
     scatter: ScatterPart | None = None
     bristles: BristlesPart | None = None
@@ -135,9 +138,11 @@ class FrictionElement:
 
     def _least_dissipation(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return 4 c0 g, or what other bristles have there, Nm, with the sign and the parts that leave least of it."""
-        least = math.prod(part.least_factor for part in self.parts.values())
+        weakest, least = self, 1.0
+        for part in self.parts.values():
+            weakest, least = part.weakest(weakest), least * part.least_factor
         share = LUGRE_SHARE if self.bristles is None else self.bristles.passive_share(self.c0, speed)
-        return share * least * np.minimum(self.sliding_torque(speed), self.sliding_torque(-speed))
+        return share * least * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

@@ -58,7 +58,7 @@ class FrictionSet:
             limit = element.passivity_limit(speed)
             if math.isfinite(limit):
                 accepted = element.passive_damping(speed)
-                reducing = [name for name, part in element.parts.items() if part.least_factor < 1.0]
+                reducing = [name for name, part in element.parts.items() if part.leaves_less]
                 least = f", where {' and '.join(reducing)} leave least friction" if reducing else ""
                 blocks = isinstance(element.bristles, MaxwellSlip)
                 bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"

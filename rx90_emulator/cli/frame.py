@@ -28,6 +28,7 @@ from rx90_emulator.cli.node import NODES
 EXECUTABLES = {
     **dict.fromkeys(NODES, "rx90_emulator.cli.node"),
     "friction_ramp": "rx90_emulator.cli.friction_ramp",
+    "friction_presliding": "rx90_emulator.cli.friction_presliding",
     "friction_rig_emulator": "rx90_emulator.cli.friction_rig_emulator",
     "rx90_bag": "rx90_emulator.cli.bag",
     "rx90_config": "rx90_emulator.cli.config",

@@ -39,6 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where the arm rests at time 0 (of a trajectory its first point, of a bag the first joint_states)",
     )  # fmt: skip
     parser.add_argument("--start-time", type=FINITE, help="start of the task or trajectory, s (0)")
+    parser.add_argument(
+        "--hours", type=FINITE, metavar="H",
+        help="run the task there and back for so long, as the joints get warm: friction and path error over a working "
+        "day; for friction with temperature",
+    )  # fmt: skip
+    parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of it (.png, .svg); must not exist")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
     parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
@@ -77,6 +83,7 @@ def main(options: argparse.Namespace) -> None:
     _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
+    from rx90_emulator.cli.run_hours import run_hours, warn_of_heat
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
@@ -88,7 +95,11 @@ def main(options: argparse.Namespace) -> None:
         setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
     for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
         print(f"rx90_run: warning: {line}", file=sys.stderr)
+    if options.hours is not None:
+        run_hours(setup, options)
+        return
     result = _simulate(setup, options)
+    warn_of_heat(setup, result.slow.temperatures)
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
@@ -105,6 +116,9 @@ def _check(options: argparse.Namespace) -> None:
     Raises:
         ConfigError: naming the option.
     """
+    from rx90_emulator.cli.run_hours import check_hours
+
+    check_hours(options)
     if options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
     if options.from_bag is not None and options.start_time is not None:

@@ -18,6 +18,7 @@ from rx90_emulator.loop.result import FastSeries, MotionCommand, RunResult, Slow
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import friction_states, plant_step
+from rx90_sim.winding import warm_motors
 
 TRIPPED = -2
 """How a run ends in which the controller's supervision cuts the power."""
@@ -56,6 +57,7 @@ def run_ticks(
     """
     state, law = plant_states[0], law_states[0]
     gear = laws[0].gear
+    second = round(1.0 / plants[0].period)
     for k in range(first, first + ticks):
         row = k // ratio
         slow_tick = k % ratio == 0
@@ -79,6 +81,8 @@ def run_ticks(
             slow.details[row, 0] = setpoints[row, 2]
             slow.details[row, 1] = law.commanded
             slow.details[row, 2] = law.current
+        if slow.temperatures.shape[0] > 0 and k % second == 0:
+            slow.temperatures[k // second] = state.parts.temperature.temperature
         if fast.motor_commands.shape[0] > 0:
             fast.motor_states[k, 0] = state.motor_position
             fast.motor_states[k, 1] = state.motor_velocity
@@ -155,13 +159,13 @@ def simulate_commands(
     plant, controller = setup.plant(substeps), setup.cs7b()
     plant.reset(initial_position)
     controller.reset(plant.motor_states()[0])
-    fast, slow = empty_series(ticks, rates.ratio, record_fast)
-    setpoints = _setpoints(controller.trajectory, commands, len(slow.joint_states))
+    fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.base_hz if plant.temperatures.elements else 0)
+    setpoints = setpoints_of(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
     return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands))
 
 
-def _setpoints(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
+def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:
     """Return the set-points of `count` position ticks, shape (count, 3, 6)."""
     parts, at = [], 0
     for start, points in commands:
@@ -194,6 +198,6 @@ def run_setpoints(
         plant.raise_divergence(end)
     if end == TRIPPED:
         controller.note_fault()
-        warm = plant.warm_motors()
+        warm = warm_motors(plant.constants, plant.winding_temperatures())
         cut = f"{controller.fault}; the controller's supervision has cut the power"
         raise SupervisionError(f"{cut}; {warm}" if warm else cut)

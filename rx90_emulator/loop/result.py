@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
+    TEMPERATURES,
     TRAJECTORY_ACCEPTED,
 )
 from rx90_controller.trajectory import TrajectoryPoints
@@ -51,6 +53,7 @@ class SlowSeries(NamedTuple):
         reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
         tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
         details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, 6).
+        temperatures: of the friction elements, degrees Celsius, once a second, shape (k, 7); k is 0 where none has one.
     """
 
     joint_states: Array
@@ -58,10 +61,11 @@ class SlowSeries(NamedTuple):
     reference: Array
     tracking_error: Array
     details: Array
+    temperatures: Array
 
 
-def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries, SlowSeries]:
-    """Return arrays for a run of `ticks` base ticks.
+def empty_series(ticks: int, ratio: int, record_fast: bool, base_hz: int = 0) -> tuple[FastSeries, SlowSeries]:
+    """Return arrays for a run of `ticks` base ticks; temperatures are kept if `base_hz` says how often, once a second.
 
     Raises:
         FailureError: if they do not fit into memory.
@@ -70,7 +74,9 @@ def empty_series(ticks: int, ratio: int, record_fast: bool) -> tuple[FastSeries,
     fast_rows = ticks if record_fast else 0
     try:
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
-        slow = SlowSeries(*(np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6)))
+        joints, friction, *others = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
+        warmth = np.empty((-(-ticks // base_hz) if base_hz else 0, 7))
+        slow = SlowSeries(joints, friction, others[0], others[1], others[2], warmth)
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -154,13 +160,18 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     """
     check_type(run=(run, RunResult))
     # Here, because it takes as long as the plant's import.
-    from rx90_common.bags.writing import string_message, trajectory_message, write_joint_states
+    from rx90_common.bags.writing import string_message, temperature_message, trajectory_message, write_joint_states
 
     names, period_ns = run.setup.robot.joint_names, run.setup.rates.period_ns * run.setup.rates.ratio
     others = [string_message("/robot_description", run.setup.robot.urdf)]
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
         others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
+    for second, row in enumerate(run.slow.temperatures):
+        for i, element in enumerate(run.setup.friction.elements):
+            if element.temperature is not None:
+                name = run.setup.friction.names[i]
+                others.append(temperature_message(f"/{TEMPERATURES}", second * NANOSECONDS, name, float(row[i])))
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
@@ -173,7 +184,8 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
 
     The series are named as the topics, less their node. `time [s]`, shape (m,), belongs to those on position ticks,
     shape (m, joints); `detail time [s]` to set-point acceleration and currents, on every tenth of these; `base time
-    [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run kept them.
+    [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run kept them; `temperature time
+    [s]` to `temperature [degC]`, shape (k, elements), which is there if an element has one (0 for the others).
 
     Raises:
         Rx90Error: if the file cannot be written.
@@ -184,6 +196,9 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "time [s]": run.times,
         "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
+    if len(run.slow.temperatures):
+        arrays["temperature time [s]"] = np.arange(len(run.slow.temperatures), dtype=np.float64)
+        arrays["temperature [degC]"] = run.slow.temperatures
     for topic, series in run.series.items():
         if topic == MOTOR_STATES:
             ticks = np.arange(len(series.stamp_ns), dtype=np.float64)

@@ -21,6 +21,7 @@ from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, TIME_MODE
 from rx90_sim.node.parameters import SimulationParameters, build_plant
 from rx90_sim.node.ticks import Ticks
 from rx90_sim.node.transforms import Transforms
+from rx90_sim.winding import warm_motors
 
 _REQUEST_TIMEOUT = 5.0  # s
 
@@ -143,7 +144,10 @@ class SimulatedArm:
             "brakes": "closed" if plant.brakes_closed else "open",
             "saturated ticks": " ".join(str(n) for n in plant.saturated),
         }
-        warm = plant.warm_motors()
+        texts = warm_motors(plant.constants, plant.winding_temperatures()), plant.temperatures.beyond_law()
+        warm = "; ".join(text for text in texts if text)
+        if plant.temperatures.elements:
+            values["joints, °C"] = " ".join(f"{plant.temperatures.now[i]:.1f}" for i in plant.temperatures.elements)
         if plant.constants["winding"]["used"][0]:
             values["windings, °C"] = " ".join(f"{one:.1f}" for one in plant.winding_temperatures())
         if warm and not self._warm:

@@ -29,6 +29,7 @@ class SimulationParameters:
     rates: Rates
     joint_state_rate: int
     clock_rate: int
+    temperature_rate: int
     tf_rate: int
     time_mode: str
     real_time_factor: float
@@ -65,6 +66,9 @@ def read_parameters(node: Node) -> SimulationParameters:
             node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
         ),
         clock_rate=declare(node, "clock_rate", 50, "rate of /clock, Hz", low=1, high=20000),
+        temperature_rate=declare(
+            node, "temperature_rate", 1, "rate of temperatures, of joints whose friction has one, Hz", low=1, high=20000
+        ),
         tf_rate=declare(
             node, "tf_rate", 0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them",
             low=0, high=20000,

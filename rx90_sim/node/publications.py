@@ -13,12 +13,13 @@ from rx90_common.exchange.qos import CLOCK_QOS, STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
 from rx90_sim.node.parameters import SimulationParameters
 from rx90_sim.node.sampled_states import SampledStates
+from rx90_sim.node.temperatures import Temperatures
 from rx90_sim.node.transforms import Transforms
 from rx90_sim.plant import Plant
 
 
 class Publications:
-    """joint_states, friction_states, /clock and, where there are any, the transforms; called by the ticking thread."""
+    """The states, temperatures, /clock and, where there are any, the transforms; called by the ticking thread."""
 
     def __init__(
         self, node: Node, plant: Plant, parameters: SimulationParameters, transforms: Transforms | None
@@ -39,13 +40,14 @@ class Publications:
         self._friction = publish(node, JointState, "friction_states", STATE_QOS.profile)
         self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
         self._sampled = SampledStates(node, plant, rates)
+        self._temperatures = Temperatures(node, plant, parameters)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
 
     @property
     def publishers(self) -> tuple[Publisher, ...]:
         """Return the publishers."""
-        own = (self._joints, self._friction, self._clock, *self._sampled.publishers)
+        own = (self._joints, self._friction, self._temperatures.publisher, self._clock, *self._sampled.publishers)
         return own if self._transforms is None else (*own, self._transforms.publisher)
 
     def publish_due(self) -> None:
@@ -63,6 +65,7 @@ class Publications:
                 self._friction_sample = self._encode_friction(stamp)
                 self._friction.publish(self._friction_sample)
         self._sampled.publish_due(tick)
+        self._temperatures.publish_due(tick)
         if self._transforms is not None:
             self._transforms.publish_due(tick, stamp)
         if tick % self._clock_ticks == 0:

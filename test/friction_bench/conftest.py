@@ -185,7 +185,7 @@ def mutant(tmp_path: Path) -> Callable[[str, str, str], NativeBoard]:
     def build(file: str, old: str, new: str) -> NativeBoard:
         sources = mutate(tmp_path / "mutant", file, old, new)
         library = tmp_path / "mutant.so"
-        compile_core(sources, library)
+        compile_core(sources, library, {})
         return NativeBoard(library=library)
 
     return build

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from friction_bench.rig.plant import RigPlant
 from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import config_path
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
@@ -53,6 +55,16 @@ def test_each_kind_deflects_by_its_own_curve() -> None:
     assert deflection(BLOCKS, load) == pytest.approx((load - 0.2 * 0.9) / (0.4 * 2e3), rel=0.005)
 
 
+def test_the_rig_s_file_takes_bristles(tmp_path: Path) -> None:
+    """The joint of a rig's file may have other bristles than LuGre's."""
+    shipped = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    file, block = tmp_path / "rig.yaml", "bristles: {kind: elasto_plastic, break_away: 0.7}"
+    file.write_text(shipped.replace("omega_d: 1.0}", f"omega_d: 1.0, {block}}}"), encoding="utf-8")
+    joint = load_rig(file).plant.joint
+    assert isinstance(joint, FrictionElement)
+    assert joint.bristles == ElastoPlastic(0.7)
+
+
 def test_a_joint_put_on_again_begins_anew() -> None:
     """Taking the joint off and on forgets the deflections: the same torques give the same motion to the last bit."""
     plant, paths = rig(BLOCKS), []
@@ -65,3 +77,16 @@ def test_a_joint_put_on_again_begins_anew() -> None:
             paths[-1].append((plant.angle, plant.speed, plant.bristle))
     assert paths[0] == paths[1]
     assert paths[0][-1][2] > 0.0
+
+
+def test_a_joint_that_warms_is_refused(tmp_path: Path) -> None:
+    """The emulated rig's joint has no temperature: a rig file with that part is refused in one line."""
+    warm = (
+        "temperature: {reference: 30, lowest: 0, highest: 90, start: 25, ambient: 25, capacity: 100, resistance: 1, "
+        "viscous_scale: 20}"
+    )
+    text = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "rig.yaml"
+    file.write_text(text.replace("omega_d: 1.0}", f"omega_d: 1.0, {warm}}}"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"joint_friction\.lugre\.temperature: the emulated rig cannot hold this"):
+        load_rig(file)

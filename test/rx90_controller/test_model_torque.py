@@ -165,6 +165,20 @@ def test_at_rest_nothing_of_it_moves(shipped: Setup) -> None:
     assert np.all(friction[:4] > 0.9 * np.array([e.tau_c_positive for e in shipped.friction.elements[:4]]))
 
 
+def test_a_reset_begins_with_undeflected_bristles(shipped: Setup) -> None:
+    """After motion and a reset, a resting controller feeds nothing forward for friction; without the reset it does."""
+    controller = by_model(shipped, inverse_dynamics=False).cs7b()
+    here = np.zeros(6)
+    controller.reset(here)
+    for setpoint in moving(shipped, np.full((50, 6), 0.05)):
+        position_loop(controller.law, controller.state, setpoint, here, here)
+    controller.step(here, here)
+    assert np.all(np.abs(controller.reference()[2]) > 0.5)
+    controller.reset(here)
+    controller.step(here, here)
+    assert np.array_equal(controller.reference()[2], np.zeros(6))
+
+
 def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
     """Hold a pose for ticks, then for as many with another controller's constants.
 

@@ -9,10 +9,8 @@ from shutil import copytree
 
 import numpy as np
 import pytest
-import yaml
 
 import rx90_emulator as rx
-from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.errors import REFUSED, Rx90Error
 from rx90_common.base.share import config_path
 from rx90_controller.trajectory import TrajectoryPoints
@@ -24,7 +22,11 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import prepare
 from rx90_emulator.view.panel.element_model import changed
 
-PARTS = {"load": rx.LoadPart(0.05, 0.1), "scatter": rx.ScatterPart(0.05, 0.2)}
+PARTS = {
+    "load": rx.LoadPart(0.05, 0.1),
+    "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 9000.0, 0.4, 20.7, 0.3),
+    "scatter": rx.ScatterPart(0.05, 0.2),
+}
 
 
 @pytest.fixture
@@ -86,20 +88,6 @@ def test_a_ramp_test_does_not_replace_an_element_with_parts(
     told = "elements.joint_2.load: the element that a ramp test replaces cannot hold this part"
     assert told in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_an_emulated_rig_refuses_parts(tmp_path: Path) -> None:
-    """A rig file's element with a part is refused by file and path."""
-    text = config_path("rig/gm8224_lugre.yaml").read_text(encoding="utf-8")
-    path = tmp_path / "rig.yaml"
-    content = yaml.safe_load(text)
-    content["emulation"]["joint_friction"]["lugre"]["load"] = {"driving": 0.1, "driven": 0.1}
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    with pytest.raises(Rx90Error) as caught:
-        load_rig(path)
-    assert str(caught.value) == (
-        f"{path}: emulation.joint_friction.lugre.load: the emulated rig cannot hold this part; accepted: left out"
-    )
 
 
 def test_a_value_changed_by_hand_leaves_the_parts(parted_file: Path) -> None:

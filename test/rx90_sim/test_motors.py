@@ -16,7 +16,7 @@ from rx90_common.description.cogging import Cogging
 from rx90_common.description.winding import COPPER, Windings
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
-from rx90_sim.winding import WINDING_DTYPE, fill_windings, warm_windings
+from rx90_sim.winding import WINDING_DTYPE, current_shares, fill_windings, warm_windings
 
 Array = NDArray[np.float64]
 TERMS = Cogging(
@@ -169,7 +169,7 @@ def test_the_amplifier_folds_back(shipped: Setup) -> None:
     share = np.clip((140.0 - hot) / 20.0, 0.0, 1.0)
     assert plant.motor_states()[2] == pytest.approx(peak * share, abs=1e-12)
     assert plant.saturated.tolist() == [1] * 6
-    assert plant.current_shares() == pytest.approx(
+    assert current_shares(plant.constants, plant.winding_temperatures()) == pytest.approx(
         np.clip((140.0 - plant.winding_temperatures()) / 20.0, 0.0, 1.0), abs=1e-12
     )
     plant.reset(np.zeros(6))
@@ -186,7 +186,7 @@ def test_cold_windings_stay_cold(shipped: Setup) -> None:
     for _ in range(10):
         plant.step(10.0 * shipped.drives.peak_torque)
     assert np.all(plant.winding_temperatures() == 20.0)
-    assert plant.current_shares().tolist() == [1.0] * 6
+    assert current_shares(plant.constants, plant.winding_temperatures()).tolist() == [1.0] * 6
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ def run_both_ways(
     of_simulation = {
         "initial_position": pose, "duration": START + plan.duration, "paused": True,
         "real_time_factor": 0.5 if rests else 0.0, "robot": str(files.urdf.parent),
-        "friction": files.text("friction"), "seed": setup.seed,
+        "friction": files.text("friction"), "seed": setup.seed, "temperature_rate": 10,
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
     of_controller |= {f"feed_forward.{name}": True for name in switches}

@@ -13,7 +13,8 @@ from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
 from rx90_common.friction.parts.scatter import advance_scatter
-from rx90_common.friction.parts.step import parts_step, reset_parts
+from rx90_common.friction.parts.step import parts_energy, parts_step, reset_parts
+from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 
@@ -45,7 +46,7 @@ class Seven(NamedTuple):
 @kernel
 def begin(parts: Record, states: Record, transmitted: Array) -> None:
     """Let the parts begin with transmitted torques, Nm, shape (7,)."""
-    reset_parts(parts[0], states[0], load(transmitted, 7))
+    reset_parts(parts[0], states[0], load(transmitted, 7), 7)
 
 
 @kernel
@@ -66,7 +67,11 @@ def follow(seven: Seven, motion: Array, step: float, torque: Array, stored: Arra
         )
         store(z, deflection)
         store(torque[k], mean)
-        store(stored[k], 0.5 * load(elements.c0, 7) * deflection * deflection)
+        energy = parts_energy(elements, parts, state, deflection, 7)
+        store(stored[k], energy)
+        if parts.temperature.used:
+            add_work(state.temperature, mean, load(motion[k, 1], 7), step, 7)
+            advance_temperatures(parts.temperature, state.temperature, energy, 0.0 * energy, step, 7)
         advance_load(parts.load, state, load(motion[k, 2], 7), step, 7)
         advance_scatter(parts.scatter, state)
 

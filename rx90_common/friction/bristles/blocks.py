@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, load
@@ -41,3 +42,12 @@ def load_blocks(arrays: Any, index: int) -> MaxwellBlocks:
     return MaxwellBlocks(
         load(arrays.stiffness[index], MOST_BLOCKS), load(arrays.reach[index], MOST_BLOCKS), arrays.attraction[index]
     )
+
+
+@inlined
+def weighted_squares(arrays: Any, index: int, state: NDArray[np.float64]) -> float:
+    """Return the sum of stiffness, in parts of c0, times squared deflection, rad^2, over the blocks of one element."""
+    total = 0.0
+    for k in range(MOST_BLOCKS):
+        total += arrays.stiffness[index, k] * state[0, k] * state[0, k]
+    return total

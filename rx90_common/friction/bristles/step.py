@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rx90_common.friction.bristle import Elements, bristle_step, friction_torque
-from rx90_common.friction.bristles.blocks import MOST_BLOCKS, blocks_dtype
+from rx90_common.friction.bristles.blocks import MOST_BLOCKS, blocks_dtype, weighted_squares
 from rx90_common.friction.bristles.elasto_plastic import elasto_plastic_step, elasto_plastic_torque
 from rx90_common.friction.bristles.maxwell_slip import maxwell_slip_step, maxwell_slip_torque
 from rx90_common.kernels.compiled import inlined
@@ -116,3 +116,16 @@ def bristles_torque(element: Elements, kinds: Any, state: Any, z: Lanes, velocit
                 )
         torque = load(state.torque, width)
     return torque
+
+
+@inlined
+def bristles_energy(c0: Lanes, kinds: Any, state: Any, z: Lanes, width: int) -> Lanes:
+    """Return what the bristles of all elements store, J, for their stiffnesses c0, Nm/rad, and deflections, rad."""
+    energy = 0.5 * c0 * z * z
+    if kinds.blocks_used:
+        store(state.torque, energy)
+        for e in range(width):
+            if kinds.blocked[e]:
+                state.torque[e] = 0.5 * lane(c0, e) * weighted_squares(kinds.blocks, e, state.blocks[e])
+        energy = load(state.torque, width)
+    return energy

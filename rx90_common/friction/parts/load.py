@@ -8,6 +8,9 @@
 dir is `driving` where l v >= 0: the motor moves the link; `driven` elsewhere: the link moves the motor, as in lowering
 a mass. At v = 0 it is `driving`.
 
+With `omega_s` the load's share of the static torque fades with a Stribeck velocity of its own, whatever the element's:
+(s |l| + m l^2) exp(-(|v| / omega_s)^delta) comes to the sliding torque, as Bittencourt and Gunnarsson have it.
+
 k and s are Bittencourt and Gunnarsson's F_c,tau and F_s,tau (2012, Static friction in a robot joint, J. Dyn. Sys. Meas.
 Control 134(5) 051013), which have one value for both directions. Duclusaud and others (2024, Extended friction models
 for the physics simulation of servo actuators, arXiv 2410.08650) write their load as the torque on the gears,
@@ -43,7 +46,7 @@ from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.groups import Group
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
-from rx90_common.kernels.elementary import exponential
+from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
 
 DIRECTIONS = ("driving", "driven")
@@ -63,6 +66,9 @@ _TABLE = Group(
         "stribeck_driven": _coefficient("Share by which static torque grows beyond driven.", default=0.0),
         "quadratic_driving": _quadratic("Growth of static torque by the square of the load torque, driving."),
         "quadratic_driven": _quadratic("Growth of static torque by the square of the load torque, driven."),
+        "omega_s": Number(
+            "Stribeck velocity of the load's share; 0: that of the element.", "rad/s", low=0.0, high=1e6, default=0.0,
+        ),
         "relax_time": Number(
             "Time in which friction follows the load, at least the plant's step.", "s",
             low=0.0, high=1.0, above=True, default=RELAX_TIME,
@@ -80,6 +86,7 @@ class LoadPart(FrictionPart):
         driving, driven: Coulomb torque by load torque, 1.
         stribeck_driving, stribeck_driven: what static torque by load torque has beyond these, 1.
         quadratic_driving, quadratic_driven: static torque by the square of the load torque, 1/Nm.
+        omega_s: Stribeck velocity of the load's share, rad/s; 0 for the element's.
         relax_time: in which friction follows the load, s.
     """
 
@@ -92,6 +99,7 @@ class LoadPart(FrictionPart):
     stribeck_driven: float = 0.0
     quadratic_driving: float = 0.0
     quadratic_driven: float = 0.0
+    omega_s: float = 0.0
     relax_time: float = RELAX_TIME
 
 
@@ -100,9 +108,11 @@ def load_dtype(width: int) -> np.dtype[np.void]:
     rows = (len(DIRECTIONS), width)
     return np.dtype(
         [
+            ("fades", np.int64),  # 1 if any load's share has a Stribeck velocity of its own
             ("coulomb", np.float64, rows),
             ("stribeck", np.float64, rows),
             ("quadratic", np.float64, rows),
+            ("inverse_omega_s", np.float64, width),  # 0 for the element's
             ("rate", np.float64, width),
         ],
         align=True,
@@ -117,18 +127,29 @@ def fill_load(record: Any, parts: Sequence[LoadPart | None]) -> None:
                 record["coulomb"][row, i] = getattr(part, direction)
                 record["stribeck"][row, i] = getattr(part, f"stribeck_{direction}")
                 record["quadratic"][row, i] = getattr(part, f"quadratic_{direction}")
+            if part.omega_s > 0.0:
+                record["fades"], record["inverse_omega_s"][i] = 1, 1.0 / part.omega_s
             record["rate"][i] = 1.0 / part.relax_time
 
 
 @inlined
-def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, width: int) -> tuple[Lanes, Lanes]:
-    """Return what a load, Nm, adds to Coulomb and to static torque, Nm."""
+def load_torques(part: Any, transmitted: Lanes, velocity: Lanes, delta: Lanes, width: int) -> tuple[Lanes, Lanes]:
+    """Return what a load, Nm, adds to Coulomb and to static torque, Nm, at a velocity, rad/s.
+
+    A share with a Stribeck velocity of its own counts as Coulomb torque, as large as it is at this velocity.
+    """
     driving = transmitted * velocity >= 0.0
     size = absolute(transmitted)
     coulomb = size * select(driving, load(part.coulomb[0], width), load(part.coulomb[1], width))
     stribeck = select(driving, load(part.stribeck[0], width), load(part.stribeck[1], width))
     quadratic = select(driving, load(part.quadratic[0], width), load(part.quadratic[1], width))
-    return coulomb, coulomb + size * (stribeck + size * quadratic)
+    rise = size * (stribeck + size * quadratic)
+    if part.fades:
+        inverse = load(part.inverse_omega_s, width)
+        own = inverse > 0.0
+        coulomb = coulomb + select(own, rise * exponential(-power(absolute(velocity) * inverse, delta)), 0.0)
+        rise = select(own, 0.0, rise)
+    return coulomb, coulomb + rise
 
 
 @inlined

@@ -52,6 +52,15 @@ class FrictionPart:
         """Return the least number that the part may multiply Coulomb and static torque with; 1 if it only adds."""
         return 1.0
 
+    @property
+    def leaves_less(self) -> bool:
+        """Return whether the part may leave less of Coulomb and static torque than the element has."""
+        return self.least_factor < 1.0
+
+    def weakest(self, element: Any) -> Any:
+        """Return an element that has nowhere more friction than this FrictionElement may have by the part."""
+        return element
+
     def values(self) -> dict[str, Any]:
         """Return the block as it stands in a file, without what has its default."""
         entries = self.table.keys

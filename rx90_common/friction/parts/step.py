@@ -8,19 +8,21 @@ from __future__ import annotations
 from typing import Any
 
 from rx90_common.friction.bristle import Elements, load_elements
-from rx90_common.friction.bristles.step import bristles_step, bristles_torque, reset_bristles
+from rx90_common.friction.bristles.step import bristles_energy, bristles_step, bristles_torque, reset_bristles
 from rx90_common.friction.parts.load import load_torques
 from rx90_common.friction.parts.ripple import ripple_factor
 from rx90_common.friction.parts.scatter import start_scatter
+from rx90_common.friction.parts.temperature import start_temperatures, warm_static
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, fma, load, store
 
 
 @inlined
-def reset_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
+def reset_parts(parts: Any, state: Any, transmitted: Lanes, width: int) -> None:
     """Begin anew, with the torques that are transmitted then, Nm."""
     store(state.load, transmitted)
     store(state.load_slope, 0.0 * transmitted)
+    start_temperatures(parts.temperature, state.temperature, width)
     start_scatter(parts.scatter, state)
     reset_bristles(state.bristles)
 
@@ -33,15 +35,19 @@ def effective_elements(
     element = load_elements(arrays, width)
     scale = ripple_factor(parts.ripple, angle, width) * load(state.scatter_factor, width)
     transmitted = fma(ahead, load(state.load_slope, width), load(state.load, width))
-    coulomb, static = load_torques(parts.load, transmitted, velocity, width)
+    coulomb, static = load_torques(parts.load, transmitted, velocity, element.delta, width)
+    still = (
+        warm_static(state.temperature, element.tau_c[0], element.tau_s[0], width),
+        warm_static(state.temperature, element.tau_c[1], element.tau_s[1], width),
+    )
     return Elements(
         (fma(element.tau_c[0], scale, coulomb), fma(element.tau_c[1], scale, coulomb)),
-        (fma(element.tau_s[0], scale, static), fma(element.tau_s[1], scale, static)),
-        element.inverse_omega_s,
+        (fma(still[0], scale, static), fma(still[1], scale, static)),
+        element.inverse_omega_s * load(state.temperature.speed, width),
         element.delta,
         element.c0,
         element.c1,
-        element.c2,
+        element.c2 * load(state.temperature.viscous, width),
         element.inverse_omega_d,
         element.alpha,
     )
@@ -65,3 +71,9 @@ def parts_torque(arrays: Any, parts: Any, state: Any, z: Lanes, angle: Lanes, ve
     """Return the friction torque at the end of the last step, Nm."""
     element = effective_elements(arrays, parts, state, angle, velocity, 0.0, width)
     return bristles_torque(element, parts.bristles, state.bristles, z, velocity, width)
+
+
+@inlined
+def parts_energy(arrays: Any, parts: Any, state: Any, z: Lanes, width: int) -> Lanes:
+    """Return what the bristles store, J."""
+    return bristles_energy(load(arrays.c0, width), parts.bristles, state.bristles, z, width)

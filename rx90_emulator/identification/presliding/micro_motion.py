@@ -105,7 +105,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
         motions: of one group of k joints.
         break_away: friction torque at which each joint slides, Nm, shape (k,).
     """
-    loads = [_load(motion, break_away) for motion in motions]
+    loads = [load_of(motion, break_away) for motion in motions]
     below = [load for load in loads if load <= _SLIDES]
     # Faint motions are reactions to other joints'; where all motions break away, the smallest one is best.
     faintest = _FAINT * max(below) if below else 0.0
@@ -118,7 +118,7 @@ def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[
     return [motion for bag in chosen.values() for motion in bag]
 
 
-def _load(motion: MicroMotion, break_away: Array) -> float:
+def load_of(motion: MicroMotion, break_away: Array) -> float:
     """Return the amplitude of the friction torque over the torque of break-away, of the joint that has most."""
     low_pass = butter(2, _FAST, fs=1.0 / motion.step, output="sos")
     friction = sosfiltfilt(low_pass, motion.drive - motion.acceleration @ motion.mass.T, axis=0)

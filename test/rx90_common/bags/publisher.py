@@ -15,7 +15,7 @@ import rclpy
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -52,6 +52,7 @@ def main() -> None:
     for topic in ("rx90_sim/parameters", "rx90_controller/parameters"):
         node.create_publisher(ParameterEvent, topic, latched).publish(event)
     accepted = node.create_publisher(JointTrajectory, "rx90_controller/trajectory_accepted", latched)
+    temperatures = node.create_publisher(Temperature, "temperatures", qos)
     trajectory = node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", qos)
     fast = [publishers[topic].publish for topic in FAST]
     slow = [publishers[topic].publish for topic in SLOW]
@@ -65,6 +66,8 @@ def main() -> None:
         message.header.stamp.nanosec = 100_000_000
         trajectory.publish(message)
         accepted.publish(message)
+        warm = Temperature(header=message.header, temperature=31.5)
+        temperatures.publish(warm)
         publish(range(tick, tick + ticks), rate, fast, slow)
         tick += ticks
         print("done", flush=True)

@@ -131,7 +131,7 @@ def record_suite(start: Start, folder: Path, storage: str) -> Path:
     recorder.signal(signal.SIGINT)
     code, out, err = recorder.finish()
     assert (code, err) == (0, "")
-    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 5} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
+    counted = f"recorded {TICKS * 2 + TICKS // 4 * 7 + 6} messages of {len(SUITE_TOPICS)} topics to {folder / 'bag'}"
     assert f"{counted}; {TICKS // 500 * 7} repetitions" in out
     publisher.child.kill()
     return folder / "bag"
@@ -155,7 +155,7 @@ def test_recording_is_complete_and_repeatable(tmp_path: Path, start: Start, stor
         latched = next(c for c in reader.connections if c.topic == "/robot_description")
         assert latched.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL  # type: ignore[union-attr]
     trajectories = ("/rx90_controller/joint_trajectory", "/rx90_controller/trajectory_accepted")
-    once = dict.fromkeys(("/robot_description", *trajectories, *EVENTS), 1)
+    once = dict.fromkeys(("/robot_description", "/temperatures", *trajectories, *EVENTS), 1)
     fast = dict.fromkeys(("/motor_states", "/motor_commands"), TICKS)
     assert counts == dict.fromkeys([f"/{t}" for t in SUITE_TOPICS], TICKS // 4) | fast | once
     told = [(c.node, c.name, c.value, c.stamp_ns) for c in summarise(bag).changes]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from parted_joint import Seven, along, any_element, begin
@@ -106,3 +108,28 @@ def test_break_away_grows_with_the_load() -> None:
         static = [expected(e, load, way)[1] for e, load, way in zip(elements, loads, direction, strict=True)]
         # So slow that the Stribeck part is still whole, but for 1e-9 / omega_s to the power of 0.7.
         assert torque[-1] == pytest.approx(direction * static, rel=2e-5)
+
+
+def test_a_stribeck_velocity_of_the_load_s_own() -> None:
+    """The load's share of the static torque fades with its own velocity, the element's with the element's (50 sets)."""
+    rng = np.random.default_rng(5)
+    for _ in range(-(-SETS // 7)):
+        own = 10.0 ** rng.uniform(-2, 0, 7)
+        parts = [replace(any_load(rng), omega_s=float(speed)) for speed in own]
+        elements = [any_element(rng, load=part) for part in parts]
+        loads = rng.uniform(-200.0, 200.0, 7)
+        for velocity in (0.05, -0.05):
+            seven = Seven.of(elements)
+            begin(seven.parts, seven.states, loads)
+            motion = np.broadcast_to(np.array([np.zeros(7), np.full(7, velocity), loads]), (4, 3, 7))
+            torque, _ = along(seven, motion, 1e6)
+            for i, element in enumerate(elements):
+                bare = expected(element, 0.0, velocity)
+                coulomb, static = expected(element, loads[i], velocity)
+                of_load = static - coulomb - (bare[1] - bare[0])
+                element_fades, load_fades = (
+                    np.exp(-((abs(velocity) / speed) ** element.delta)) for speed in (element.omega_s, own[i])
+                )
+                viscous = element.c2 * abs(velocity) ** element.alpha
+                want = coulomb + (bare[1] - bare[0]) * element_fades + of_load * load_fades + viscous
+                assert torque[-1, i] == pytest.approx(np.sign(velocity) * want, rel=1e-12)

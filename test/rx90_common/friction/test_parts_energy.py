@@ -12,10 +12,12 @@ from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
+from rx90_common.friction.parts.temperature import TemperaturePart
 
 LOAD = LoadPart(0.2, 0.4, 0.2, 0.1, 0.005, 0.002)
 RIPPLE = RipplePart((1.0, 3.0), (0.3, 0.2), (0.5, 1.0), (2.0,), (0.45,))
 SCATTER = ScatterPart(0.2, 0.05)
+WARM = TemperaturePart(40.0, 20.0, 90.0, 70.0, 20.0, 1e-3, 50.0, 20.0, 0.3, 0.02, -0.015)
 CYCLES, STEPS, ROUNDS = 50, 40, 30
 """Times seven elements: 10,500 cycles."""
 
@@ -42,7 +44,9 @@ def gained(seven: Seven, rng: np.random.Generator) -> Array:
 
 
 @pytest.mark.parametrize(
-    "parts", [(LOAD,), (RIPPLE,), (SCATTER,), (LOAD, RIPPLE, SCATTER)], ids=["load", "ripple", "scatter", "together"]
+    "parts",
+    [(LOAD,), (RIPPLE,), (SCATTER,), (WARM,), (LOAD, RIPPLE, SCATTER, WARM)],
+    ids=["load", "ripple", "scatter", "temperature", "together"],
 )
 def test_no_part_creates_energy(parts: tuple[FrictionPart, ...]) -> None:
     """In every step of 10,500 random cycles the storage c0 z^2 / 2 grows by the work that goes in, or by less."""

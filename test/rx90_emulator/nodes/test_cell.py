@@ -6,21 +6,37 @@ import signal
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from line_run import TOPICS, run_both_ways
 from processes import Processes
 from ros_client import Client, seconds
+from rosbags.highlevel import AnyReader
 
 import rx90_emulator as rx
 from rx90_common.bags.comparison import Verdict
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.errors import ConfigError
+from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.cell.composition import own_parameters
 from rx90_emulator.loop.setup import Setup
 
 IN_CELL_1 = ("--ros-args", "-r", "__ns:=/cell_1")
+
+
+def _temperatures(bag: Path) -> list[tuple[int, str, float, float]]:
+    """Return stamp, ns, frame, temperature and variance of all messages in a bag."""
+    with AnyReader([bag]) as reader:
+        messages: list[Any] = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
+        ]
+    return [
+        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature, m.variance)
+        for m in messages
+    ]
 
 
 @pytest.mark.ros
@@ -36,6 +52,7 @@ def test_one_process_gives_the_closed_loops_bits(
         "load": rx.LoadPart(0.05, 0.1),
         "ripple": rx.RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
         "scatter": rx.ScatterPart(0.05, 0.2),
+        "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 0.5, 10.0, 20.0, 0.3, 0.02, 0.01),
     }
     file = rx.FrictionFile.read(shipped.friction.file)
     elements = {name: replace(element, **parts) for name, element in file.elements.items()}
@@ -44,6 +61,12 @@ def test_one_process_gives_the_closed_loops_bits(
     comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=3)
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
     assert {topic.topic for topic in comparison.topics} == TOPICS
+    recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
+    names, last = setup.friction.names, comparison.topics[0].range_ns[1]
+    stamps = range(0, last + 1, NANOSECONDS // 10)
+    assert [(stamp, name) for stamp, name, *_ in recorded] == [(stamp, name) for stamp in stamps for name in names]
+    assert simulated == recorded[:7] == [(0, name, 30.0, 0.0) for name in names]
+    assert all(message[2] > 30.0 for message in recorded[-7:-2])
 
 
 @pytest.mark.ros

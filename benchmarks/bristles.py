@@ -1,0 +1,136 @@
+"""What tells the kinds of bristles apart: drift under an oscillating load, memory of inner loops, order of the step.
+
+    python -m benchmarks.bristles [--plot FILE]
+
+One element, three kinds. Drift: a mass under a load that oscillates below break-away (the experiment of Dupont and
+others 2002). Memory: a position that makes an inner loop. Order: a mass that sticks, slips and reverses, against steps
+of a hundredth. Merges the figures into out/bench.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.friction_mass import Array, driven_mass, led
+from benchmarks.report import merge, print_table
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
+from rx90_common.report.still import write_picture
+
+ELEMENT = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+FLAT = replace(ELEMENT, tau_s_positive=25.0, tau_s_negative=25.0, c2=0.0)
+KINDS: dict[str, BristlesPart | None] = {
+    "LuGre": None,
+    "elasto-plastic": ElastoPlastic(0.7),
+    "Maxwell slip": MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 2000.0),
+}
+LOW, HIGH = 0.2, 0.6
+"""Of the Coulomb torque, between which the load oscillates."""
+CYCLES, PER_CYCLE, STEP = 60, 2000, 2e-4
+_TURNS = (0.0, 4e-4, -0.8e-4, 2.4e-4, -0.8e-4, -4e-4)  # rad
+_POINTS = 400  # of a branch
+_SUBSTEPS = (1, 2, 4, 8)
+
+
+def drift(kind: BristlesPart | None) -> tuple[Array, float]:
+    """Return the position of a mass under the load, rad, and what the last cycle adds to it, rad."""
+    phase = (np.arange(CYCLES * PER_CYCLE) + 0.5) / PER_CYCLE
+    load = 0.5 * (HIGH + LOW) - 0.5 * (HIGH - LOW) * np.cos(2.0 * math.pi * phase)
+    force = 25.0 * np.concatenate([LOW * np.linspace(0.0, 1.0, PER_CYCLE), load])
+    position = driven_mass(replace(FLAT, bristles=kind), 0.2, force, STEP).position
+    return position, float(position[-1] - position[-1 - PER_CYCLE])
+
+
+def inner_loop(kind: BristlesPart | None) -> tuple[Array, Array]:
+    """Return position, rad, and torque, Nm, of a slow motion with an inner loop, at rest after each step."""
+    velocity = np.concatenate([np.full(_POINTS, (b - a) / _POINTS / STEP) for a, b in pairwise(_TURNS)])
+    with_rests = np.column_stack([velocity, np.zeros_like(velocity)]).ravel()
+    torque = led(replace(FLAT, c1=0.0, bristles=kind), with_rests, STEP)[0][1::2]
+    return np.cumsum(velocity) * STEP, torque
+
+
+def left_open(torque: Array) -> float:
+    """Return by how much the torque misses the point where the inner loop left, Nm: at the same place, after it."""
+    return float(abs(torque[4 * _POINTS - 1] - torque[2 * _POINTS - 1]))
+
+
+def step_errors(kind: BristlesPart | None) -> list[float]:
+    """Return the error of the position, rad, for each of _SUBSTEPS in a tick of 250 us, worst of many end times."""
+
+    def position(substeps: int) -> Array:
+        h = 2.5e-4 / substeps
+        t = (np.arange(round(0.25 / h)) + 0.5) * h
+        force = 45.0 * np.sin(60.0 * t) + 6.0 * np.sin(171.0 * t)
+        return driven_mass(replace(ELEMENT, bristles=kind), 1.5, force, h, 0.2).position[substeps - 1 :: substeps]
+
+    exact = position(800)
+    return [float(np.max(np.abs(position(n) - exact))) for n in _SUBSTEPS]
+
+
+def costs() -> dict[str, float]:
+    """Return the CPU time of one step of one element, s, of each kind, taking turns; slow motion with reversals."""
+    velocity, best = 0.05 * np.sin(np.arange(200_000) * 0.01), dict.fromkeys(KINDS, math.inf)
+    for _ in range(7):
+        for name, kind in KINDS.items():
+            began = time.process_time()
+            led(replace(ELEMENT, bristles=kind), velocity, 2.5e-4)
+            best[name] = min(best[name], (time.process_time() - began) / velocity.size)
+    return best
+
+
+def picture() -> Plot:
+    """Return drift and inner loops."""
+    reach = 25.0 / 1e5
+    drifts, loops = [], []
+    for (name, kind), colour in zip(KINDS.items(), COLOURS, strict=False):
+        position, _ = drift(kind)
+        cycles = np.arange(position.size) / PER_CYCLE - 1.0
+        drifts.append(Curve(cycles, position / reach, name, colour))
+        way, torque = inner_loop(kind)
+        half = _POINTS * 2
+        curves = [
+            Curve(way * 1e3, torque, "outer loop", GREY, 1.2),
+            Curve(way[half - 1 : 2 * half] * 1e3, torque[half - 1 : 2 * half], "inner loop", colour, 1.8),
+        ]
+        title = f"{name}: inner loop open by {left_open(torque):.1f} Nm"
+        loops.append(Panel(curves, title, "position, mrad", "friction torque, Nm"))
+    title = f"Load from {LOW:g} to {HIGH:g} of the Coulomb torque"
+    return Plot([Panel(drifts, title, "cycles", "position / g"), *loops], columns=2, height=3.2)
+
+
+def main() -> int:
+    """Print the figures, merge them and draw the plot if asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bristles", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--plot", type=Path, help="picture to write")
+    options = parser.parse_args()
+    reach = 25.0 / 1e5
+    expected = math.log((1.0 - LOW**2) / (1.0 - HIGH**2))
+    cost, rows, figures = costs(), [], {"bristles_drift_closed_form": expected}
+    for name, kind in KINDS.items():
+        key = name.replace(" ", "_").replace("-", "_").lower()
+        walked, open_by, errors = drift(kind)[1] / reach, left_open(inner_loop(kind)[1]), step_errors(kind)
+        rows.append((name, f"{walked:.3g}", f"{open_by:.2g}", *(f"{e:.2g}" for e in errors), f"{cost[name] * 1e9:.0f}"))
+        figures |= {f"bristles_drift_{key}": walked, f"bristles_open_{key}": open_by}
+        figures |= {f"bristles_error_{n}_{key}": e for n, e in zip(_SUBSTEPS, errors, strict=True)}
+        figures[f"bristles_cost_{key}"] = cost[name] / cost["LuGre"]
+    print(f"LuGre's drift in closed form: {expected:.4f} g a cycle")
+    print_table(
+        ("kind", "drift, g a cycle", "inner loop open, Nm", *(f"rad, {n} steps" for n in _SUBSTEPS), "ns a step"), rows
+    )
+    merge(figures)
+    if options.plot:
+        write_picture(picture(), options.plot)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,4 @@
+"""The kinds of experiments; importing it costs nothing, so that `--help` need not wait."""
+
+KINDS = ("loops", "sweep", "stick_slip", "drift")
+"""In the order in which they are run after the ramps."""

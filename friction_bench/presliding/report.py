@@ -1,0 +1,145 @@
+"""The result of a campaign: on the terminal, as an HTML page, and as YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from friction_bench.presliding.evaluation import PreslidingResult
+from friction_bench.presliding.plots import (
+    break_away_plot,
+    drift_plot,
+    loops_plot,
+    pulls_plot,
+    sliding_plot,
+    turning_speed,
+)
+from friction_bench.rig.rig_file import Rig
+from rx90_common.base.config import yaml_text
+from rx90_common.process.files import write_text
+from rx90_common.report.page import render_page
+
+SEEN = 5.0
+"""Counts of presliding from which loops have a shape."""
+
+
+def resolution_text(result: PreslidingResult) -> str:
+    """Return in words what encoder and converter resolve of this joint's presliding."""
+    seen = "" if result.deflection_counts >= SEEN else ": too few to see loops"
+    return (
+        f"a count is {1e6 * result.step:.1f} urad and a code {1e3 * result.code:.1f} mNm at the joint; it bends by "
+        f"{1e6 * result.deflection:.0f} urad, {result.deflection_counts:.1f} counts, up to break-away{seen}"
+    )
+
+
+def result_text(result: PreslidingResult) -> str:
+    """Return the results for the terminal."""
+    lines = [f"resolution: {resolution_text(result)}"]
+    if result.break_away is not None:
+        rates, means, errors = result.break_away.by_rate()
+        pairs = zip(rates, means, errors, strict=True)
+        lines.append("break-away: " + ", ".join(f"{m:.3f} ± {e:.3f} Nm at {r:.3g} Nm/s" for r, m, e in pairs))
+    if result.sliding is not None:
+        s = result.sliding
+        lines.append(
+            f"sliding: tau_c {s.tau_c:.3f} Nm, tau_s {s.tau_s:.3f} Nm, omega_s {s.omega_s:.3f} rad/s, "
+            f"c2 {s.c2:.3f} Nm s/rad, inertia {s.inertia:.3f} kg m2"
+        )
+    if result.choice is not None:
+        lines.append(f"{'law':22}{'loops, mNm RMS':>16}{'sliding, mNm RMS':>18}")
+        for score in result.choice.scores:
+            loops, sliding = (1e3 * float((part**2).mean() ** 0.5) for part in (score.loops, score.sliding))
+            lines.append(f"{score.law.name:22}{loops:16.1f}{sliding:18.1f}  {score.refuted or 'not refuted'}")
+        lines.append(f"law of friction: {result.choice.text}")
+    if result.pulls:
+        slips = [
+            f"{pull.speed:.3f} rad/s at {pull.stiffness:g} Nm/rad" for pull in result.pulls if pull.sticks_and_slips
+        ]
+        lines.append(f"stick-slip: {len(slips)} of {len(result.pulls)}" + (f": {', '.join(slips)}" if slips else ""))
+    if result.drift is not None:
+        lines.append(f"drift: {drift_text(result)}")
+    return "\n".join([*lines, *(f"not used: {reason}" for reason in result.failures)])
+
+
+def drift_text(result: PreslidingResult) -> str:
+    """Return the drift and what it says, in words."""
+    drift = result.drift
+    assert drift is not None
+    mean, least, largest = drift.drift
+    low, high = (ratio * drift.swing[0] for ratio in drift.expected)
+    return (
+        f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], LuGre's law {low:.3g} to {high:.3g}, swing "
+        f"{drift.swing[0]:.3g}: {drift.verdict.value} ({drift.reason})"
+    )
+
+
+def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
+    """Write the page.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
+    """
+    plots = {}
+    if result.blocks:
+        plots["loops"] = loops_plot(result)
+    if result.break_away is not None:
+        plots["break_away"] = break_away_plot(result)
+    if result.sliding is not None:
+        plots["sliding"] = sliding_plot(result)
+    if result.pulls:
+        plots["pulls"] = pulls_plot(result)
+    if result.drift is not None:
+        plots["drift"] = drift_plot(result.drift)
+    page = render_page(
+        "friction_bench.presliding",
+        "presliding_report.html.j2",
+        result=result,
+        rig=rig,
+        plots=plots,
+        resolution=resolution_text(result),
+        drift=drift_text(result) if result.drift is not None else "",
+        turn=turning_speed(result.sliding) if result.sliding is not None else None,
+    )
+    write_text(path, page)
+
+
+def write_estimates(path: Path, result: PreslidingResult, rig: Rig) -> None:
+    """Write every estimate as YAML, joint side.
+
+    Raises:
+        Rx90Error: if the file cannot be written.
+    """
+    document: dict[str, Any] = {
+        "rig": rig.file.name,
+        "resolution": {"count_rad": result.step, "code_nm": result.code, "presliding_counts": result.deflection_counts},
+    }
+    if result.break_away is not None:
+        rates, means, errors = result.break_away.by_rate()
+        document["break_away"] = [
+            {"rate_nm_s": float(r), "torque_nm": float(m), "standard_error_nm": float(e)}
+            for r, m, e in zip(rates, means, errors, strict=True)
+        ]
+    if result.sliding is not None:
+        names = ("tau_c", "tau_s", "omega_s", "c2", "inertia")
+        document["sliding"] = {name: float(f"{getattr(result.sliding, name):.5g}") for name in names}
+    if result.choice is not None:
+        document["law"] = {
+            "verdict": result.choice.text,
+            "left": list(result.choice.left),
+            "refuted": {score.law.name: score.refuted for score in result.choice.scores if score.refuted},
+        }
+    if result.pulls:
+        document["stick_slip"] = [
+            {"speed": float(pull.speed), "stiffness": float(pull.stiffness), "sticks_and_slips": pull.sticks_and_slips}
+            for pull in result.pulls
+        ]
+    if result.drift is not None:
+        drift = result.drift
+        document["drift"] = {
+            "verdict": drift.verdict.value,
+            "counts_per_cycle": [float(value) for value in drift.drift],
+            "swing_counts": float(drift.swing[0]),
+            "lugre_ratio": [float(value) for value in drift.expected],
+        }
+    document["not_used"] = list(result.failures)
+    write_text(path, yaml_text(document))

@@ -1,0 +1,256 @@
+"""Temperature: viscous friction, Stribeck velocity and static torque by the temperature of the joint, which it heats.
+
+    c2 (f + (1 - f) exp(-d / T_V)),    d = T - reference
+    omega_s (1 + a d)
+    tau_c + (tau_s - tau_c) (1 + b d)
+
+with f = viscous_floor, T_V = viscous_scale, a = speed_slope and b = static_slope. At T = reference all three are the
+element's own to the last bit. Bittencourt and Gunnarsson (2012, Static friction in a robot joint, J. Dyn. Sys. Meas.
+Control 134(5) 051013) found these forms on an industrial robot: viscous friction falls, with a floor, while static
+torque and Stribeck velocity grow linearly. With their names
+
+    f = F_v0 / (F_v0 + F_vT exp(-reference / T_V)),    a = w_sT / (w_s0 + w_sT reference),
+    b = F_sT / (F_s0 + F_sT reference)
+
+The law holds from `lowest` to `highest`. Start and surroundings must lie there, and the linear factors be positive. As
+heat only comes in, nothing gets colder than both. A joint that gets warmer than `highest` keeps the friction of that
+temperature, and whoever runs it is told (`JointTemperatures.beyond_law`).
+
+The joint is one thermal node:
+
+    capacity dT/dt = heat - (T - ambient) / resistance
+    heat = friction + motor_share I^2 R
+
+The friction's heat is the work that it takes less what its bristles store more. Motor 6 turns with joints 5 and 6, as
+the seventh element does, which gets its heat; the sixth gets none from a motor. R is that of `winding` in the drives
+file, at the winding's temperature; without such a block motors give no heat. The node is advanced once in a tick,
+exactly for a heat that is held.
+
+The storage c0 z^2 / 2 does not depend on T, so an element is passive whose sliding torque is positive at every
+temperature: passive_damping is that of the least static torque and the least Stribeck velocity in the range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.groups import Group
+from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.kernels.compiled import inlined
+from rx90_common.kernels.elementary import exponential_less_one
+from rx90_common.kernels.elementary_arrays import exponential_less_one_of
+from rx90_common.kernels.lanes import Lanes, fma, load, select, store
+
+LOWEST, HIGHEST = -50.0, 200.0
+"""Of every temperature, degrees Celsius: oils and greases are liquid at most here."""
+
+_degrees = partial(Number, unit="°C", low=LOWEST, high=HIGHEST)
+_slope = partial(Number, unit="1/K", low=-1.0, high=1.0, default=0.0)
+_TABLE = Group(
+    "Friction by the temperature of the joint, which friction and motor heat.",
+    keys={
+        "reference": _degrees("Temperature at which the element has its own parameters."),
+        "lowest": _degrees("Lowest temperature for which the law holds."),
+        "highest": _degrees("Highest temperature for which it holds."),
+        "start": _degrees("Temperature at the start and after a reset."),
+        "ambient": _degrees("Temperature of the surroundings."),
+        "capacity": Number("Heat capacity of the joint.", "J/K", low=0.0, high=1e9, above=True),
+        "resistance": Number("Between joint and surroundings.", "K/W", low=0.0, high=1e6, above=True),
+        "viscous_scale": Number("Rise that takes viscous friction to 1/e.", "K", low=1.0, high=1000.0),
+        "viscous_floor": Number("Share of viscous friction that stays however warm it is.", "1",
+                                low=0.0, high=1.0, default=0.0),
+        "speed_slope": _slope("Growth of the Stribeck velocity, share of that at the reference."),
+        "static_slope": _slope("Growth of static less Coulomb torque, share of that at the reference."),
+        "motor_share": Number("Share of the heat of the motor's winding that comes to the joint.", "1",
+                              low=0.0, high=1.0, default=1.0),
+    },
+    default=LEFT_OUT,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TemperaturePart(FrictionPart):
+    """Friction by temperature, and a thermal node; equations in this module's docstring, degrees Celsius.
+
+    Attributes:
+        reference: where the element has its own parameters.
+        lowest, highest: between which the law holds.
+        start: at the start and after a reset.
+        ambient: of the surroundings.
+        capacity: heat capacity, J/K.
+        resistance: between joint and surroundings, K/W.
+        viscous_scale: T_V, K.
+        viscous_floor: share of the viscous friction that stays, 1.
+        speed_slope: growth of the Stribeck velocity, 1/K.
+        static_slope: growth of static less Coulomb torque, 1/K.
+        motor_share: share of the motor's heat that comes to the joint, 1.
+    """
+
+    name: ClassVar[str] = "temperature"
+    table: ClassVar[Group] = _TABLE
+
+    reference: float
+    lowest: float
+    highest: float
+    start: float
+    ambient: float
+    capacity: float
+    resistance: float
+    viscous_scale: float
+    viscous_floor: float = 0.0
+    speed_slope: float = 0.0
+    static_slope: float = 0.0
+    motor_share: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.lowest < self.highest:
+            raise ConfigError(f"temperature: lowest is {self.lowest:g} °C; accepted: below highest = {self.highest:g}")
+        for name in ("start", "ambient"):
+            value = getattr(self, name)
+            if not self.lowest <= value <= self.highest:
+                raise ConfigError(
+                    f"temperature: {name} is {value:g} °C; accepted: from lowest to highest, where the law holds, "
+                    f"[{self.lowest:g}, {self.highest:g}]"
+                )
+        for name, what in (("speed_slope", "Stribeck velocity"), ("static_slope", "static less Coulomb torque")):
+            for end in ("lowest", "highest"):
+                factor = 1.0 + getattr(self, name) * (getattr(self, end) - self.reference)
+                if not factor > 0.0:
+                    raise ConfigError(
+                        f"temperature: {name} is {getattr(self, name):g} 1/K, so that the {what} at {end} = "
+                        f"{getattr(self, end):g} °C is {factor:.3g} times its own; accepted: more than 0 times"
+                    )
+
+    @property
+    def leaves_less(self) -> bool:
+        """Return whether static friction changes with the temperature."""
+        return self.speed_slope != 0.0 or self.static_slope != 0.0
+
+    def weakest(self, element: Any) -> Any:
+        """Return an element that has nowhere more friction than this one has at any temperature."""
+        ends = np.array([self.lowest, self.highest]) - self.reference
+        speed, static = (float(np.min(1.0 + slope * ends)) for slope in (self.speed_slope, self.static_slope))
+        return replace(
+            element,
+            omega_s=element.omega_s * min(1.0, speed),
+            tau_s_positive=_between(element.tau_c_positive, element.tau_s_positive, min(1.0, static)),
+            tau_s_negative=_between(element.tau_c_negative, element.tau_s_negative, min(1.0, static)),
+            temperature=None,
+        )
+
+
+def _between(coulomb: float, static: float, share: float) -> float:
+    return max(coulomb, static + (share - 1.0) * (static - coulomb))
+
+
+_PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope", "static_slope")
+
+
+def temperature_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
+    lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
+    return np.dtype([("used", np.int64), *((name, np.float64, width) for name in lanes)], align=True)
+
+
+def temperature_state_dtype(width: int) -> np.dtype[np.void]:
+    """Return the type of the state."""
+    names = (
+        "temperature",  # degrees Celsius
+        "viscous",  # what c2 is multiplied with
+        "speed",  # what 1 / omega_s is multiplied with
+        "static",  # by how much static less Coulomb torque has grown, a share of it
+        "work",  # that friction has taken in this tick, J
+        "stored",  # in the bristles at the start of the tick, J
+        "heat",  # of friction and motor since the start, J
+    )
+    return np.dtype([(name, np.float64, width) for name in names], align=True)
+
+
+def fill_temperature(
+    record: Any, parts: Sequence[TemperaturePart | None], period: float, motor_heat: Sequence[float]
+) -> None:
+    """Write the constants, an element for each of `parts`.
+
+    Args:
+        record: of `temperature_dtype(len(parts))`, zero before.
+        parts: of the elements.
+        period: of a tick, s.
+        motor_heat: of the motor that drives each element, W for the square of its torque in Nm, winding at its
+            reference temperature.
+    """
+    for i, part in enumerate(parts):
+        if part is not None:
+            record["used"] = 1
+            for name in _PLAIN:
+                record[name][i] = getattr(part, name)
+            record["inverse_scale"][i] = 1.0 / part.viscous_scale
+            record["fading"][i] = 1.0 - part.viscous_floor
+            record["gain"][i] = -exponential_less_one_of(-period / (part.capacity * part.resistance))
+            record["motor"][i] = part.motor_share * motor_heat[i]
+
+
+@inlined
+def start_temperatures(part: Any, state: Any, width: int) -> None:
+    """Begin with the temperatures that the elements start with, and undeflected bristles."""
+    store(state.temperature, load(part.start, width))
+    nothing = 0.0 * load(part.start, width)
+    store(state.work, nothing)
+    store(state.stored, nothing)
+    store(state.heat, nothing)
+    follow_temperatures(part, state, width)
+
+
+@inlined
+def follow_temperatures(part: Any, state: Any, width: int) -> None:
+    """Write what the temperatures make of the elements."""
+    now, highest = load(state.temperature, width), load(part.highest, width)
+    above = select(now > highest, highest, now) - load(part.reference, width)
+    store(
+        state.viscous,
+        fma(load(part.fading, width), exponential_less_one(-above * load(part.inverse_scale, width)), 1.0),
+    )
+    store(state.speed, 1.0 / fma(load(part.speed_slope, width), above, 1.0))
+    store(state.static, load(part.static_slope, width) * above)
+
+
+@inlined
+def warm_static(state: Any, coulomb: Lanes, static: Lanes, width: int) -> Lanes:
+    """Return the static torque of elements at their temperatures, Nm, for one sign of the velocity."""
+    return fma(load(state.static, width), static - coulomb, static)
+
+
+@inlined
+def add_work(state: Any, torque: Lanes, velocity: Lanes, step: float, width: int) -> None:
+    """Count what friction takes in a step: of torques, Nm, at velocities, rad/s."""
+    store(state.work, fma(step * torque, velocity, load(state.work, width)))
+
+
+@inlined
+def advance_temperatures(part: Any, state: Any, stored: Lanes, motor: Lanes, period: float, width: int) -> None:
+    """Warm the joints over a tick.
+
+    Args:
+        part: record of `temperature_dtype(width)`.
+        state: record of `temperature_state_dtype(width)`, advanced in place.
+        stored: energy of the bristles now, J.
+        motor: squares of the torques of the elements' motors, Nm^2, each times the winding's resistance over that at
+            its reference temperature.
+        period: of a tick, s.
+        width: elements, a literal.
+    """
+    heat = load(state.work, width) - (stored - load(state.stored, width)) + period * load(part.motor, width) * motor
+    store(state.stored, stored)
+    store(state.work, 0.0 * heat)
+    store(state.heat, load(state.heat, width) + heat)
+    before = load(state.temperature, width)
+    end = fma(load(part.resistance, width), heat / period, load(part.ambient, width))
+    store(state.temperature, fma(load(part.gain, width), end - before, before))
+    follow_temperatures(part, state, width)

@@ -1,0 +1,292 @@
+"""A line there and back for hours: simulated in full once in a while, with exact steps of the temperatures between.
+
+A cycle lasts seconds and a joint warms over an hour, so few cycles need to be simulated. With the heat P that a cycle
+brought at the temperature T_0 in its middle, and its slope s over temperature, as the cycles before show it,
+
+    capacity dT/dt = P + s (T - T_0) - (T - ambient) / resistance
+
+is linear and has an exponential as its answer (Rosenbrock's method; what is left out is of the third order in the
+temperature's change, or of the second until the slope is known). It is followed over as many whole cycles as no
+temperature changes by more than a bound in, then the next cycle is simulated. Windings go with an exponential of their
+own time constant towards where the simulated cycle drove them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError, check_type
+from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_controller.lines.task import LineTask
+from rx90_emulator.loop.closed_loop import run_setpoints, setpoints_of
+from rx90_emulator.loop.line import path_accuracy, plan_line
+from rx90_emulator.loop.result import MotionCommand, empty_series
+from rx90_emulator.loop.setup import Setup
+
+CHANGE = 0.5
+"""K by which no temperature changes between two simulated cycles, unless the caller says otherwise."""
+LONGEST = 1000.0 * 3600.0
+"""s"""
+_WINDING_CHANGE = 10.0  # of the windings, in parts of that of the joints: 10 K change their resistance by 4 %
+_LEAST_CHANGE = 0.2  # in parts of the bound, from which on a change of heat is more than its noise
+_MOST_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itself
+
+Tell = Callable[[int, int], None]
+
+
+class Cycle(NamedTuple):
+    """What one simulated cycle gave, for the seven elements where nothing else is said.
+
+    Attributes:
+        warm: temperatures in its middle, degrees Celsius.
+        end: temperatures at its end, degrees Celsius.
+        windings: temperatures at its end, degrees Celsius, shape (6,).
+        heat: mean, of friction and motors, W.
+        friction: mean size of the friction torque, Nm.
+        worst: path error of the way there, m.
+        rms: the same.
+    """
+
+    warm: Array
+    end: Array
+    windings: Array
+    heat: Array
+    friction: Array
+    worst: float
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedLine:
+    """A line there and back, again and again; a row for each cycle that was simulated.
+
+    Attributes:
+        setup: what ran.
+        task: the line.
+        cycle: how long one lasts, s.
+        times: when they began, s, shape (n,).
+        temperatures: of the friction elements then, degrees Celsius, 0 where one has none, shape (n, 7).
+        windings: of the motors, degrees Celsius, shape (n, 6).
+        heat: mean of friction and motors in the cycle, W, shape (n, 7).
+        friction: mean size of the friction torque in the cycle, Nm, shape (n, 7).
+        worst, rms: path error on the way there, m, shape (n,).
+    """
+
+    setup: Setup
+    task: LineTask
+    cycle: float
+    times: Array
+    temperatures: Array
+    windings: Array
+    heat: Array
+    friction: Array
+    worst: Array
+    rms: Array
+
+
+def repeat_line(
+    setup: Setup, task: LineTask, duration: float, *, change: float = CHANGE, tell: Tell | None = None
+) -> RepeatedLine:
+    """Run a line there and back for so long, from the temperatures that its files have at the start.
+
+    Args:
+        setup: robot, drives, friction, controller, rates; one friction element or more with a temperature.
+        task: the line.
+        duration: s; as many whole cycles as it has.
+        change: K by which no joint's temperature changes between two cycles that are simulated.
+        tell: is called with the cycles that are done and those that there are; what it raises comes out.
+
+    Raises:
+        ConfigError: for elements without a temperature, a duration shorter than a cycle, a change that is not above 0.
+        LineError: if the arm cannot travel the line, there or back.
+        DivergenceError: naming joint and tick.
+        SupervisionError: if the controller's supervision cuts the power.
+    """
+    day = Day(setup, task, change)
+    total = day.whole_cycles(duration)
+    while day.advance(total):
+        if tell is not None:
+            tell(day.done, total)
+    return day.result()
+
+
+class Day:
+    """The same step by step, so that whoever is interrupted has what was done.
+
+    Attributes:
+        done: how many cycles have been passed.
+    """
+
+    def __init__(self, setup: Setup, task: LineTask, change: float = CHANGE) -> None:
+        check_type(setup=(setup, Setup), task=(task, LineTask))
+        parts = [element.temperature for element in setup.friction.elements]
+        if not any(parts):
+            where = "" if setup.friction.file is None else f"{setup.friction.file}: "
+            raise ConfigError(f"{where}no friction element has a temperature; accepted: one or more")
+        if not (math.isfinite(change) and change > 0.0):
+            raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
+        self._setup, self._task, self._bound = setup, task, change
+        self._cycles = _Cycles(setup, task)
+        self._capacity, self._conductance, self._ambient, self._now = _nodes(parts)
+        self._windings = np.full(6, setup.drives.winding.initial)
+        self._slope = np.zeros(7)
+        self._known: Cycle | None = None
+        self._rows: list[tuple[float, Array, Array, Cycle]] = []
+        self.done, self._ended = 0, False
+
+    def whole_cycles(self, duration: float) -> int:
+        """Return how many cycles a time, s, has.
+
+        Raises:
+            ConfigError: if it has none, or is not finite.
+        """
+        if not self._cycles.duration <= duration <= LONGEST:
+            raise ConfigError(
+                f"the time is {duration:g} s; accepted: from one cycle, {self._cycles.duration:g} s, to {LONGEST:g} s"
+            )
+        return int(duration / self._cycles.duration + 1e-9)
+
+    def advance(self, total: int) -> bool:
+        """Simulate a cycle and go on to where the next one is to be, at most the last; return whether there is one."""
+        cycle = self._cycles.run(self._now, self._windings)
+        self._rows.append((self.done * self._cycles.duration, self._now, self._windings, cycle))
+        left = total - 1 - self.done
+        if left <= 0:
+            self.done = total
+            return False
+        self._learn(cycle)
+        count = max(1, min(left, self._count(cycle)))
+        self._now, self._windings = self._after(cycle, count)
+        self.done += count
+        return True
+
+    def result(self) -> RepeatedLine:
+        """Return the cycles that were simulated."""
+        times, temperatures, windings, cycles = zip(*self._rows, strict=True)
+        values = (np.array([getattr(one, name) for one in cycles]) for name in ("heat", "friction", "worst", "rms"))
+        rows = (np.array(times), np.array(temperatures), np.array(windings), *values)
+        return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
+
+    def _learn(self, cycle: Cycle) -> None:
+        """Take the slope of the heat over temperature from this cycle and the last one that was far enough from it."""
+        if self._known is None:
+            self._known = cycle
+            return
+        risen = cycle.warm - self._known.warm
+        far = np.abs(risen) > _LEAST_CHANGE * self._bound
+        if far.any():
+            slope = (cycle.heat - self._known.heat) / np.where(far, risen, 1.0)
+            self._slope = np.where(far, np.minimum(slope, _MOST_FEEDBACK * self._conductance), self._slope)
+            self._known = _updated(self._known, cycle, far)
+
+    def _rate_and_end(self, cycle: Cycle) -> tuple[Array, Array]:
+        """Return the rate, 1/s, with which each temperature nears its end, and this end, degrees Celsius."""
+        loss = self._conductance - self._slope
+        rate = loss / self._capacity
+        inflow = cycle.heat - self._slope * cycle.warm + self._conductance * self._ambient
+        return rate, np.divide(inflow, loss, out=self._now.copy(), where=loss > 0.0)
+
+    def _count(self, cycle: Cycle) -> int:
+        """Return in how many cycles a temperature reaches the bound of its change."""
+        rate, end = self._rate_and_end(cycle)
+        winding, hottest = self._winding_rate_and_end(cycle)
+        bound = self._bound
+        seconds = min(
+            _time_to(end - self._now, rate, bound),
+            _time_to(hottest - self._windings, winding, _WINDING_CHANGE * bound),
+        )
+        return int(min(seconds / self._cycles.duration, LONGEST))
+
+    def _after(self, cycle: Cycle, count: int) -> tuple[Array, Array]:
+        """Return the temperatures of joints and windings behind so many cycles, the simulated one included."""
+        if count == 1:
+            return cycle.end, cycle.windings
+        rate, end = self._rate_and_end(cycle)
+        winding, hottest = self._winding_rate_and_end(cycle)
+        time = count * self._cycles.duration
+        joints = end + (self._now - end) * np.exp(-rate * time)
+        return joints, hottest + (self._windings - hottest) * np.exp(-winding * time)
+
+    def _winding_rate_and_end(self, cycle: Cycle) -> tuple[Array, Array]:
+        """Return the same of the windings: by their time constant, and how far the cycle brought them."""
+        winding = self._setup.drives.winding
+        if not winding.used:
+            return np.zeros(6), self._windings
+        rate = 1.0 / (winding.heat_capacity * winding.thermal_resistance)
+        return rate, self._windings - (cycle.windings - self._windings) / np.expm1(-rate * self._cycles.duration)
+
+
+def _updated(old: Cycle, new: Cycle, chosen: NDArray[np.bool_]) -> Cycle:
+    """Return a cycle with the temperatures and heats of another for some elements."""
+    return old._replace(warm=np.where(chosen, new.warm, old.warm), heat=np.where(chosen, new.heat, old.heat))
+
+
+def _time_to(way: Array, rate: Array, bound: float) -> float:
+    """Return when the first of some exponentials has gone so far, s; infinite if none ever does."""
+    far = (np.abs(way) > bound) & (rate > 0.0)
+    if not far.any():
+        return math.inf
+    return float(np.min(-np.log1p(-bound / np.abs(way[far])) / rate[far]))
+
+
+def _nodes(parts: list[TemperaturePart | None]) -> tuple[Array, Array, Array, Array]:
+    """Return capacity, J/K, conductance, W/K, ambient and start, degrees Celsius; what has none stays at 0."""
+    rows = [
+        (1.0, 0.0, 0.0, 0.0) if part is None else (part.capacity, 1.0 / part.resistance, part.ambient, part.start)
+        for part in parts
+    ]
+    capacity, conductance, ambient, start = np.array(rows).T
+    return capacity, conductance, ambient, start
+
+
+class _Cycles:
+    """Simulates cycles from given temperatures.
+
+    Attributes:
+        duration: of one, s.
+    """
+
+    def __init__(self, setup: Setup, task: LineTask) -> None:
+        there = plan_line(setup, task).points
+        home = replace(task, start=task.end, end=task.start, start_rpy=task.end_rpy, end_rpy=task.start_rpy)
+        back = plan_line(setup, home).points
+        rates = setup.rates
+        turn = rates.start_tick(float(there.times[-1]))
+        ticks = rates.ticks_of(turn * rates.position_period + float(back.times[-1]))
+        self._setup, self._task, self._ticks = setup, task, ticks
+        self._plant, self._controller = setup.plant(), setup.cs7b()
+        self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False)
+        self._start = there.position[0]
+        self._plant.reset(self._start)
+        self._controller.reset(self._plant.motor_states()[0])
+        commands = (MotionCommand(0, there), MotionCommand(turn, back))
+        self._setpoints = setpoints_of(self._controller.trajectory, commands, len(self._slow.joint_states))
+        self._there, self.duration = turn, ticks * rates.period
+
+    def run(self, joints: Array, windings: Array) -> Cycle:
+        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (7,) and (6,)."""
+        plant = self._plant
+        plant.reset(self._start)
+        plant.temperatures.set(joints)
+        plant.state["temperature"] = windings
+        self._controller.reset(plant.motor_states()[0])
+        run_setpoints(plant, self._controller, self._setpoints, self._ticks, self._fast, self._slow)
+        end = plant.temperatures.now.copy()
+        times = np.arange(self._there, dtype=np.float64) * self._setup.rates.position_period
+        accuracy = path_accuracy(self._setup.robot, self._task, times, self._slow.joint_states[: self._there, 0])
+        return Cycle(
+            0.5 * (joints + end),
+            end,
+            plant.winding_temperatures(),
+            plant.temperatures.heat / self.duration,
+            np.abs(self._slow.friction_states[:, 2]).mean(axis=0),
+            accuracy.worst,
+            accuracy.rms,
+        )

@@ -1,0 +1,168 @@
+"""The command friction_presliding on emulated rigs of known law, through the real protocol; few seeds.
+
+The experiments tell these joints apart with a power near 1 (`python -m benchmarks.friction_presliding` counts errors
+over many rigs), so one rig of each law is enough to see that they do: LuGre and elasto-plastic, which the drift is for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.integrate import solve_ivp
+
+from friction_bench.presliding import job
+from friction_bench.presliding.follow import follow
+from friction_bench.presliding.laws import pulled
+from friction_bench.presliding.stick_slip import SteadySliding, pulled_joint
+from friction_bench.rig.client import RigClient
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.rig_file import load_rig
+from rx90_common.base.share import PRESLIDING_RIG, config_path
+from rx90_common.friction.element import FrictionElement
+from rx90_emulator.cli.frame import run
+
+QUICK = ["--kinds", "loops", "sweep", "drift", "--blocks", "6", "--cycles", "300"]
+BRISTLES = {
+    "LuGre": "",
+    "elasto-plastic": ", bristles: {kind: elasto_plastic, break_away: 0.5}",
+}
+
+
+def rig_file(folder: Path, law: str) -> Path:
+    """Return the shipped rig file with a joint of this law."""
+    text = config_path(PRESLIDING_RIG).read_text()
+    end = "omega_d: 0.05}"
+    assert text.count(end) == 1
+    path = folder / "rig.yaml"
+    path.write_text(text.replace(end, f"omega_d: 0.05{BRISTLES[law]}}}"))
+    return path
+
+
+@pytest.fixture(scope="module", params=list(BRISTLES))
+def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """Return law and folder of a measurement."""
+    folder = tmp_path_factory.mktemp("presliding")
+    words = ["--rig", str(rig_file(folder, request.param)), "--seed", "2", "--output", str(folder / "run"), *QUICK]
+    assert run("friction_presliding", words) == 0
+    return request.param, folder / "run"
+
+
+def test_the_law_of_the_joint_is_found(measured: tuple[str, Path]) -> None:
+    """Loops and drift give the law that the emulated joint has, and refute those without presliding."""
+    law, out = measured
+    found = yaml.safe_load((out / "estimates.yaml").read_text())
+    assert found["law"]["left"] == [law]
+    assert {"Coulomb and viscous", "Stribeck"} <= set(found["law"]["refuted"])
+    assert found["drift"]["verdict"].startswith("LuGre" if law == "LuGre" else "no drift")
+    assert found["sliding"] == pytest.approx(
+        {"tau_c": 2.0, "tau_s": 2.5, "omega_s": 0.1, "c2": 1.0, "inertia": 0.4}, rel=0.12
+    )
+    assert found["not_used"] == []
+
+
+def test_break_away_falls_with_the_rate_as_scipy_has_it(measured: tuple[str, Path]) -> None:
+    """The largest friction before sliding falls with the torque's rate, for LuGre to what the equations give."""
+    law, out = measured
+    rows = yaml.safe_load((out / "estimates.yaml").read_text())["break_away"]
+    rates, torques = (np.array([row[name] for row in rows]) for name in ("rate_nm_s", "torque_nm"))
+    assert torques[0] > torques[-1] + 0.05
+    if law == "LuGre":
+        expected = [_largest_friction(rate) for rate in rates[[1, 3]]]
+        assert torques[[1, 3]] == pytest.approx(expected, abs=0.05)
+
+
+def _largest_friction(rate: float) -> float:
+    """Return the largest friction before a LuGre joint slides under a torque that rises from 1.5 Nm, Nm."""
+
+    def motion(time: float, state: list[float]) -> list[float]:
+        _, v, z = state
+        steady = 2.0 + 0.5 * math.exp(-abs(v) / 0.1)
+        z_dot = v - abs(v) * 4e3 / steady * z
+        return [v, (1.5 + rate * time - 4e3 * z - 50.0 * math.exp(-((v / 0.05) ** 2)) * z_dot - v) / 0.4, z_dot]
+
+    slid = lambda _time, state: state[0] - 8e-3  # noqa: E731 - an event of SciPy's
+    slid.terminal = True  # type: ignore[attr-defined]
+    start = [0.0, rate / 4e3, 1.5 / 4e3]
+    solved = solve_ivp(motion, (0.0, 60.0), start, "LSODA", events=slid, rtol=1e-7, atol=1e-10, max_step=0.05)
+    _, v, z = solved.y
+    steady = 2.0 + 0.5 * np.exp(-np.abs(v) / 0.1)
+    z_dot = v - np.abs(v) * 4e3 / steady * z
+    return float((4e3 * z + 50.0 * np.exp(-((v / 0.05) ** 2)) * z_dot + v).max())
+
+
+def test_the_folder_holds_every_reading_and_a_page(
+    measured: tuple[str, Path], check_report: Callable[[Path], None]
+) -> None:
+    """Each experiment is a CSV file, the bag holds all readings, and the page shows loops, drift, rates and sliding."""
+    law, out = measured
+    names = sorted(path.name for path in out.glob("*.csv"))
+    assert len(names) == 15 + 6 + 2
+    assert (out / "bag").is_dir()
+    page = (out / "report.html").read_text()
+    assert page.count('<figure class="plot">') == 4
+    assert "counts, up to break-away" in page
+    if law == "LuGre":  # pages differ in numbers alone
+        check_report(out / "report.html")
+
+
+def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so(tmp_path: Path) -> None:
+    """A slow pull sticks and slips, a fast one slides; the eigenvalues of the sampled spring and joint tell which."""
+    rig = load_rig(rig_file(tmp_path, "LuGre"))
+    emulated = EmulatedRig(rig, 1)
+    emulated.plant.load(True)
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    assert rig.plant is not None
+    joint, inertia = rig.plant.joint, rig.plant.load_inertia + rig.plant.joint_inertia
+    assert isinstance(joint, FrictionElement)
+    for speed, stiffness, slips in ((0.06, 8.0, True), (0.3, 8.0, False)):
+        growth = SteadySliding.of(joint, inertia, speed).sampled_growth(stiffness, rig.tick)
+        assert (growth > 1.0) is slips
+        spring = stiffness * rig.joint_step / (rig.torque(1) * rig.joint_scale)
+        ticks = round(8.0 / rig.tick)
+        law = pulled(spring, speed * rig.tick / rig.joint_step, ticks, 229, 85.0)
+        assert pulled_joint(follow(client, law, "pull"), speed, stiffness).sticks_and_slips is slips
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--rig", "rig/gm8224_lugre.yaml"], "counts_down is false"),
+        (["--cycles", "5"], "--cycles is 5; accepted: 100 to 1000000"),
+        (["--blocks", "2"], "--blocks is 2; accepted: 6 to 100"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused(
+    words: list[str], text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A rig that cannot see a reversal, and numbers out of range, are refused in one line, and nothing is written."""
+    assert run("friction_presliding", [*words, "--output", str(tmp_path / "run")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert text in lines[0]
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_interrupted_measurement_keeps_what_it_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After Ctrl-C the rig is off, and the folder holds the finished experiments and the bag."""
+    calls: list[RigClient] = []
+
+    def follow_twice(client: RigClient, *rest: object) -> object:
+        calls.append(client)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return follow(client, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(job, "follow", follow_twice)
+    monkeypatch.setattr("friction_bench.presliding.planning.RATES", (6.0,))
+    assert run("friction_presliding", [*QUICK, "--output", str(tmp_path / "run")]) == 130
+    assert len(list((tmp_path / "run").glob("*.csv"))) == 2
+    assert (tmp_path / "run" / "bag").is_dir()
+    port = calls[0].port
+    assert isinstance(port, VirtualPort)
+    assert not port.emulated.board.stage_on

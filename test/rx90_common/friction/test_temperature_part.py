@@ -1,0 +1,190 @@
+"""The temperature part: its law in closed form, and its thermal node against analytic answers and a solver."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from parted_joint import SPEED, Array, Seven, along, any_element
+from scipy.integrate import solve_ivp
+
+from rx90_common.base.errors import ConfigError
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.temperature import TemperaturePart
+
+SETS = 50
+BATCHES = -(-SETS // 7)
+
+
+def any_warmth(rng: np.random.Generator, **values: Any) -> TemperaturePart:
+    """Return a part with all its values drawn, time constants from 50 to 200 s."""
+    reference, resistance = rng.uniform(30, 50), 10.0 ** rng.uniform(-2, 0)
+    drawn = {
+        "reference": reference, "lowest": 20.0, "highest": 190.0, "start": rng.uniform(20, 60), "ambient": 20.0,
+        "capacity": rng.uniform(50, 200) / resistance, "resistance": resistance, "viscous_scale": rng.uniform(10, 40),
+        "viscous_floor": rng.uniform(0, 1), "speed_slope": rng.uniform(-0.005, 0.03),
+        "static_slope": rng.uniform(-0.005, 0.03),
+    }  # fmt: skip
+    return TemperaturePart(**(drawn | values))
+
+
+def friction(element: FrictionElement, temperature: float, velocity: float) -> float:
+    """Return the torque of steady sliding at a temperature, by the equations of Bittencourt and Gunnarsson."""
+    part = element.temperature
+    assert part is not None
+    above, speed = min(temperature, part.highest) - part.reference, abs(velocity)
+    coulomb, static = (
+        getattr(element, f"{name}_{'positive' if velocity >= 0 else 'negative'}") for name in ("tau_c", "tau_s")
+    )
+    fading = np.exp(-((speed / (element.omega_s * (1 + part.speed_slope * above))) ** element.delta))
+    viscous = element.c2 * (part.viscous_floor + (1 - part.viscous_floor) * np.exp(-above / part.viscous_scale))
+    stribeck = (static - coulomb) * (1 + part.static_slope * above) * fading
+    return float(np.sign(velocity) * (coulomb + stribeck + viscous * speed**element.alpha))
+
+
+def sliding(velocity: Array | float, steps: int) -> Array:
+    """Return a motion at constant velocities without load."""
+    still = np.zeros(7)
+    return np.broadcast_to(np.array([still, still + velocity, still]), (steps, 3, 7))
+
+
+def test_steady_sliding_at_a_temperature() -> None:
+    """Cold and warm, slow and fast, both ways, the torque is that of the closed form (50 sets of values)."""
+    rng = np.random.default_rng(1)
+    for _ in range(BATCHES):
+        elements = [any_element(rng, temperature=any_warmth(rng, capacity=1e9, resistance=1e6)) for _ in range(7)]
+        for velocity in (0.3, -0.3, 0.004, -0.004):
+            torque, _ = along(Seven.of(elements), sliding(velocity, 2), 10.0)
+            want = [friction(e, e.temperature.start, velocity) for e in elements if e.temperature]
+            assert torque[-1] == pytest.approx(want, rel=1e-9)
+
+
+def test_the_reference_temperature_has_the_paper_s_bits() -> None:
+    """At T = reference an element with the part takes every step as one without any does, to the last bit."""
+    rng = np.random.default_rng(2)
+    warmth = [any_warmth(rng, start=40.0, reference=40.0, ambient=40.0) for _ in range(7)]
+    elements = [any_element(rng, temperature=each) for each in warmth]
+    bare = Seven.of([element.without_parts() for element in elements])
+    seven = Seven.of(elements)
+    seven.parts["temperature"]["gain"] = 0.0  # so that it stays there
+    motion = np.zeros((400, 3, 7))
+    motion[:, 1] = 0.2 * rng.standard_normal((400, 7))
+    for got, want in zip(along(seven, motion, 2.5e-4), along(bare, motion, 2.5e-4), strict=True):
+        assert np.array_equal(got, want)
+
+
+def test_constant_heat_warms_along_an_exponential() -> None:
+    """With friction that temperature does not change, T goes to ambient + R P with the time constant R C (50 sets)."""
+    rng = np.random.default_rng(3)
+    for _ in range(BATCHES):
+        same = {"viscous_floor": 1.0, "speed_slope": 0.0, "static_slope": 0.0}
+        elements = [any_element(rng, temperature=any_warmth(rng, **same), c0=1e12) for _ in range(7)]
+        parts = [e.temperature for e in elements if e.temperature]
+        power = np.array([e.steady_torque(0.2) * 0.2 for e in elements])
+        constant = np.array([part.resistance * part.capacity for part in parts])
+        for steps in (1, 500):
+            seven = Seven.of(elements, 100.0 / steps)
+            along(seven, sliding(0.2, steps), 100.0 / steps)
+            end = np.array([part.ambient for part in parts]) + np.array([part.resistance for part in parts]) * power
+            start = np.array([part.start for part in parts])
+            want = end + (start - end) * np.exp(-100.0 / constant)
+            assert seven.states["temperature"]["temperature"][0] == pytest.approx(want, rel=1e-9)
+
+
+def test_friction_that_warms_itself_against_a_solver() -> None:
+    """At constant velocity friction and temperature go as the coupled equation has them (SciPy, 50 sets, 1e-6 K)."""
+    rng, duration = np.random.default_rng(4), 60.0
+    for _ in range(BATCHES):
+        elements = [any_element(rng, temperature=any_warmth(rng), c0=1e12) for _ in range(7)]
+        velocity = np.array([rng.uniform(0.02, 60.0 / e.tau_s_positive) for e in elements]).clip(max=2.0)
+        coarse, fine = (_after(elements, velocity, duration, steps) for steps in (3000, 6000))
+        start = np.array([e.temperature.start for e in elements if e.temperature])
+        want = _solved(elements, velocity, duration)
+        assert np.abs(want - start).max() > 1.0
+        assert fine == pytest.approx(want, abs=1e-2)
+        assert 2.0 * fine - coarse == pytest.approx(want, abs=1e-6)  # a tick is held: its error halves with it
+
+
+def _solved(elements: list[FrictionElement], velocity: Array, duration: float) -> Array:
+    """Return the temperatures after a time at constant velocities, by SciPy."""
+    parts = [e.temperature for e in elements if e.temperature]
+
+    def rates(_: float, now: Array) -> Array:
+        each = zip(elements, parts, now, velocity, strict=True)
+        return np.array([
+            (friction(e, t, v) * v - (t - part.ambient) / part.resistance) / part.capacity for e, part, t, v in each
+        ])  # fmt: skip
+
+    start = np.array([part.start for part in parts])
+    return np.asarray(solve_ivp(rates, (0.0, duration), start, "DOP853", rtol=1e-11, atol=1e-11).y[:, -1])
+
+
+def _after(elements: list[FrictionElement], velocity: Array, duration: float, steps: int) -> Array:
+    seven = Seven.of(elements, duration / steps)
+    along(seven, sliding(velocity, steps), duration / steps)
+    return np.array(seven.states["temperature"]["temperature"][0])
+
+
+def test_heat_in_is_heat_stored_and_given_away() -> None:
+    """Along a random motion work = bristles + heat, and heat = capacity dT + what goes to the surroundings."""
+    rng, step = np.random.default_rng(5), 0.01
+    elements = [any_element(rng, temperature=any_warmth(rng)) for _ in range(7)]
+    parts = [e.temperature for e in elements if e.temperature]
+    constant = np.array([part.resistance * part.capacity for part in parts])
+    away, resistance = np.zeros(7), np.array([part.resistance for part in parts])
+    seven = Seven.of(elements, step)
+    start = seven.states["temperature"]["temperature"][0].copy()
+    mechanical, bristles = np.zeros(7), np.zeros(7)
+    for _ in range(300):
+        motion = np.zeros((1, 3, 7))
+        motion[:, 1] = 0.5 * rng.standard_normal(7)
+        before, had = (seven.states["temperature"][name][0].copy() for name in ("temperature", "heat"))
+        torque, stored = along(seven, motion, step)
+        power = (seven.states["temperature"]["heat"][0] - had) / step
+        mechanical, bristles = mechanical + step * torque[0] * motion[0, 1], stored[0]
+        above = before - 20.0 - resistance * power
+        away += power * step - above * constant / resistance * np.expm1(-step / constant)
+    heat = seven.states["temperature"]["heat"][0]
+    risen = seven.states["temperature"]["temperature"][0] - start
+    assert heat == pytest.approx(mechanical - bristles, rel=1e-12)
+    assert heat == pytest.approx(constant / resistance * risen + away, rel=1e-6)
+
+
+def test_passive_at_every_temperature() -> None:
+    """passive_damping is the least over temperatures of that of an element with the friction of the temperature."""
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        part = any_warmth(rng, speed_slope=-0.004, static_slope=-0.003)
+        element = any_element(rng, temperature=part, delta=1.0)
+        found = []
+        for above in np.linspace(part.lowest, part.highest, 5) - part.reference:
+            rise = 1 + part.static_slope * above
+            static = {
+                f"tau_s_{sign}": getattr(element, f"tau_c_{sign}")
+                + rise * (getattr(element, f"tau_s_{sign}") - getattr(element, f"tau_c_{sign}"))
+                for sign in ("positive", "negative")
+            }
+            speed = element.omega_s * (1 + part.speed_slope * above)
+            bare = dataclasses.replace(element, omega_s=speed, temperature=None, **static)
+            found.append(bare.passive_damping(SPEED))
+        assert element.passive_damping(SPEED) == pytest.approx(min(found), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"start": 19.0}, r"start is 19 °C; accepted: from lowest to highest.*\[20, 190\]"),
+        ({"ambient": 191.0}, "ambient is 191"),
+        ({"lowest": 190.0, "start": 190.0}, "lowest is 190 °C; accepted: below highest = 190"),
+        ({"static_slope": -0.01, "reference": 40.0}, "static less Coulomb torque at highest = 190 °C is -0.5 times"),
+        ({"speed_slope": 0.06, "reference": 40.0}, "Stribeck velocity at lowest = 20 °C is -0.2 times"),
+        ({"capacity": 0.0}, "capacity is 0"),
+        ({"motor_share": 1.5}, "motor_share is 1.5"),
+    ],
+)
+def test_a_law_that_does_not_hold_is_refused(values: dict[str, float], said: str) -> None:
+    """Temperatures outside of the law's range, and a range in which it does not hold, are refused by name and value."""
+    with pytest.raises(ConfigError, match=said):
+        any_warmth(np.random.default_rng(0), **values)
