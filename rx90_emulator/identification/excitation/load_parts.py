@@ -36,6 +36,7 @@ class LoadParts:
         base: parameters that the transmitted torques are computed with, shape (b,).
         transmitted: RMS torque that each element transmits in the runs, Nm, shape (n_el,).
         reasons: why an element has no part; empty where it has one, shape (n_el,).
+        gain: by how much the model predicts better with them than without, in words.
     """
 
     value: Array
@@ -44,6 +45,7 @@ class LoadParts:
     base: Array
     transmitted: Array
     reasons: tuple[str, ...]
+    gain: str = ""
 
     @property
     def deviation(self) -> Array:
@@ -55,9 +57,10 @@ class LoadParts:
     def remark(self, names: Sequence[str]) -> str:
         """Return in a sentence which of these elements have a part, and on what it rests."""
         having = listed([names[e] for e in self.kept]) if self.kept else "no element"
+        gain = f"{self.gain}; " if self.gain else ""
         return (
-            f"load parts of {having}: the torque constants count as right; a recorded torque that is too large by a "
-            "share adds that to driving and takes it from driven"
+            f"load parts of {having}: {gain}the torque constants count as right; a recorded torque that is too large "
+            "by a share adds that to driving and takes it from driven"
         )
 
     def part(self, element: int) -> LoadPart | None:

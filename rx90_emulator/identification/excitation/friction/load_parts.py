@@ -65,8 +65,8 @@ def identify_load_parts(
     rough = _rough(problem, columns, moving)
     search = _Search(problem, select_parts(with_load_parts(problem, rough), parts, progress))
     everywhere = search.converged(moving, rough.base)
-    kept, reasons = search.trimmed(moving, everywhere)
-    return _found(problem, search.converged(kept, everywhere.base), kept, reasons)
+    kept, reasons, gain = search.trimmed(moving, everywhere)
+    return replace(_found(problem, search.converged(kept, everywhere.base), kept, reasons), gain=gain)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +113,8 @@ class _Search:
                 break
         return _Model(base, value, whole.covariance[np.ix_(places, places)], columns)
 
-    def trimmed(self, kept: Sequence[int], model: _Model) -> tuple[tuple[int, ...], dict[int, str]]:
-        """Return the elements without whose part the model predicts worse, and why the others have none."""
+    def trimmed(self, kept: Sequence[int], model: _Model) -> tuple[tuple[int, ...], dict[int, str], str]:
+        """Return the elements that need their part to predict, why the others have none, and what all parts gain."""
         left, reasons = list(kept), _beyond_chance(kept, model)
         left = [e for e in left if e not in reasons]
         while left:
@@ -126,7 +126,8 @@ class _Search:
             worst = min(useless, key=lambda e: useless[e])
             reasons[worst] = f"with a load part, {verdict(now, trials[worst])}"
             left.remove(worst)
-        return tuple(left), reasons
+        gain = verdict(self._scored(left, model.columns), self._scored((), model.columns)) if left else ""
+        return tuple(left), reasons, gain
 
     def _fitted(self, kept: Sequence[int], columns: Array) -> tuple[WeightedProblem, SeparableFit]:
         regressor = np.hstack([self._problem.regressor, columns[:, _places(kept)]])
