@@ -52,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
                       "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
                       "drive gains (docs/explanation/excitation.md)")  # fmt: skip
+    bags.add_argument("--load-part", action="store_true", help="with --payload: let the payloads tell how friction "
+                      "grows with the load, each element's load part, in place of the drive gains, which count as "
+                      "right")  # fmt: skip
     bags.add_argument("--prior", type=POSITIVE, metavar="SHARE", help="with --excitation: let the inertials of the "
                       "description count, with this relative standard deviation (they do not)")  # fmt: skip
     bags.add_argument("--friction", metavar="FILE", help="a given friction file, or a shipped one "
@@ -100,8 +103,9 @@ def main(options: argparse.Namespace) -> int:
 
 def _for_excitation_alone(options: argparse.Namespace) -> str:
     """Return the first option given, with its value, that counts for excitation runs alone; "" for none."""
-    if options.bristles:
-        return "--bristles"
+    for name in ("bristles", "load_part"):
+        if getattr(options, name):
+            return f"--{name.replace('_', '-')}"
     given = [(name, getattr(options, name)) for name in ("payload", "prior")]
     return next((f"--{name} {value}" for name, value in given if value is not None), "")
 
@@ -136,11 +140,14 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
         )
     if options.output is None:
         raise IdentificationError("no --output; accepted: --output FOLDER, which the robot's files are written into")
+    if options.load_part and options.payload is None:
+        raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
     joint = options.torque_tolerance or ExcitationTolerances.joint
     tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
     return run_excitation(
         options.excitation, robot, options.validation, tolerances, options.output,
-        bristles=options.bristles, payload=options.payload, prior=options.prior, force=options.force,
+        bristles=options.bristles, payload=options.payload, load_part=options.load_part,
+        prior=options.prior, force=options.force,
     )  # fmt: skip
 
 

@@ -56,6 +56,7 @@ def run_excitation(
     *,
     bristles: bool = False,
     payload: Path | None = None,
+    load_part: bool = False,
     prior: float | None = None,
     force: bool = False,
 ) -> bool:
@@ -69,6 +70,7 @@ def run_excitation(
         output: folder; checked before anything long begins.
         bristles: whether they are tried.
         payload: file of known payloads.
+        load_part: whether they tell load parts of the friction, not drive gains.
         prior: relative standard deviation of the description's inertials.
         force: whether files that exist are replaced.
 
@@ -80,7 +82,15 @@ def run_excitation(
     total = count_steps(len(bags), len(validation), bristles=bristles, payloads=bool(payloads))
     with steps(total) as step:
         result = identify_excitation(
-            bags, robot, validation, tolerances, bristles=bristles, payloads=payloads, prior=prior, progress=step
+            bags,
+            robot,
+            validation,
+            tolerances,
+            bristles=bristles,
+            payloads=payloads,
+            load_part=load_part,
+            prior=prior,
+            progress=step,
         )
     folder = write_excitation(result, output, force=force)
     print(f"{excitation_summary(result)}\n{folder}: {', '.join(sorted(path.name for path in folder.iterdir()))}")

@@ -1,7 +1,7 @@
 """From excitation runs, which need no plateaus of constant velocity, to the parameters of the arm's torque.
 
 filtering (runs at an even rate, differentiated) -> columns and base_groups (what is linear in the torque) ->
-problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains.
+problem (the stacked rows) -> least_squares, instruments (values), covariance (their deviations); gains, load_parts.
 """
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "gains",
     "identify",
     "least_squares",
+    "load_parts",
     "payload",
     "prior",
     "problem",

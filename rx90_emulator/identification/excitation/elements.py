@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
+from rx90_emulator.identification.excitation.load_parts import LoadParts
 from rx90_emulator.identification.model.estimates import ElementEstimate, ParameterEstimate
 from rx90_emulator.identification.result.identification import IdentifiedElement
 
@@ -19,7 +21,9 @@ _STRIBECK = {"omega_s": 0.1, "delta": 1.0}  # of no effect while tau_s = tau_c
 
 
 def simulated_elements(
-    estimates: Sequence[ElementEstimate], fallback: Sequence[FrictionElement] | None
+    estimates: Sequence[ElementEstimate],
+    fallback: Sequence[FrictionElement] | None,
+    loads: LoadParts | None = None,
 ) -> tuple[IdentifiedElement, ...]:
     """Return the elements with values for all parameters.
 
@@ -29,19 +33,19 @@ def simulated_elements(
     Args:
         estimates: by the names of FrictionElement.
         fallback: elements in the same order; None if there are none.
+        loads: the load parts; None where they were not asked for.
 
     Raises:
         IdentificationError: for an element without an identified Coulomb torque, if there is no fallback.
     """
     others = fallback or (None,) * len(estimates)
-    return tuple(
-        IdentifiedElement(
-            _element(one.element, one.parameters, other),
-            dict(one.parameters),
-            dict.fromkeys(one.parameters, one.sources),
-        )
-        for one, other in zip(estimates, others, strict=True)
-    )
+    found = []
+    for number, (one, other) in enumerate(zip(estimates, others, strict=True)):
+        element, known = _element(one.element, one.parameters, other), dict(one.parameters)
+        if loads is not None:
+            element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
+        found.append(IdentifiedElement(element, known, dict.fromkeys(known, one.sources)))
+    return tuple(found)
 
 
 def _element(name: str, known: Mapping[str, ParameterEstimate], other: FrictionElement | None) -> FrictionElement:

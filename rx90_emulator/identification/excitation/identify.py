@@ -27,7 +27,9 @@ from rx90_emulator.identification.excitation.friction.identify import (
     predicted_torque,
     stages,
 )
+from rx90_emulator.identification.excitation.friction.load_parts import identify_load_parts
 from rx90_emulator.identification.excitation.gains import with_gains
+from rx90_emulator.identification.excitation.load_parts import with_load_parts
 from rx90_emulator.identification.excitation.payload import Payload, payloads_of
 from rx90_emulator.identification.excitation.prior import described_inertials
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
@@ -55,6 +57,7 @@ def identify_excitation(
     *,
     bristles: bool = False,
     payloads: Mapping[str, Payload] = _NO_PAYLOADS,
+    load_part: bool = False,
     prior: float | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ExcitationIdentification:
@@ -71,6 +74,7 @@ def identify_excitation(
             reversals ask for them; a trial takes some times as long as all other parts.
         payloads: known bodies at the last link, by name or path of the bag; runs that are not named carry none. Runs
             with and without one tell the drive gains.
+        load_part: whether they tell load parts of the friction in place of the gains, which then count as right.
         prior: relative standard deviation of the description's inertials, where they are to count; by default they do
             not, but for what no run tells.
         progress: called with the name of each step before it, `count_steps` times.
@@ -102,7 +106,12 @@ def identify_excitation(
     zeros = check_zeros(problem, source.zero)
     known = None if prior is None else described_inertials(problem.columns, problem.base, prior)
     parts, gains = ALL_PARTS if bristles else WITHOUT_BRISTLES, None
-    if np.any(problem.payload):
+    loads = None
+    if load_part:
+        progress("load parts")
+        loads = identify_load_parts(problem, parts, progress)
+        problem = with_load_parts(problem, loads)
+    elif np.any(problem.payload):
         progress("drive gains")
         gains = identify_gains(problem, parts, progress)
         problem = with_gains(problem, gains)
@@ -111,6 +120,8 @@ def identify_excitation(
     progress("instrumental variables")
     closed_loop, friction = check_closed_loop(problem, friction, known)
     friction = replace(friction, remarks=(*friction.remarks, remark(closed_loop)))
+    if loads is not None:
+        friction = replace(friction, remarks=(*friction.remarks, loads.remark(problem.arm.element_names)))
     progress("consistent inertias")
     consistency = make_consistent(problem, friction, source, robot)
     checks = []
@@ -118,6 +129,7 @@ def identify_excitation(
         progress(record.source.name)
         other = _problem([record], source, bandwidths, carried)
         other = other if gains is None else with_gains(other, gains)
+        other = other if loads is None else with_load_parts(other, loads)
         predicted = predicted_torque(friction, other)
         (identified,) = run_torques(other, predicted)
         (consistent,) = run_torques(other, predicted + other.regressor @ consistency.inertias.shift)
@@ -128,7 +140,7 @@ def identify_excitation(
         options=robot,
         problem=problem,
         friction=friction,
-        elements=simulated_elements(friction.elements, source.fallback),
+        elements=simulated_elements(friction.elements, source.fallback, loads),
         base=with_other(base_parameters(problem, friction, consistency), closed_loop),
         consistency=consistency,
         torques=torques,
@@ -137,13 +149,14 @@ def identify_excitation(
         instruments=closed_loop,
         zeros=zeros,
         gains=gains,
+        loads=loads,
         bags=tuple(("excitation" if record in fitted else "validation", record.bag) for record in records),
     )
 
 
 def count_steps(bags: int, validation: int, *, bristles: bool = False, payloads: bool = False) -> int:
     """Return how often `identify_excitation` calls `progress` for so many bags and validation runs."""
-    choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains
+    choices = 1 + payloads  # of the friction's parts: known payloads take one for the drive gains or load parts
     return bags + 2 * validation + 3 + choices * (1 + stages(ALL_PARTS if bristles else WITHOUT_BRISTLES))
 
 

@@ -14,6 +14,7 @@ from rx90_emulator.identification.excitation.fit_quality import (
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection, ModelRow
 from rx90_emulator.identification.excitation.gains import DriveGains
 from rx90_emulator.identification.excitation.instruments import InstrumentalComparison
+from rx90_emulator.identification.excitation.load_parts import LoadParts
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.excitation.torques import RunTorques, TorqueValidation, Trend
 from rx90_emulator.identification.model.estimates import ParameterEstimate
@@ -69,6 +70,7 @@ class ExcitationIdentification:
         instruments: least squares against instrumental variables.
         zeros: which encoder zeros seem wrong.
         gains: of the drives, by which the recorded torques were multiplied; None without a known payload.
+        loads: the friction's load parts, whose torque the problem's is less of; None where they were not asked for.
     """
 
     robot: RecordedRobot
@@ -85,6 +87,7 @@ class ExcitationIdentification:
     instruments: InstrumentalComparison
     zeros: ZeroCheck
     gains: DriveGains | None = None
+    loads: LoadParts | None = None
 
     @cached_property
     def speeds(self) -> tuple[SpeedResiduals, ...]:

@@ -117,11 +117,16 @@ def _check(name: str, one: IdentifiedElement) -> None:
 def _provenance(
     one: IdentifiedElement, labels: dict[BagSource, str], date: str, fallback_name: str | None
 ) -> dict[str, Any]:
-    values = vars(_rounded_element(one.element))
+    element = _rounded_element(one.element)
+    values = vars(element) | {
+        f"{part}.{name}": value for part, values in element.parts.items() for name, value in vars(values).items()
+    }
     names = [*PARAMETERS, *(name for name in one.estimates if name not in PARAMETERS)]
     bags = {name: [labels[bag] for bag in one.sources.get(name, ())] for name in names}
     estimates = {name: one.estimates.get(name, _NOT_FITTED) for name in names}
-    return {name: _parameter(values[name], estimates[name], bags[name], date, fallback_name) for name in names}
+    # A part that is not known is left out, whatever the fallback has: its values are 0.
+    taken = {name: None if "." in name else fallback_name for name in names}
+    return {name: _parameter(values.get(name, 0.0), estimates[name], bags[name], date, taken[name]) for name in names}
 
 
 def _parameter(

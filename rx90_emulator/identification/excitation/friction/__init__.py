@@ -1,3 +1,3 @@
 """Friction from excitation runs: which parts each element has, by cross-validation, and their parameters."""
 
-__all__ = ["identify", "law", "models"]
+__all__ = ["identify", "law", "load_parts", "models"]

@@ -134,11 +134,11 @@ class _Selection:
             gone = "kept on some elements, see below" if kept else "no element predicts better with it"
             self._add(f"+ {part.value}: all", everywhere, before, False, gone)
         if left:
-            verdict = _verdict(trimmed, before)
+            text = verdict(trimmed, before)
             where = "all" if len(left) == len(given) else ", ".join(self._problem.arm.element_names[e] for e in left)
-            self._add(f"+ {part.value}: {where}", trimmed, before, kept, verdict)
+            self._add(f"+ {part.value}: {where}", trimmed, before, kept, text)
             if not kept:
-                self.refused |= {(e, part): verdict for e in left}
+                self.refused |= {(e, part): text for e in left}
         if kept:
             self.now = trimmed
         stage()
@@ -215,7 +215,7 @@ class _Selection:
             trial = self._scored(fit_shapes(self.weighted, shapes, group))
             if model.better_than(trial):
                 continue
-            self.refused[e, part] = _verdict(model, trial)
+            self.refused[e, part] = verdict(model, trial)
             gain = model.validations(trial)[0].gain
             if gain < worst[0]:
                 worst = (gain, (e, part))
@@ -310,7 +310,7 @@ def _started(
     return shapes
 
 
-def _verdict(model: Scored, against: Scored) -> str:
+def verdict(model: Scored, against: Scored) -> str:
     """Return by how much a model predicts better, in words."""
     blocks, runs = model.validations(against)
     texts = []

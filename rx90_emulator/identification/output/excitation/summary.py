@@ -13,7 +13,7 @@ from rx90_emulator.identification.excitation.result import ExcitationIdentificat
 from rx90_emulator.identification.excitation.torques import TorqueValidation
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
-_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1")
+_SHOWN = ("tau_c", "c2", "alpha", "tau_s", "omega_s", "delta", "c0", "c1", "load.driving", "load.driven")
 
 
 def excitation_summary(result: ExcitationIdentification) -> str:
@@ -27,6 +27,7 @@ def excitation_summary(result: ExcitationIdentification) -> str:
         f"model: {kept_parts(result)}; last step of the choice: {result.model.reason}",
         f"closed loop: {remark(result.instruments)}",
         *gain_texts(result),
+        *([] if result.loads is None else [result.loads.remark(result.problem.arm.element_names)]),
         *(f"misfit: {text}" for text in misfits(result.speeds)),
         *(f"drift: {one.text}" for one in result.trends),
         *(_verdict(check) for check in result.validations),
