@@ -34,6 +34,7 @@ CHANGE = 0.5
 """K by which no temperature changes between two simulated cycles, unless the caller says otherwise."""
 LONGEST = 1000.0 * 3600.0
 """s"""
+_FEWEST = 12  # cycles that are simulated, if there are so many: a curve needs points
 _WINDING_CHANGE = 10.0  # of the windings, in parts of that of the joints: 10 K change their resistance by 4 %
 _LEAST_CHANGE = 0.2  # in parts of the bound, from which on a change of heat is more than its noise
 _MOST_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itself
@@ -162,7 +163,7 @@ class Day:
             self.done = total
             return False
         self._learn(cycle)
-        count = max(1, min(left, self._count(cycle)))
+        count = max(1, min(left, self._count(cycle), total // _FEWEST))
         self._now, self._windings = self._after(cycle, count)
         self.done += count
         return True
