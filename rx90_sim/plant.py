@@ -45,10 +45,9 @@ class Plant:
         self.joint_names = robot.joint_names
         self.friction_names = friction.names
         self.constants = plant_record(robot, drives, friction, rates, substeps, seed)
-        self.state: np.ndarray[Any, Any] = np.zeros(1, STATE_DTYPE)
+        self.state: np.ndarray[Any, Any] = (state := np.zeros(1, STATE_DTYPE))
         self.tick = 0
         self._lower, self._upper = robot.lower, robot.upper
-        state = self.state
         sensed = self.constants["sensor"]["used"][0]
         torque = state["sensor"]["torque"][0] if sensed else state["motor_torque"][0]
         self._motor_states = state["motor_position"][0], state["motor_velocity"][0], torque

@@ -41,8 +41,11 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     try:
         yield beside
         beside.rename(path)
-    except OSError as error:  # somebody else has taken the name
-        raise BagError(f"{plain(path)}: cannot be written ({error.strerror})") from error
+    except OSError as error:
+        if os.path.lexists(path):  # somebody else was faster
+            raise BagError(f"{plain(path)} exists already, not overwriting.") from error
+        kind = BagWriteError if error.errno in DISK_ERRORS else BagError
+        raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         _remove_empty(made)

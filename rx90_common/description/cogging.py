@@ -65,6 +65,11 @@ class Cogging:
         if not np.all(np.asarray(self.harmonic) > 0):
             raise ConfigError(f"cogging: harmonic is {np.asarray(self.harmonic).tolist()}; accepted: numbers > 0")
 
+    @property
+    def used(self) -> bool:
+        """Return whether any motor cogs."""
+        return bool(np.any(self.amplitude))
+
     @classmethod
     def of_file(cls, block: Mapping[str, Any] | None) -> Cogging:
         """Return what a block of a drives file says, checked by COGGING; none for none."""

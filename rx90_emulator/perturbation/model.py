@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.drives import DriveParameters
 from rx90_common.description.kinematics import forward, jacobian
 from rx90_common.description.wrist import to_motor
 from rx90_common.friction import FrictionSet
@@ -164,16 +165,14 @@ def prepare(
 
     Raises:
         ConfigError: if duration or spacing is shorter than a tick, a time is not finite, or the initial position is
-            not six numbers within the joint limits, or a drive is elastic.
+            not six numbers within the joint limits, or a drive is more than a rigid gear and a torque.
         TrajectoryError: if the trajectory is refused.
     """
     rates = setup.rates
     start, ticks = rates.start_tick(start_time), rates.ticks_of(duration)
     if not rates.period <= spacing < np.inf:
         raise ConfigError(f"spacing is {spacing} s; accepted: a finite number, at least a tick, {rates.period:g} s")
-    for i in np.flatnonzero(setup.drives.elasticity.elastic):
-        found = f"drives.elasticity.stiffness[{i}] is {setup.drives.elasticity.stiffness[i]:g} Nm/rad"
-        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
+    _refuse_drives(setup.drives)
     plant, controller = setup.plant(), setup.cs7b()
     plant.reset(initial_position)
     encoders = plant.motor_states()[0]
@@ -215,3 +214,12 @@ def _motor_side(setup: Setup, setpoints: Array) -> Array:
     for row, motor in zip(setpoints.reshape(-1, 6), reference.reshape(-1, 6), strict=True):
         to_motor(gear, row, motor)
     return reference
+
+
+def _refuse_drives(drives: DriveParameters) -> None:
+    for i in np.flatnonzero(drives.elasticity.elastic):
+        found = f"drives.elasticity.stiffness[{i}] is {drives.elasticity.stiffness[i]:g} Nm/rad"
+        raise ConfigError(f"{found}; accepted by the perturbation method: rigid drives")
+    for name in ("cogging", "winding", "current_sensor"):
+        if getattr(drives, name).used:
+            raise ConfigError(f"drives.{name}: the perturbation method cannot hold this; accepted: left out")

@@ -48,15 +48,18 @@ def measured(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     """Return law and folder of a measurement."""
     folder = tmp_path_factory.mktemp("presliding")
     words = ["--rig", str(rig_file(folder, request.param)), "--seed", "2", "--output", str(folder / "run"), *QUICK]
-    assert run("friction_presliding", words) == 0
+    assert run("friction_presliding", words) == (0 if request.param == "LuGre" else 1)
     return request.param, folder / "run"
 
 
 def test_the_law_of_the_joint_is_found(measured: tuple[str, Path]) -> None:
-    """Loops and drift give the law that the emulated joint has, and refute those without presliding."""
+    """Loops and drift keep the law that the joint has and tell LuGre from elasto-plastic; rigid laws are refuted.
+
+    Six blocks, a pass of the kinds of loops, leave Maxwell slip beside elasto-plastic: "cannot tell", exit code 1.
+    """
     law, out = measured
     found = yaml.safe_load((out / "estimates.yaml").read_text())
-    assert found["law"]["left"] == [law]
+    assert found["law"]["left"] == ([law] if law == "LuGre" else [law, "Maxwell slip"])
     assert {"Coulomb and viscous", "Stribeck"} <= set(found["law"]["refuted"])
     assert found["drift"]["verdict"].startswith("LuGre" if law == "LuGre" else "no drift")
     assert found["sliding"] == pytest.approx(

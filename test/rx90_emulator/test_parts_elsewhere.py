@@ -103,7 +103,7 @@ def test_config_shows_where_each_value_of_a_part_comes_from(parted_file: Path) -
     found = {one.name: one for one in file_values("friction", parted_file)}
     given = found["friction.elements.joint_2.scatter.correlation_time"]
     line = int(given.origin.rpartition(":")[2])
-    assert "joint_2" in "".join(parted_file.read_text(encoding="utf-8").splitlines()[line - 12 : line])
+    assert "joint_2" in "".join(parted_file.read_text(encoding="utf-8").splitlines()[line - 16 : line])
     assert (given.value, given.unit, given.provenance) == (0.2, "s", "assumed")
     added = found["friction.elements.joint_2.load.relax_time"]
     assert (added.value, added.unit, added.origin) == (1e-3, "s", OF_CODE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -72,7 +73,7 @@ def export_bag(
             raise BagError(f"{what}; accepted: one, with --topic, or the name of a folder")
         else:
             plan = {output.name: list(counts)}
-        with _beside(output, single=single) as folder:
+        with named_when_done(output, single=single) as folder:
             _write(bag, chosen, {folder / name: held for name, held in plan.items()}, progress)
             names = sorted(file.name for file in folder.iterdir())
     place = output.parent if single else output
@@ -116,7 +117,7 @@ def _choose(bag: BagReader, topics: Sequence[str] | None) -> tuple[list[BagTopic
 
 
 @contextmanager
-def _beside(output: Path, *, single: bool) -> Iterator[Path]:
+def named_when_done(output: Path, *, single: bool) -> Iterator[Path]:
     """Yield a new folder beside the output; at the end it gets the output's name, or its files go where that stands."""
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
@@ -129,8 +130,22 @@ def _beside(output: Path, *, single: bool) -> Iterator[Path]:
                 folder.rename(output)
             else:
                 for file in folder.iterdir():
-                    file.rename(output.parent / file.name)
+                    _give_free_name(file, output.parent / file.name)
         finally:
             shutil.rmtree(hidden, ignore_errors=True)
     except OSError as error:
+        if os.path.lexists(output):  # somebody else was faster
+            raise BagError(f"{plain(output)} exists already, not overwriting.") from error
         raise write_error(output, error) from error
+
+
+def _give_free_name(file: Path, name: Path) -> None:
+    """Give a file a name that nothing has; a rename would replace what another process has written meanwhile."""
+    try:
+        os.link(file, name)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        if name.exists():
+            raise
+        file.rename(name)

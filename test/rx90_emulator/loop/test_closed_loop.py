@@ -48,6 +48,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             "reference",
             "tracking_error",
             "details",
+            "temperatures",
         )
     }
     for k in range(round(duration * setup.rates.base_hz)):
@@ -63,8 +64,13 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             seen["reference"].append(np.array(controller.reference()))
             seen["tracking_error"].append(np.array(controller.tracking_error()))
             seen["details"].append(np.array(controller.details()))
+        if k % setup.rates.base_hz == 0 and plant.temperatures.elements:
+            seen["temperatures"].append(plant.temperatures.now.copy())
         plant.step(command)
-    return {name: np.array(rows) for name, rows in seen.items()}
+    return {
+        **{name: np.array(rows) for name, rows in seen.items()},
+        "temperatures": np.array(seen["temperatures"]).reshape(-1, 7),
+    }
 
 
 def series(result: RunResult) -> dict[str, Array]:
@@ -113,7 +119,8 @@ def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> No
     assert lean.fast is None
     for name, values in lean.slow._asdict().items():
         assert values.tobytes() == getattr(full.slow, name).tobytes()
-        assert values.shape == (500, 3, 7 if name == "friction_states" else 6)
+        shapes = {"friction_states": (500, 3, 7), "temperatures": (0, 7)}
+        assert values.shape == shapes.get(name, (500, 3, 6))
     assert full.fast is not None
     assert full.fast.motor_states.shape == (2000, 3, 6)
     assert full.fast.motor_commands.shape == (2000, 6)

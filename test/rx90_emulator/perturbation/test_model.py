@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,10 @@ from numpy.typing import NDArray
 from benchmarks.agreement import agreement
 from rx90_common.base.errors import ConfigError, DivergenceError, SupervisionError, TrajectoryError
 from rx90_common.base.rates import Rates
+from rx90_common.description.cogging import Cogging
+from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.description.kinematics import forward
+from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
@@ -26,6 +30,11 @@ Array = NDArray[np.float64]
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 HOME = np.array([0.1, 0.3, 1.1, -0.2, 0.7, 0.3])
 REST = np.zeros(6)
+
+
+def with_drives(setup: Setup, **changes: Any) -> Setup:
+    """Return a setup with other drives."""
+    return dataclasses.replace(setup, drives=dataclasses.replace(setup.drives, **changes))
 
 
 def there_and_back(size: float = 0.09) -> TrajectoryPoints:
@@ -267,6 +276,18 @@ def test_wrong_calls_are_refused_in_one_line(shipped: Setup, model: Perturbation
         "duration is inf s": lambda: prepare(shipped, stay(), HOME, float("inf")),
         "start time is nan s": lambda: prepare(shipped, stay(), HOME, 0.1, float("nan")),
         "initial position of joint_2 is 9.0 rad": lambda: prepare(shipped, stay(), [0, 9, 0, 0, 0, 0], 0.1),
+        "drives.cogging: the perturbation method cannot hold this": lambda: prepare(
+            with_drives(shipped, cogging=Cogging(np.ones(1), np.ones((1, 6)), np.zeros((1, 6)))), stay(), HOME, 0.1
+        ),
+        "drives.current_sensor: the": lambda: prepare(
+            with_drives(shipped, current_sensor=CurrentSensor(offset=np.ones(6))), stay(), HOME, 0.1
+        ),
+        "drives.winding: the": lambda: prepare(
+            with_drives(shipped, winding=Windings(resistance=np.ones(6), derating=100.0, limit=120.0)),
+            stay(),
+            HOME,
+            0.1,
+        ),
         "drives.elasticity.stiffness[0] is 150000 Nm/rad": lambda: prepare(elastic(shipped, SOFT), stay(), HOME, 0.1),
     }
     for text, call in calls.items():
