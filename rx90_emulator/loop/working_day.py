@@ -77,7 +77,8 @@ class RepeatedLine:
         windings: of the motors, degrees Celsius, shape (n, 6).
         heat: mean of friction and motors in the cycle, W, shape (n, 7).
         friction: mean size of the friction torque in the cycle, Nm, shape (n, 7).
-        worst, rms: path error on the way there, m, shape (n,).
+        worst: largest path error on the way there, m, shape (n,).
+        rms: root mean square path error there, m, shape (n,).
     """
 
     setup: Setup
