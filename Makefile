@@ -31,9 +31,10 @@ action: environment-run
 	@$(BIN)/python -m tools.interfaces
 
 # Exit code 1: it cannot be built here, and has said why; the tests that need it are skipped.
+# Three at once on two cores: many tests wait for nodes and pages that are paced by a clock.
 test: environment-dev
 	@$(BIN)/python -m tools.interfaces || [ $$? -eq 1 ]
-	@$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+	@$(BIN)/python -m pytest -n 3 --dist worksteal $(ARGS)
 
 # What does not hang on the versions of libraries (DDS, firmware, processes) is left to `make test`.
 JAZZY := test/rx90_sim test/rx90_controller test/rx90_common/bags test/rx90_common/friction test/rx90_common/description \

@@ -29,7 +29,7 @@ def test_the_frame_loads_nothing_from_elsewhere() -> None:
     """The page refers to nothing outside itself and forbids the browser to load anything; without plots it is small."""
     page = render_page("rx90_common.report", "page.html.j2")
     assert page.startswith("<!doctype html>")
-    assert len(REPORTS) == 8
+    assert len(REPORTS) == 9
     assert not any(word in page for word in ("http:", "https:", "src=", "<link", "@import", "url("))
     assert "default-src 'none'" in page
     assert len(page) < 10_000

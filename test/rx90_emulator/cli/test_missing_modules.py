@@ -23,6 +23,7 @@ CALLS = {
     "rx90_controller": ([], "numba rclpy"),
     "rx90_cell": ([], "numba rclpy"),
     "friction_bench": ([], "yaml numba serial rclpy"),
+    "friction_presliding": (["--output", "out"], "numpy tqdm matplotlib"),
     "friction_ramp": (["--output", "out"], "numpy tqdm matplotlib"),
     "friction_rig_emulator": ([], "numpy yaml numba"),
     "rx90_bag": (["record", "--output", "bag"], "yaml rosbags rclpy"),

@@ -23,7 +23,7 @@ from rx90_emulator.identification.excitation.friction.cross_validation import Li
 from rx90_emulator.identification.excitation.friction.identify import _final, identify_friction_parts, predicted_torque
 from rx90_emulator.identification.excitation.friction.law import ElementShape, Part
 from rx90_emulator.identification.excitation.friction.models import FrictionSelection
-from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, _verdict, tangent
+from rx90_emulator.identification.excitation.friction.selection import Selected, _groups, _Selection, tangent, verdict
 from rx90_emulator.identification.excitation.friction.separable import _nonnegative, fit_shapes
 from rx90_emulator.identification.excitation.friction.undecided import _bounded
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
@@ -350,8 +350,8 @@ def test_a_gain_is_judged_by_paired_blocks(weighted: WeightedProblem) -> None:
     assert large.better_than(small)
     assert not small.better_than(large)
     assert not small.better_than(small)
-    assert "the error falls by" in _verdict(large, small)
-    assert "the error rises by" in _verdict(small, large)
+    assert "the error falls by" in verdict(large, small)
+    assert "the error rises by" in verdict(small, large)
     blocks, runs = large.validations(small)
     assert runs is None
     rows = np.bincount(time.block)
