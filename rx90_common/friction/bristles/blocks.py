@@ -32,7 +32,7 @@ def blocks_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the blocks of `width` elements, the element the first index."""
     each = (width, MOST_BLOCKS)
     return np.dtype(
-        [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, width)], align=True
+        [("stiffness", np.float64, each), ("reach", np.float64, each), ("attraction", np.float64, (width,))], align=True
     )
 
 

@@ -20,9 +20,9 @@ def bristles_dtype(width: int) -> np.dtype[np.void]:
         [
             ("elastic_used", np.int64),  # 1 if any element is elasto-plastic
             ("blocks_used", np.int64),  # 1 if any element has blocks
-            ("elastic", np.float64, width),  # 1 where it is elasto-plastic
-            ("blocked", np.int64, width),  # 1 where it has blocks
-            ("break_away", np.float64, width),
+            ("elastic", np.float64, (width,)),  # 1 where it is elasto-plastic
+            ("blocked", np.int64, (width,)),  # 1 where it has blocks
+            ("break_away", np.float64, (width,)),
             ("blocks", blocks_dtype(width)),
         ],
         align=True,
@@ -34,8 +34,8 @@ def bristles_state_dtype(width: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("blocks", np.float64, (width, 2, MOST_BLOCKS)),  # deflections and senses, as `maxwell_slip_step` has them
-            ("deflection", np.float64, width),  # workspace of a step
-            ("torque", np.float64, width),
+            ("deflection", np.float64, (width,)),  # workspace of a step
+            ("torque", np.float64, (width,)),
         ],
         align=True,
     )

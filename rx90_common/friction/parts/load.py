@@ -112,8 +112,8 @@ def load_dtype(width: int) -> np.dtype[np.void]:
             ("coulomb", np.float64, rows),
             ("stribeck", np.float64, rows),
             ("quadratic", np.float64, rows),
-            ("inverse_omega_s", np.float64, width),  # 0 for the element's
-            ("rate", np.float64, width),
+            ("inverse_omega_s", np.float64, (width,)),  # 0 for the element's
+            ("rate", np.float64, (width,)),
         ],
         align=True,
     )

@@ -35,14 +35,14 @@ def parts_state_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the state of the parts of `width` elements."""
     return np.dtype(
         [
-            ("load", np.float64, width),  # transmitted torque, Nm
-            ("load_slope", np.float64, width),  # over the last step, Nm/s
-            ("friction", np.float64, width),  # torque of the last step, Nm
-            ("transmitted", np.float64, width),  # workspace: in the middle of the last step, Nm
+            ("load", np.float64, (width,)),  # transmitted torque, Nm
+            ("load_slope", np.float64, (width,)),  # over the last step, Nm/s
+            ("friction", np.float64, (width,)),  # torque of the last step, Nm
+            ("transmitted", np.float64, (width,)),  # workspace: in the middle of the last step, Nm
             ("temperature", temperature_state_dtype(width)),
-            ("scatter_counter", np.uint64, width),
-            ("scatter_walk", np.float64, width),
-            ("scatter_factor", np.float64, width),
+            ("scatter_counter", np.uint64, (width,)),
+            ("scatter_walk", np.float64, (width,)),
+            ("scatter_factor", np.float64, (width,)),
             ("bristles", bristles_state_dtype(width)),
         ],
         align=True,

@@ -75,9 +75,9 @@ def scatter_dtype(width: int) -> np.dtype[np.void]:
     return np.dtype(
         [
             ("seed", np.uint64),
-            ("deviation", np.float64, width),
-            ("decay", np.float64, width),
-            ("kick", np.float64, width),
+            ("deviation", np.float64, (width,)),
+            ("decay", np.float64, (width,)),
+            ("kick", np.float64, (width,)),
         ],
         align=True,
     )

@@ -157,7 +157,7 @@ _PLAIN = ("reference", "highest", "start", "ambient", "resistance", "speed_slope
 def temperature_dtype(width: int) -> np.dtype[np.void]:
     """Return the type of the constants; a slope, or the share that fades, is 0 where the part is off."""
     lanes = (*_PLAIN, "inverse_scale", "fading", "gain", "motor")
-    return np.dtype([("used", np.int64), *((name, np.float64, width) for name in lanes)], align=True)
+    return np.dtype([("used", np.int64), *((name, np.float64, (width,)) for name in lanes)], align=True)
 
 
 def temperature_state_dtype(width: int) -> np.dtype[np.void]:
@@ -171,7 +171,7 @@ def temperature_state_dtype(width: int) -> np.dtype[np.void]:
         "stored",  # in the bristles at the start of the tick, J
         "heat",  # of friction and motor since the start, J
     )
-    return np.dtype([(name, np.float64, width) for name in names], align=True)
+    return np.dtype([(name, np.float64, (width,)) for name in names], align=True)
 
 
 def fill_temperature(
