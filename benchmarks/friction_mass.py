@@ -29,7 +29,7 @@ class Motion(NamedTuple):
 
 def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
     constants = np.zeros(1, bristles_dtype(1))
-    state = np.zeros(1, np.dtype([("z", np.float64, 1), ("bristles", bristles_state_dtype(1))], align=True))
+    state = np.zeros(1, np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True))
     fill_bristles(constants[0], [element.bristles])
     return element_arrays((element,)), constants, state
 

@@ -22,7 +22,7 @@ LONGEST = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
 
 _ATTRACTION = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
-_STATE = np.dtype([("z", np.float64, 1), ("bristles", bristles_state_dtype(1))], align=True)
+_STATE = np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True)
 
 
 @dataclass(frozen=True)
