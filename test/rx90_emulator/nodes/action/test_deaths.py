@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import signal
+import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -18,15 +19,24 @@ from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 from warm_start import WarmPopen
 
+from rx90_common.base.stamps import message_time_ns
 from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
 
 PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 STEP = 0.01
+START, END = 0.3, 0.8
+"""When the first goal begins, and up to when both runs are compared, s of simulated time."""
 SIMULATION = ("-p", "real_time_factor:=0.0", "-p", "paused:=true", "-p", f"step_ticks:={round(STEP * 4000)}")
 OPTIONS = ("allow_partial_joints_goal", "allow_nonzero_velocity_at_trajectory_end", "allow_trajectory_replacement")
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
+
+
+def stamp_of(message: bytes) -> float:
+    """Return the stamp of a message that is not taken apart, s: CDR has it behind its head of four bytes."""
+    sec, nanosec = struct.unpack_from("<iI", message, 4)
+    return round(sec + nanosec * 1e-9, 6)
 
 
 class Pair:
@@ -48,26 +58,27 @@ class Pair:
 
         topics = {"joint_states": JointState, "rx90_controller/controller_state": JointTrajectoryControllerState}
         heard: dict[str, list[bytes]] = {topic: [] for topic in topics}
-        subscriptions = [
+        for topic, kind in topics.items():
             self.client.node.create_subscription(kind, topic, heard[topic].append, 5000, raw=True)
-            for topic, kind in topics.items()
-        ]
-        handle = self.goals.send(move(0.05, 0.4, start=0.1))
+        handle = self.goals.send(move(0.05, 0.4, start=START))
         deadline = time.monotonic() + TIMEOUT
         while not handle.accepted and time.monotonic() < deadline:  # the controller has not found the simulation yet
             time.sleep(0.05)
-            handle = self.goals.send(move(0.05, 0.4, start=0.1))
+            handle = self.goals.send(move(0.05, 0.4, start=START))
         result = self.goals.result_of(handle)
         self.controller.wait_for("a goal waits for the simulation's first tick")
-        self.time.run(0.1)
-        for subscription in subscriptions:
-            self.client.spin_until(lambda s=subscription: s.get_publisher_count() > 0, "its publisher")  # type: ignore[misc]
+        while not all(heard.values()):  # a publisher may find its listeners after its first messages
+            self.time.run(STEP)
+        assert self.time.ran < START, "the topics were found too late"
         ended = self.time.until(result)
-        self.time.run(0.6 - self.time.ran)
-        last = heard["joint_states"]
-        self.client.spin_until(lambda: len(set(last)) >= 600, "600 samples")
-        # Before time runs, the first sample comes again and again.
-        once = {topic: list(dict.fromkeys(messages)) for topic, messages in heard.items()}
+        self.time.run(END + STEP - self.time.ran)
+        for topic, messages in heard.items():
+            self.client.spin_until(lambda m=messages: stamp_of(m[-1]) >= END, f"the end of {topic}")  # type: ignore[misc]
+        # While time stands still the newest sample comes again and again.
+        once = {
+            topic: [message for message in dict.fromkeys(messages) if START <= stamp_of(message) <= END]
+            for topic, messages in heard.items()
+        }
         return [once, ended, self.goals.feedback]
 
     def home(self) -> None:
@@ -138,6 +149,8 @@ def test_a_goal_may_end_with_a_velocity_and_begin_where_the_path_is(pair: Pair) 
     pair.time.run(0.6)
     # It passes its last point with 0.1 rad/s, while 0.01 rad/s would be rest: the goal waits for that.
     assert pair.goals.wait(second).status == SUCCEEDED
+    last_ns = round((pair.time.ran - 1e-3) * 1e9)
+    pair.client.spin_until(lambda: message_time_ns(references[-1].header.stamp) >= last_ns, "the last set-point")
     velocity = np.array([message.velocity for message in references])
     position = np.array([message.position for message in references])
     assert np.abs(np.diff(velocity, axis=0)).max(axis=0) == pytest.approx(np.zeros(6), abs=0.0601)
@@ -208,10 +221,14 @@ def test_a_stamped_goal_gives_the_same_bits_in_every_run(
 ) -> None:
     """In lock-step, messages, feedback and result of another run by other processes are the same to the last bit."""
     with started(tmp_path) as other:
-        again = other.begun()
-        assert again == first_run
-        assert len(again[0]["joint_states"]) >= 600
-        assert again[1].status == SUCCEEDED
+        (messages, ended, feedback), (first_messages, first_ended, first_feedback) = other.begun(), first_run
+        for topic, count in (("joint_states", 501), ("rx90_controller/controller_state", 26)):
+            stamps = [stamp_of(message) for message in messages[topic]]
+            assert (len(stamps), stamps) == (count, [stamp_of(message) for message in first_messages[topic]])
+            assert [i for i in range(count) if messages[topic][i] != first_messages[topic][i]] == []
+        assert (ended.status, ended) == (SUCCEEDED, first_ended)
+        assert len(feedback) >= 8
+        assert feedback == first_feedback
         # Ctrl-C in mid-goal: the controller says so to the client before it ends.
         from action_client import move
 

@@ -35,8 +35,8 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
     ended = bench.follow(move(0.05, 0.4, start=begin))
     assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
     assert re.fullmatch(r"goal reached at [\d.]+ s, [\d.e-]+ s after the last point", ended.result.error_string)
+    bench.client.spin_until(lambda: len(bench.goals.feedback) >= 8, "what was told of it")
     times = [f.header.stamp.sec + f.header.stamp.nanosec * 1e-9 for f in bench.goals.feedback]
-    assert len(times) >= 8
     assert np.diff(times) == pytest.approx(0.05)
     for feedback in bench.goals.feedback:
         assert list(feedback.joint_names) == JOINTS
@@ -50,6 +50,25 @@ def test_a_goal_is_followed_and_told_of(bench: Bench) -> None:
         )
     bench.time.run(0.2)
     assert list(bench.heard()[-1].position) == pytest.approx([0.05] * 6, abs=1e-12)
+
+
+def test_a_goal_is_followed_better_by_a_model_of_the_friction(bench: Bench) -> None:
+    """Switched on as parameters between two goals, friction model and inverse dynamics leave less than half."""
+    from action_client import move
+
+    def worst() -> float:
+        bench.home()
+        ended = bench.follow(move(0.05, 0.4, start=bench.now + STEP))
+        assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
+        return max(float(np.abs(feedback.error.positions).max()) for feedback in bench.goals.feedback)
+
+    without = worst()
+    switches = [f"feed_forward__{part}" for part in ("inverse_dynamics", "friction_model")]
+    try:
+        assert bench.client.set_parameters("rx90_controller", **dict.fromkeys(switches, True)) == ["", ""]
+        assert worst() < 0.5 * without
+    finally:
+        assert bench.client.set_parameters("rx90_controller", **dict.fromkeys(switches, False)) == ["", ""]
 
 
 def test_ten_thousand_points(bench: Bench) -> None:
