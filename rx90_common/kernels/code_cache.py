@@ -26,6 +26,7 @@ import numpy as np
 from numba.core import caching
 
 from rx90_common.base.sources import importers_of, module_file, sources_hash, with_imports
+from rx90_common.kernels.compile_turn import CompileTurn
 
 _UNUSED_S = 28 * 24 * 3600.0  # after which the folder of other sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}")
@@ -132,8 +133,26 @@ class KernelCache(caching.FunctionCache):
         super().__init__(function)  # type: ignore[no-untyped-call]  # numba has no types there
         place = self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp()
         self._cache_file = _CodeFiles(*place)  # type: ignore[no-untyped-call]  # numba has no types there
+        self._turn = CompileTurn(Path(self._cache_path) / f"{self._impl.filename_base}.lock")
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code, also what another process is just compiling; with None it is this one's turn to compile."""
+        found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # numba has no types there
+        if found is None:
+            self._turn.take()
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # as above
+        if found is not None:
+            self._turn.release()
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep compiled code, if the disk has room: it runs without being kept, too."""
-        with suppress(OSError):
-            super().save_overload(sig, data)  # type: ignore[no-untyped-call]  # numba has no types there
+        try:
+            with suppress(OSError):
+                super().save_overload(sig, data)  # type: ignore[no-untyped-call]  # numba has no types there
+        finally:
+            self._turn.release()
+
+    def give_up(self) -> None:
+        """End the turn of a kernel that could not be compiled."""
+        self._turn.release()

@@ -7,18 +7,21 @@ when to use which decorator.
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.ccallback import CFunc
 from numba.core.event import Event, Listener, register
+from numba.core.registry import CPUDispatcher
 from numba.core.sigutils import normalize_signature
 
 from rx90_common.kernels import announcement
 from rx90_common.kernels.code_cache import KernelCache
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_compiler: Any = numba.njit  # numba's type stubs do not know the options for wrappers
 
 
 class _Watch(Listener):
@@ -28,7 +31,9 @@ class _Watch(Listener):
         announcement.compilation_begins()
 
     def on_end(self, event: Event) -> None:
-        pass
+        cache = event.data["dispatcher"]._cache
+        if sys.exc_info()[0] is not None and isinstance(cache, KernelCache):  # of its failures the event tells nothing
+            cache.give_up()
 
 
 register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba has no types there
@@ -36,14 +41,25 @@ register("numba:compile", _Watch())  # type: ignore[no-untyped-call]  # numba ha
 
 def kernel(function: _Function) -> _Function:
     """Compile `function` in nopython mode on its first call and keep the result on disk."""
-    compiled: Any = numba.njit(error_model="numpy")(function)
+    # A wrapper for calls from C, which nobody makes, would take a tenth of the compilation.
+    compiled: Any = _compiler(error_model="numpy", no_cfunc_wrapper=True)(function)
     compiled._cache = KernelCache(function)  # as its `enable_caching` does
     return cast(_Function, compiled)
 
 
+class _Inlined(CPUDispatcher):
+    """A function that compiled code alone can call: a wrapper for calls from Python takes long to compile."""
+
+    def __call__(self, *_: Any, **__: Any) -> Any:
+        raise TypeError(f"{self.py_func.__qualname__} is compiled into its callers; accepted: a call from a kernel")
+
+
 def inlined(function: _Function) -> _Function:
     """Compile `function` into each kernel that calls it; not to be called from Python."""
-    return cast(_Function, numba.njit(error_model="numpy", forceinline=True)(function))
+    without = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    compiled: Any = _compiler(error_model="numpy", forceinline=True, **without)(function)
+    compiled.__class__ = _Inlined
+    return cast(_Function, compiled)
 
 
 def c_function(signature: Any, *, releases_lock: bool = False) -> Callable[[Callable[..., Any]], Callable[..., int]]:

@@ -1,4 +1,4 @@
-"""For launch files: the exit code of a program that starts others and does not pass on how they ended."""
+"""Force an exit code: for programs that start others, and where a library keeps the process from ending in order."""
 
 from __future__ import annotations
 

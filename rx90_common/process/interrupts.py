@@ -8,11 +8,13 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.machinery import ExtensionFileLoader
+from queue import Empty, SimpleQueue
 from types import FrameType
+from typing import NamedTuple
 
-from rx90_common.base.errors import INTERRUPTED
+from rx90_common.base.errors import FAILED, INTERRUPTED
 from rx90_common.process.exit_code import end_with
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -67,9 +69,37 @@ def terminations_as_interrupts() -> Iterator[None]:
                 signal.signal(number, signal.SIG_DFL)
 
 
-def stop_request() -> threading.Event:
-    """Return an event that Ctrl-C, SIGTERM and SIGHUP set from now on; a second signal changes nothing."""
-    stopped = threading.Event()
+class StopRequest:
+    """Whether a program was asked to end; signal handlers may set it, one thread may wait for it.
+
+    A handler runs on the main thread between two steps of what that does, so it must not want a lock of the wait that
+    it interrupts: with a threading.Event, both would then stand still for ever.
+    """
+
+    def __init__(self) -> None:
+        self._is_set = False
+        self._woken: SimpleQueue[None] = SimpleQueue()  # its `put` may interrupt its own `get` and `put`
+
+    def set(self) -> None:
+        """Ask; a second time changes nothing."""
+        self._is_set = True
+        self._woken.put(None)
+
+    def is_set(self) -> bool:
+        """Return whether it was asked."""
+        return self._is_set
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is asked, at most `timeout` seconds; return whether it was."""
+        if not self._is_set:
+            with suppress(Empty):
+                self._woken.get(timeout=timeout)
+        return self._is_set
+
+
+def stop_request() -> StopRequest:
+    """Return a request that Ctrl-C, SIGTERM and SIGHUP make from now on; a second signal changes nothing."""
+    stopped = StopRequest()
     _take_over(lambda _number, _frame: stopped.set())
     return stopped
 
@@ -150,16 +180,31 @@ class Start:
         self.is_over = True
 
 
+class EndLimits(NamedTuple):
+    """How long a process may take to end once it is asked to, s, and what is done when it takes longer.
+
+    Both functions are the last that is called, and must return at once.
+
+    Attributes:
+        start: while it starts.
+        end: after `Start.over`.
+        started: called before a process that was starting is ended with 130.
+        stuck: called before one that was running is ended with 3.
+    """
+
+    start: float
+    end: float
+    started: Callable[[], None]
+    stuck: Callable[[], None]
+
+
 @contextmanager
-def start_that_ends_within(seconds: float, last: Callable[[], None]) -> Iterator[Start]:
-    """Have Ctrl-C, SIGTERM or SIGHUP end this process with 130 within `seconds`, until `Start.over` is called.
+def ends_within(limits: EndLimits) -> Iterator[Start]:
+    """Have Ctrl-C, SIGTERM or SIGHUP end this process within a time, whatever it waits for.
 
     KeyboardInterrupt is raised as ever, and cleans up; but where kernels are compiled, or something is waited for on
-    the way out, the main thread may be away for long. A thread hears of the signal at once, and waits no longer.
-
-    Args:
-        seconds: from the signal to the end, at the most.
-        last: called before an end without clean-up; takes no time.
+    the way out, the main thread may be away for long. A thread hears of the signal at once, and waits no longer. After
+    `Start.over` its time counts to the end of the process, not of the block: libraries wait for threads there, too.
     """
     start = Start()
     if threading.current_thread() is not threading.main_thread():
@@ -170,11 +215,17 @@ def start_that_ends_within(seconds: float, last: Callable[[], None]) -> Iterator
 
     def listen() -> None:
         while number := os.read(reader, 1):
-            if number[0] in _INTERRUPTS and not start.is_over:
-                start.interrupted = True
-                time.sleep(seconds)
-                last()
-                os._exit(INTERRUPTED)
+            if number[0] not in _INTERRUPTS:
+                continue
+            if start.is_over:
+                time.sleep(limits.end)
+                limits.stuck()
+                os._exit(FAILED)
+            start.interrupted = True
+            time.sleep(limits.start)
+            limits.started()
+            os._exit(INTERRUPTED)
+        os.close(reader)
 
     threading.Thread(target=listen, name="interrupts", daemon=True).start()
     before = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)

@@ -14,14 +14,43 @@ from typing import Any
 
 import numba
 import pytest
+from processes import wait_until
 
 from rx90_common.base.sources import PACKAGES, ROOT, importers_of, with_imports
 from rx90_common.kernels import code_cache
 from rx90_common.kernels.compiled import kernel
+from rx90_common.kernels.elementary import exponential
 from rx90_common.kernels.elementary_arrays import exponential_of
 
 ANNOUNCED = r"program: compiling the numerical kernels, .*\n"
 ANNOUNCE = "from rx90_common.kernels.announcement import announce_compilation\nannounce_compilation('program')\n"
+SLOW_KERNEL = """
+import os, pathlib, time
+import numba
+from numba.core.event import RecordingListener, register
+from rx90_common.kernels.compiled import kernel
+
+class Begun(RecordingListener):
+    def on_start(self, event):
+        super().on_start(event)
+        pathlib.Path(os.environ["BEGUN"]).touch()
+        if os.environ["THEN"] == "hang":
+            time.sleep(600.0)
+        if os.environ["THEN"] == "slow":
+            while not pathlib.Path("there").exists():
+                time.sleep(0.01)
+            time.sleep(3.0)  # in which the other process, which is there, comes from its call to the cache
+
+begun = Begun()
+register("numba:compile", begun)
+
+@kernel
+def one_more(x):
+    return x + 1.0
+
+def compiled():
+    return sum(record.is_start for _, record in begun.buffer)
+"""
 FOUR_WEEKS = 28 * 24 * 3600.0
 
 
@@ -53,6 +82,12 @@ def test_all_that_a_kernel_reads_decides_on_the_cache() -> None:
     assert defining <= files
     assert "rx90_common/friction/element.py" in files  # holds the type of a record, and no kernel
     assert "rx90_sim/node/simulation.py" not in files
+
+
+def test_an_inlined_function_is_called_by_kernels_alone() -> None:
+    """From Python it is a plain error, not a jump to a wrapper that was never compiled."""
+    with pytest.raises(TypeError, match="exponential is compiled into its callers; accepted: a call from a kernel"):
+        exponential(1.0)
 
 
 def copy_sources(folder: Path) -> Path:
@@ -101,6 +136,55 @@ def test_code_of_two_processes_at_once_is_not_mixed_up(tmp_path: Path) -> None:
     first.save("array", "code for arrays")
     assert reader.load("float") == "code for floats"
     assert reader.load("array") in {None, "code for arrays"}
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path: Path) -> None:
+    """Two processes that need a kernel at once: one compiles it, the other runs the same code, and no lock is left.
+
+    One whose compilation fails, and one that is killed over it, leave their turn to the next.
+    """
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    (folder / "slow_kernel.py").write_text(SLOW_KERNEL, encoding="utf-8")
+    program = (
+        "import slow_kernel, pathlib\nif not os.environ['THEN']:\n    pathlib.Path('there').touch()\n"
+        "print(slow_kernel.one_more(1.0), slow_kernel.compiled())"
+    )
+    environment = {
+        **os.environ,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+        "BEGUN": str(tmp_path / "begun"),
+    }
+
+    def start(then: str) -> subprocess.Popen[str]:
+        words = [sys.executable, "-c", f"import os\nos.environ['THEN'] = {then!r}\n{program}"]
+        return subprocess.Popen(words, env=environment, cwd=folder, stdout=subprocess.PIPE, text=True)
+
+    killed = start("hang")
+    wait_until((tmp_path / "begun").exists, "a compilation")
+    killed.kill()
+    killed.communicate()
+    (tmp_path / "begun").unlink()
+    first = start("slow")
+    wait_until((tmp_path / "begun").exists, "the next one")
+    second = start("")
+    assert [one.communicate(timeout=60.0)[0] for one in (first, second)] == ["2.0 1\n", "2.0 0\n"]
+    assert not list((tmp_path / "cache").rglob("*.lock"))
+
+
+def test_a_compilation_that_fails_leaves_its_turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that cannot be compiled for its arguments leaves no lock, and is compiled for others."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+
+    @kernel
+    def one_more(x: float) -> float:
+        return x + 1.0
+
+    with pytest.raises(numba.TypingError):
+        one_more("one")  # type: ignore[arg-type]
+    assert not list((tmp_path / "cache").rglob("*.lock"))
+    assert one_more(1.0) == 2.0
 
 
 def test_kernels_run_where_nothing_can_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

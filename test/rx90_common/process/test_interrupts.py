@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.machinery import ExtensionFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import FrameType, ModuleType
 from typing import Any
 
 import pytest
 from processes import wait_until
 
-from rx90_common.process.interrupts import interrupts_later, raise_where_heard
+from rx90_common.process.interrupts import StopRequest, interrupts_later, raise_where_heard, stop_request
 
 
 def _interrupted_block(reached: list[str], *, check: bool) -> None:
@@ -105,13 +107,19 @@ def test_an_interrupt_where_it_would_get_lost_comes_later(interrupted: Callable[
 
 
 _BUSY = """
-import hashlib, os, subprocess, sys
+import hashlib, os, subprocess, sys, threading
 from rx90_common.process.children import ChildProcess, kill_all
-from rx90_common.process.interrupts import start_that_ends_within
+from rx90_common.process.interrupts import EndLimits, ends_within
+from rx90_common.process.threads import where_threads_are
 def last():
     kill_all()
     print("gave up", flush=True)
-with start_that_ends_within(0.1, last) as start:
+def stuck():
+    kill_all()
+    print([line.split(" > ")[-1] for line in where_threads_are()], flush=True)
+def wait_for_ever(lock):
+    lock.acquire()
+with ends_within(EndLimits(0.1, 0.1 if "stuck" in sys.argv else 60.0, last, stuck)) as start:
     child = ChildProcess("child", ["sleep", "600"])
     if "over" in sys.argv:
         start.over()
@@ -120,6 +128,10 @@ with start_that_ends_within(0.1, last) as start:
         while True:
             hashlib.pbkdf2_hmac("sha256", b"", b"", 1000 if "over" in sys.argv else 10**9)  # in C, without the lock
     except KeyboardInterrupt:  # it came before the compiled code
+        if "stuck" in sys.argv:
+            lock = threading.Lock()
+            lock.acquire()
+            wait_for_ever(lock)
         if "over" in sys.argv:
             raise
         last()
@@ -128,9 +140,19 @@ with start_that_ends_within(0.1, last) as start:
 
 
 @pytest.mark.usefixtures("warm")
-@pytest.mark.parametrize(("words", "code", "said"), [([], 130, "gave up\n"), (["over"], -signal.SIGINT, "")])
-def test_a_start_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
-    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual."""
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ([], 130, r"gave up\n"),
+        (["over"], -signal.SIGINT, ""),
+        (["over", "stuck"], 3, r"\['<string>:\d+ wait_for_ever', .*\]\n"),
+    ],
+)
+def test_it_ends_however_busy_it_is(words: list[str], code: int, said: str) -> None:
+    """Ctrl-C ends a start in compiled code within its time, with 130 and its children; once it is over, as usual.
+
+    One that then waits for ever is cut off with 3, and says where it waited.
+    """
     with subprocess.Popen(
         [sys.executable, "-c", _BUSY, *words],
         stdout=subprocess.PIPE,
@@ -141,8 +163,61 @@ def test_a_start_ends_however_busy_it_is(words: list[str], code: int, said: str)
         child = int(process.stdout.readline())
         process.send_signal(signal.SIGINT)
         rest = process.stdout.read()  # until the end
-        assert (process.wait(), rest) == (code, said)
-    if words:
+        assert process.wait() == code
+        assert re.fullmatch(said, rest)
+    if words == ["over"]:
         os.kill(child, signal.SIGKILL)
     else:
         wait_until(lambda: not Path(f"/proc/{child}").exists(), "the end of the child")
+
+
+@pytest.fixture
+def handlers() -> Iterator[None]:
+    """Give the handlers back after the test, and end a test that stands still."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+    before = [signal.getsignal(number) for number in numbers]
+
+    def stands_still(_number: int, _frame: FrameType | None) -> None:
+        raise TimeoutError("stands still")
+
+    signal.signal(signal.SIGALRM, stands_still)
+    signal.alarm(20)
+    yield
+    signal.alarm(0)
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
+
+
+def _interrupted_at(step: int, call: Callable[[], object]) -> bool:
+    """Call with a SIGINT before an instruction of its Python code; return whether it has as many."""
+    left = step
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal left
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            if left == 0:
+                signal.raise_signal(signal.SIGINT)
+            left -= 1
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        call()
+    finally:
+        sys.settrace(before)
+    return left < 0
+
+
+@pytest.mark.usefixtures("handlers")
+@pytest.mark.parametrize("call", [lambda stop: stop.wait(1e-3), StopRequest.set])
+def test_a_request_to_end_comes_at_any_step(call: Callable[[StopRequest], object]) -> None:
+    """Between any two steps of a wait for it, or of another signal's handler, it is heard and nothing stands still."""
+    step, interrupted = 0, True
+    while interrupted:
+        stop = stop_request()
+        interrupted = _interrupted_at(step, partial(call, stop))
+        assert not interrupted or (stop.is_set() and stop.wait())
+        step += 1
+    assert step > 10
