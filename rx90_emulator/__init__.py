@@ -19,7 +19,7 @@ Comparison      compare_bags, compare_series, comparison_text, BagComparison, To
 Measured runs   compare_measured, measured_summary, write_measured, MeasuredComparison, MeasuredLayout,
                 MeasuredTolerances
 Friction        FrictionFile, FrictionSet, FrictionElement, and its parts LoadPart, TemperaturePart, RipplePart,
-                ScatterPart
+                ScatterPart, ElastoPlastic, MaxwellSlip
 Sweeps          load_sweep_plan, run_sweep, read_sweep, Sweep, SweepPlan, SweepBase, RobotFiles, Block,
                 SweptParameter, Values, Uniform, LogUniform, Normal
 Identification  plan_experiments, record_on_engine, identify_friction, identification_summary, write_identification,
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from rx90_common.description.robot_files import RobotFiles
     from rx90_common.friction import FrictionElement, FrictionSet
     from rx90_common.friction.friction_file import FrictionFile
+    from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
     from rx90_common.friction.parts.load import LoadPart
     from rx90_common.friction.parts.ripple import RipplePart
     from rx90_common.friction.parts.scatter import ScatterPart
@@ -105,6 +106,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BagComparison",
     "Block",
+    "ElastoPlastic",
     "ExcitationIdentification",
     "ExcitationTolerances",
     "Experiment",
@@ -119,6 +121,7 @@ __all__ = [
     "LineTask",
     "LoadPart",
     "LogUniform",
+    "MaxwellSlip",
     "MeasuredComparison",
     "MeasuredLayout",
     "MeasuredTolerances",
@@ -196,6 +199,7 @@ _HOMES = {
     "rx90_common.description.robot_files": "RobotFiles",
     "rx90_common.friction": "FrictionSet FrictionElement",
     "rx90_common.friction.friction_file": "FrictionFile",
+    "rx90_common.friction.parts.bristles": "ElastoPlastic MaxwellSlip",
     "rx90_common.friction.parts.load": "LoadPart",
     "rx90_common.friction.parts.ripple": "RipplePart",
     "rx90_common.friction.parts.scatter": "ScatterPart",

@@ -2,9 +2,9 @@
 
     torque = sum of a_k cos(h_k angle + p_k)
 
-is the slope of an energy. The mean of it along the way of the motor is the difference of that energy over the way, so
-with sin(h way / 2) / (h way / 2) beside the torque in the middle nothing is gained or lost where a wave is passed in a
-few ticks, and one that is passed in less than two does not turn up as a slow one.
+is the slope of an energy. What acts over a step is the mean along the way of the motor, the difference of that energy
+over the way: each wave's torque at the middle of the way times sin(h way / 2) / (h way / 2). So no energy is gained or
+lost where a step covers much of a wave, and a wave that passes in less than two steps is not aliased into a slow one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ COGGING_STATE_DTYPE = np.dtype(
 )
 """Workspace."""
 
-_SMALL = 1e-2
+_SMALL = 1e-2  # rad; below it the series of sin(x) / x is exact to rounding, and 0 is not divided by
 
 
 def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
@@ -54,7 +54,7 @@ def fill_cogging(record: Any, cogging: Cogging, gear: Array) -> None:
 
 @inlined
 def _mean_of_wave(half: Lanes) -> Lanes:
-    """Return sin(half) / half."""
+    """Return sin(half) / half, the mean of a wave over its value in the middle of a way of 2 half, rad."""
     small = absolute(half) < _SMALL
     sine, _ = sine_cosine(half)
     square = half * half

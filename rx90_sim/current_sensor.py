@@ -22,8 +22,8 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of
-from rx90_common.kernels.lane_bits import WHOLE
-from rx90_common.kernels.random_numbers import GOLDEN, mixed, of_four
+from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
+from rx90_sim.drives import whole_steps
 
 SENSOR_DTYPE = np.dtype(
     [
@@ -85,8 +85,8 @@ def sense_currents(sensor: Any, state: Any, torque: Array, powered: bool) -> Non
 @kernel
 def _measure(sensor: Any, state: Any, motor: int, current: float) -> float:
     state.counter[motor] += GOLDEN
-    shown: float = current + sensor.offset[motor] + sensor.noise[motor] * of_four(mixed(state.counter[motor]))
+    shown: float = current + sensor.offset[motor] + sensor.noise[motor] * nearly_normal(mixed(state.counter[motor]))
     if sensor.resolution[motor] > 0.0:
-        shown = ((shown / sensor.resolution[motor] + WHOLE) - WHOLE) * sensor.resolution[motor]
+        shown = whole_steps(shown, sensor.resolution[motor])
     state.torque[motor] = sensor.torque_constant[motor] * shown
     return shown

@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lane_bits import WHOLE
-from rx90_common.kernels.lanes import Lanes
+from rx90_common.kernels.lanes import Lanes, Number
 
 
 @inlined
-def encoder_reading(position: Lanes, resolution: Lanes) -> Lanes:
-    """Return a motor position, rad, rounded to whole counts of `resolution`, rad."""
+def whole_steps(value: Number, step: Number) -> Number:
+    """Return what a converter makes of a value: rounded to whole multiples of its `step`, in the value's unit."""
     # Adding and subtracting a number whose last bit is worth 1 rounds to a whole number, half to even.
-    whole = (position / resolution + WHOLE) - WHOLE
-    return whole * resolution
+    whole = (value / step + WHOLE) - WHOLE
+    return whole * step
 
 
 @inlined

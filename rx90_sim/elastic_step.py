@@ -25,15 +25,18 @@ from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
 from rx90_common.kernels.compiled import inlined, kernel
 from rx90_sim.cogging import add_cogging
 from rx90_sim.end_stops import add_stops
-from rx90_sim.joint_friction import add_brakes, add_element_friction, add_friction, advance_loads
+from rx90_sim.joint_friction import (
+    add_brakes,
+    add_element_friction,
+    add_friction,
+    advance_loads,
+    take_last_friction,
+)
 from rx90_sim.transmission import mean_torque, twist_at_rest
 
-_MOST_ITERATIONS = 50
-_TOLERANCE = 1e-12
-"""Of a transmitted torque, relative to the torques about it."""
-
-
-_MOST_SAGS = 100
+_MOST_ITERATIONS = 50  # of Newton's method, which takes two or three
+_TOLERANCE = 1e-12  # of a transmitted torque, relative to the torques about it
+_MOST_SAG_ROUNDS = 100
 
 
 @kernel
@@ -43,7 +46,7 @@ def hang_links(plant: Any, state: Any) -> None:
     for i in range(6):
         gears.motor_angle[i] = state.q[i]
     # The weight changes little with the sag: each round leaves a hundredth or so of the error.
-    for _ in range(_MOST_SAGS):
+    for _ in range(_MOST_SAG_ROUNDS):
         mass_and_bias(plant.arm, state.body, state.q, state.v, state.mass_matrix, state.bias)
         _twist_by_weight(constants, gears, state.bias)
         settled = True
@@ -107,6 +110,8 @@ def elastic_substep(plant: Any, state: Any, step: float) -> None:
         for i in range(6):
             state.rhs[i] = gears.torque[i]
         state.rhs[4] += gears.torque[5]
+        if plant.transmission.link_friction:  # lies between gear and link: the link gets what friction leaves
+            take_last_friction(state, state.rhs)
         advance_loads(plant, state, state.rhs, state.acceleration, step)
 
 

@@ -1,7 +1,7 @@
 """Joint friction in a step of the plant: the seven elements, closed brakes, and the torque that the joints transmit.
 
 Elements with parts go through `_parted_friction`, those without through the same instructions as if there were no
-parts. Everything about the wrist's seventh element is here: it turns with joints 5 and 6 together, as motor 6 does.
+parts.
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ from __future__ import annotations
 from typing import Any
 
 from rx90_common.base.arrays import Array
+from rx90_common.friction.arm_elements import (
+    add_to_joints,
+    element_inputs,
+    of_motors,
+    share_among_elements,
+    transmit,
+)
 from rx90_common.friction.bristle import bristle_step, friction_torque, load_elements
 from rx90_common.friction.parts.load import advance_load
 from rx90_common.friction.parts.scatter import advance_scatter
 from rx90_common.friction.parts.step import parts_energy, parts_step, parts_torque, reset_parts
 from rx90_common.friction.parts.temperature import add_work, advance_temperatures
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import Lanes, append, first, lane, load, store
-
-
-@inlined
-def element_inputs(joint: Array) -> Lanes:
-    """Return the angles or velocities of the seven elements, which are also the brakes', for those of the joints."""
-    return append(load(joint, 6), joint[4] + joint[5])
+from rx90_common.kernels.lanes import Lanes, load, store
+from rx90_sim.winding import relative_resistance
 
 
 @kernel
@@ -35,7 +37,7 @@ def reset_friction(plant: Any, state: Any) -> None:
         element = i if i < 5 else 6
         state.brake_z[element] = -carried / plant.brake.c0[element]
         state.parts.transmitted[i] = state.bias[i]
-    _give_to_elements(state.parts.transmitted)
+    share_among_elements(state.parts.transmitted)
     reset_parts(plant.parts, state.parts, load(state.parts.transmitted, 7), 7)
 
 
@@ -54,20 +56,26 @@ def add_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: 
     friction = _advance_elements(plant, state, angle, velocity, step)
     if state.brakes_closed:
         friction = friction + _advance_brakes(plant, state, velocity, step)
-    _take_off(torque, friction)
+    add_to_joints(torque, -friction)
 
 
 @kernel
 def add_element_friction(plant: Any, state: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
     """Do the same without the brakes, which then act elsewhere."""
-    _take_off(torque, _advance_elements(plant, state, angle, velocity, step))
+    add_to_joints(torque, -_advance_elements(plant, state, angle, velocity, step))
 
 
 @kernel
 def add_brakes(plant: Any, state: Any, velocity: Array, torque: Array, step: float) -> None:
     """Advance the bristles of closed brakes, and take their torques off; arguments as above."""
     if state.brakes_closed:
-        _take_off(torque, _advance_brakes(plant, state, velocity, step))
+        add_to_joints(torque, -_advance_brakes(plant, state, velocity, step))
+
+
+@kernel
+def take_last_friction(state: Any, torque: Array) -> None:
+    """Take the torques of elements with parts in the last step off those of the joints, Nm, shape (6,)."""
+    add_to_joints(torque, -load(state.parts.friction, 7))
 
 
 @inlined
@@ -88,15 +96,6 @@ def _advance_brakes(plant: Any, state: Any, velocity: Array, step: float) -> Lan
     z, torque = bristle_step(load_elements(plant.brake, 7), load(state.brake_z, 7), inputs, step)
     store(state.brake_z, z)
     return torque
-
-
-@inlined
-def _take_off(torque: Array, friction: Lanes) -> None:
-    """Take the torques of the elements off those of the joints."""
-    store(torque, load(torque, 6) - first(friction, 6))
-    wrist = lane(friction, 6)
-    torque[4] -= wrist
-    torque[5] -= wrist
 
 
 @kernel
@@ -137,22 +136,8 @@ def advance_loads(plant: Any, state: Any, torque: Array, acceleration: Array, st
         acceleration: of the rotors, seen at the joints, rad/s^2, shape (6,).
         step: s.
     """
-    for i in range(6):
-        state.parts.transmitted[i] = torque[i]
-        for j in range(6):
-            state.parts.transmitted[i] -= plant.arm.rotor[i, j] * acceleration[j]
-    _give_to_elements(state.parts.transmitted)
+    transmit(plant.arm.rotor, torque, acceleration, state.parts.transmitted)
     advance_load(plant.parts.load, state.parts, load(state.parts.transmitted, 7), step, 7)
-
-
-@inlined
-def _give_to_elements(transmitted: Array) -> None:
-    """Make the torques of the six joints, Nm, those of the seven elements, shape (7,).
-
-    Motor 6 turns with joints 5 and 6, so what goes on to link 6 goes through element 7 and element 6.
-    """
-    transmitted[4] -= transmitted[5]
-    transmitted[6] = transmitted[5]
 
 
 @kernel
@@ -166,10 +151,7 @@ def advance_parts(plant: Any, state: Any) -> None:
 @kernel
 def _warm_joints(plant: Any, state: Any) -> None:
     """Let friction and motors heat the joints over a tick."""
-    warm = 1.0 + plant.winding.coefficient * (load(state.temperature, 6) - plant.winding.reference)
     motor = load(state.motor_torque, 6)
-    heating = warm * motor * motor
+    heating = relative_resistance(plant.winding, load(state.temperature, 6)) * motor * motor
     stored = parts_energy(plant.friction, plant.parts, state.parts, load(state.z, 7), 7)
-    advance_temperatures(
-        plant.parts.temperature, state.parts.temperature, stored, append(heating, lane(heating, 5)), plant.period, 7
-    )
+    advance_temperatures(plant.parts.temperature, state.parts.temperature, stored, of_motors(heating), plant.period, 7)

@@ -76,7 +76,8 @@ class Plant:
     def position_of(self, links: ArrayLike) -> Array:
         """Return the position for `reset`, rad, shape (6,), that leaves the links at rest where they are wanted.
 
-        To the last bit, so that a run that is done again from its first sample has the same bits.
+        To the last bit wherever rounding allows, so that a run that is done again from its first sample has the same
+        bits.
         """
         wanted = np.array(links, dtype=np.float64)
         position = wanted.copy()

@@ -14,9 +14,10 @@ from rx90_common.description.elasticity import LINK
 from rx90_common.description.robot import RobotModel
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE, manipulator_record
 from rx90_common.friction import ELEMENT_COUNT, FrictionElement, FrictionSet
+from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.element import element_arrays, elements_dtype
-from rx90_common.friction.parts.record import fill_parts, parts_dtype, parts_state_dtype
-from rx90_common.friction.parts.scatter import LARGEST_SEED
+from rx90_common.friction.parts.record import parts_dtype, parts_state_dtype
+from rx90_common.friction.parts.scatter import check_seed
 from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
 from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
@@ -82,7 +83,6 @@ STATE_DTYPE = np.dtype(
     align=True,
 )
 
-
 _MOST_SUBSTEPS = 1000
 
 
@@ -103,13 +103,7 @@ def plant_record(
         ConfigError: if `substeps` is not at least 1, the observer is faster than the tick allows, the friction follows
             the load faster than the step, or the seed is not a whole number from 0 to LARGEST_SEED.
     """
-    if not isinstance(substeps, int | np.integer) or not 1 <= substeps <= _MOST_SUBSTEPS:
-        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {_MOST_SUBSTEPS}")
-    if drives.velocity_bandwidth >= rates.base_hz / 2:
-        raise ConfigError(
-            f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
-            f"{rates.base_hz / 2:g} Hz"
-        )
+    _check(drives, friction, rates, substeps, seed)
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
     plant["arm"] = manipulator_record(robot.chain, drives)[0]
@@ -119,7 +113,7 @@ def plant_record(
     if plant["transmission"]["flexible"]:
         plant["arm"]["rotor"] = 0.0  # the rotors move on their own
     plant["friction"] = element_arrays(friction.elements)[0]
-    _fill_parts(plant["parts"], drives, friction, rates.period, substeps, seed)
+    fill_arm_parts(plant["parts"], friction.elements, drives.gear, drives.motor_heat, rates.period, seed)
     fill_sensor(plant["sensor"], drives.current_sensor, drives.torque_constant, rates.period, seed)
     _fill_brakes(plant["brake"], drives)
     plant["gear"] = drives.gear
@@ -135,6 +129,25 @@ def plant_record(
     return record
 
 
+def _check(drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int, seed: int) -> None:
+    """Refuse what does not fit the tick or the step."""
+    if not isinstance(substeps, int | np.integer) or not 1 <= substeps <= _MOST_SUBSTEPS:
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {_MOST_SUBSTEPS}")
+    if drives.velocity_bandwidth >= rates.base_hz / 2:
+        raise ConfigError(
+            f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
+            f"{rates.base_hz / 2:g} Hz"
+        )
+    check_seed(seed)
+    step = rates.period / substeps
+    for name, element in zip(friction.names, friction.elements, strict=True):
+        if element.load is not None and element.load.relax_time < step:
+            raise ConfigError(
+                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
+                f"step, {step:g} s"
+            )
+
+
 def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
     elasticity = drives.elasticity
     elastic = elasticity.elastic
@@ -144,23 +157,6 @@ def _fill_transmission(transmission: Any, drives: DriveParameters) -> None:
     transmission["stiffness"] = np.where(elastic, elasticity.stiffness, 0.0)
     transmission["damping"] = elasticity.damping
     transmission["half_play"] = 0.5 * elasticity.backlash
-
-
-def _fill_parts(
-    parts: Any, drives: DriveParameters, friction: FrictionSet, period: float, substeps: int, seed: int
-) -> None:
-    """Write the friction elements' parts; the angle of a motor is that of its element times the gear ratio."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
-        raise ConfigError(f"seed is {seed}; accepted: a whole number from 0 to {LARGEST_SEED}")
-    for name, element in zip(friction.names, friction.elements, strict=True):
-        if element.load is not None and element.load.relax_time < period / substeps:
-            raise ConfigError(
-                f"friction.{name}.load.relax_time is {element.load.relax_time:g} s; accepted: at least the plant's "
-                f"step, {period / substeps:g} s"
-            )
-    # Motor 6 turns with joints 5 and 6 together, as the seventh element does, and warms that one alone.
-    heat = (drives.winding.resistance / drives.torque_constant**2).tolist()
-    fill_parts(parts, friction.elements, [*drives.gear, drives.gear[5]], period, seed, [*heat[:5], 0.0, heat[5]])
 
 
 def _fill_brakes(brake: Any, drives: DriveParameters) -> None:

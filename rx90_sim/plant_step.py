@@ -1,9 +1,9 @@
-"""The one plant step, compiled: drives, brakes, end stops, LuGre friction and the rigid arm.
+"""The one plant step, compiled: drives, brakes, end stops, friction and the arm.
 
 Second order with a single evaluation of the arm and of the friction in a step: both are evaluated at the
 midpoint of the step, which the last step's mean acceleration and the jump of the drive torque predict. The
 bristles are advanced exactly for the midpoint velocity, so their rate, far above the tick rate at full joint
-speed, sets no limit to the step.
+speed, sets no limit to the step. With elastic gears another step takes its place (rx90_sim.elastic_step).
 """
 
 from __future__ import annotations
@@ -17,21 +17,15 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Record
 from rx90_common.description.wrist import to_joint_torque, to_motor
 from rx90_common.dynamics.manipulator import factorise, mass_and_bias, solve
+from rx90_common.friction.arm_elements import element_inputs
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_sim.cogging import add_cogging
 from rx90_sim.current_sensor import reset_sensors, sense_currents
-from rx90_sim.drives import encoder_reading, observe
+from rx90_sim.drives import observe, whole_steps
 from rx90_sim.elastic_step import add_twists, elastic_reset, elastic_substep, hang_links, on_motor_side
 from rx90_sim.end_stops import add_stops
-from rx90_sim.joint_friction import (
-    add_friction,
-    advance_loads,
-    advance_parts,
-    element_inputs,
-    friction_now,
-    reset_friction,
-)
+from rx90_sim.joint_friction import add_friction, advance_loads, advance_parts, friction_now, reset_friction
 from rx90_sim.winding import current_share, warm_windings
 
 # Compiled code reads records through 1-element arrays: those pass the boundary from Python fastest.
@@ -66,7 +60,7 @@ def plant_reset(plants: Record, states: Record, position: NDArray[np.float64]) -
     if plant.transmission.flexible:
         elastic_reset(plant, state)
         add_twists(plant, state, state.observer)
-    store(state.motor_position, encoder_reading(load(state.observer, 6), load(plant.resolution, 6)))
+    store(state.motor_position, whole_steps(load(state.observer, 6), load(plant.resolution, 6)))
     for i in range(6):
         state.motor_velocity[i] = 0.0
 
@@ -134,7 +128,7 @@ def sample_drives(plants: Record, states: Record) -> None:
     )
     store(state.observer, position)
     store(state.motor_velocity, velocity)
-    store(state.motor_position, encoder_reading(angle, load(plant.resolution, 6)))
+    store(state.motor_position, whole_steps(angle, load(plant.resolution, 6)))
 
 
 @kernel

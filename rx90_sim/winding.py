@@ -9,6 +9,7 @@ motor that is too warm still brakes; what the arm then cannot follow, the contro
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ import numpy as np
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.winding import Windings
 from rx90_common.friction.bristle import decay
-from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import load, store
+from rx90_common.kernels.compiled import inlined, kernel
+from rx90_common.kernels.lanes import Lanes, load, store
 
 WINDING_DTYPE = np.dtype(
     [
@@ -54,13 +55,20 @@ def current_share(winding: Any, temperature: float) -> float:
     return min(1.0, max(0.0, share))
 
 
+@inlined
+def relative_resistance(winding: Any, temperature: Lanes) -> Lanes:
+    """Return the resistance of windings at their temperatures, degrees Celsius, over that at the reference."""
+    resistance: Lanes = 1.0 + winding.coefficient * (temperature - winding.reference)
+    return resistance
+
+
 @kernel
 def warm_windings(winding: Any, torque: Array, temperature: Array, duration: float) -> None:
     """Advance the temperatures, degrees Celsius, shape (6,), over a time, s, of constant torques, Nm, shape (6,)."""
     pushed, before = load(torque, 6), load(temperature, 6)
     heat = load(winding.heat, 6) * pushed * pushed
     cooling = load(winding.cooling, 6)
-    rate = heat * (1.0 + winding.coefficient * (before - winding.reference)) - cooling * (before - winding.ambient)
+    rate = heat * relative_resistance(winding, before) - cooling * (before - winding.ambient)
     mean, _ = decay(duration * (cooling - heat * winding.coefficient))
     store(temperature, before + duration * rate * mean)
 
@@ -80,7 +88,7 @@ def warm_motors(plant: Record, temperature: Array) -> str:
     """Return in words which amplifiers give less than their peak current; '' if none; arguments as above."""
     pairs = enumerate(zip(temperature, current_shares(plant, temperature), strict=True), 1)
     return ", ".join(
-        f"motor_{k} at {warm:.1f} °C has {100.0 * share:.0f} % of its peak current"
+        f"motor_{k} at {warm:.1f} °C has {math.floor(100.0 * share)} % of its peak current"
         for k, (warm, share) in pairs
         if share < 1.0
     )

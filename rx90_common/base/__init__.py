@@ -5,6 +5,7 @@ __all__ = [
     "config",
     "entries",
     "errors",
+    "extremes",
     "groups",
     "quoting",
     "rates",

@@ -21,6 +21,7 @@ _DEEPEST = 64
 _LONGEST_INTEGER = 400  # characters; the largest finite number has 309 digits
 _IN_FILE = re.compile(r',? in "<file>", ')
 _LONGEST_REASON = 400
+_SURROGATE = re.compile("[\ud800-\udfff]")  # by an escape such as "\ud800"; no file and no terminal takes it
 _SCHEMA_LINE = "# yaml-language-server: $schema="
 
 
@@ -44,6 +45,10 @@ class _Loader(yaml.SafeLoader):
         self._depth += 1
         node: Any = super().compose_node(parent, index)
         self._depth -= 1
+        if isinstance(node, yaml.ScalarNode) and _SURROGATE.search(node.value):
+            raise _Fault(
+                None, None, f"{quoted(node.value)} holds half of a surrogate pair, no character", node.start_mark
+            )
         if not isinstance(event, yaml.AliasEvent):
             self._values[node] = 1 + sum(self._values[child] for child in _children(node))
         elif node not in self._values:

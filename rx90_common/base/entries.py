@@ -58,28 +58,30 @@ class Entry:
 
 @dataclass(frozen=True)
 class Number(Entry):
-    """A finite number in [low, high], or in (low, high] with `above`; with `nonzero` not 0."""
+    """A finite number in [low, high], or in (low, high] with `above`; `nonzero`: not 0, `infinite`: also .inf."""
 
     _: KW_ONLY
     low: float = -math.inf
     high: float = math.inf
     above: bool = False
     nonzero: bool = False
+    infinite: bool = False
 
     def take(self, section: Section, key: str) -> float:
         """Return the number."""
-        value = section.number(key, self.low, self.high, above=self.above)
+        value = section.number(key, self.low, self.high, above=self.above, infinite=self.infinite)
         if self.nonzero and value == 0.0:
             section.refuse(key, value, "a finite number other than 0")
         return value
 
     def rules(self) -> JsonSchema:
-        """Return the range; what is not finite is beyond the largest number."""
+        """Return the range; what is not finite is beyond the largest number, where that is refused."""
         largest = sys.float_info.max
         least = {} if self.above else {"minimum": max(self.low, -largest)}
         least |= {"exclusiveMinimum": self.low} if self.above else {}
         other = {"not": {"const": 0}} if self.nonzero else {}
-        return {"type": "number", **least, "maximum": min(self.high, largest), **other}
+        most = {} if self.infinite else {"maximum": min(self.high, largest)}
+        return {"type": "number", **least, **most, **other}
 
 
 @dataclass(frozen=True)

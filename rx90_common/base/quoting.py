@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 LIMIT: Final = 120
@@ -53,6 +53,16 @@ def listed(given: Iterable[object], most: int = _MOST_NAMES) -> str:
     every = list(given)
     shown = ", ".join(plain(name) for name in every[:most])
     return f"{shown} and {len(every) - most:,} more" if len(every) > most else shown
+
+
+def conjoined(names: Sequence[str]) -> str:
+    """Return names in a sentence: one, one and two, or one, two and three."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return how many there are of something whose plural ends in s: 1 run, 2 runs."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def one_line(text: object, limit: int = LINE_LIMIT) -> str:

@@ -35,10 +35,12 @@ class Rates:
     Attributes:
         base_hz: velocity loop, current loop and plant tick, Hz (4 kHz in the CS7B).
         position_hz: position loop and set-points, Hz (1 kHz in the CS7B).
+        temperature_hz: how often temperatures of joints and windings are told, Hz.
     """
 
     base_hz: int = 4000
     position_hz: int = 1000
+    temperature_hz: int = 1
 
     def __post_init__(self) -> None:
         if self.base_hz <= 0 or NANOSECONDS % self.base_hz:
@@ -47,6 +49,7 @@ class Rates:
                 "number of nanoseconds, such as 2000, 4000, 8000 or 10000"
             )
         ticks_per("position_rate", self.base_hz, self.position_hz)
+        ticks_per("temperature_rate", self.base_hz, self.temperature_hz)
 
     @property
     def period(self) -> float:
@@ -62,6 +65,11 @@ class Rates:
     def ratio(self) -> int:
         """Return the base ticks in one tick of the position loop."""
         return self.base_hz // self.position_hz
+
+    @property
+    def temperature_ticks(self) -> int:
+        """Return the base ticks from one message of temperatures to the next."""
+        return self.base_hz // self.temperature_hz
 
     @property
     def position_period(self) -> float:

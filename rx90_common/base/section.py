@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -128,10 +129,15 @@ class Section(CheckedMapping):
         where = f"{self.path}{'.' if self.path else ''}{key}"
         return [Section(value, self.file, f"{where}[{i}]") for i, value in enumerate(values)]
 
-    def number(self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> float:
-        """Return a finite number in [low, high], or in (low, high] with `above`."""
+    def number(
+        self, key: str, low: float = -math.inf, high: float = math.inf, *, above: bool = False, infinite: bool = False
+    ) -> float:
+        """Return a finite number in [low, high], or in (low, high] with `above`; with `infinite` infinity, too."""
         accepted = range_text(low, high, above)
-        return self._check_number(key, self._get(key, accepted), low, high, above, accepted)
+        value = self._get(key, accepted)
+        if infinite and value == math.inf:
+            return math.inf
+        return self._check_number(key, value, low, high, above, accepted)
 
     def numbers(
         self, key: str, count: int, low: float = -math.inf, high: float = math.inf, *, above: bool = False
@@ -185,17 +191,24 @@ class Section(CheckedMapping):
         return self._get(key, accepted)
 
     def _check_number(self, key: str, value: Any, low: float, high: float, above: bool, accepted: str) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, Real):  # Real: NumPy's scalars, too
             self.refuse(key, value, accepted)
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
+        number = as_number(value)
         if not math.isfinite(number):
             self.refuse(key, value, accepted.replace("a number >", "a finite number >"))  # infinity is > 0, too
         if number > high or number < low or (above and number == low):
             self.refuse(key, value, accepted)
         return number
+
+
+def as_number(value: object) -> float:
+    """Return a number, NumPy's scalars included, as a float, an integer beyond the largest as infinity; else NaN."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
 
 
 def range_text(low: float, high: float, above: bool) -> str:

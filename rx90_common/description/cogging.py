@@ -12,6 +12,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number, Rows
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.base.quoting import counted
 
 MOST_TERMS = 8
 """Of the Fourier series."""
@@ -57,7 +58,7 @@ class Cogging:
     def __post_init__(self) -> None:
         terms = np.asarray(self.harmonic).shape[0]
         if terms > MOST_TERMS:
-            raise ConfigError(f"cogging: harmonic has {terms} numbers; accepted: up to {MOST_TERMS}")
+            raise ConfigError(f"cogging: harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}")
         for name, shape in (("harmonic", (terms,)), ("amplitude", (terms, 6)), ("phase", (terms, 6))):
             value = np.asarray(getattr(self, name))
             if value.shape != shape or not np.all(np.isfinite(value)):

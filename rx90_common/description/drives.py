@@ -141,6 +141,11 @@ class DriveParameters:
         return self.torque_constant * self.peak_current
 
     @property
+    def motor_heat(self) -> Array:
+        """Return the heat of windings at their reference temperature, W for the square of the torque in Nm, (6,)."""
+        return np.asarray(self.winding.resistance / self.torque_constant**2)
+
+    @property
     def rotor_matrix(self) -> Array:
         """Return the rotors' share of the mass matrix, kg m^2, shape (6, 6)."""
         return coupled_inertia(self.rotor_inertia)

@@ -21,6 +21,9 @@ SIDES = (MOTOR, LINK)
 
 _ZEROS = (0.0,) * 6
 _STIFFNESS = "6 numbers > 0, .inf for a rigid joint"
+# rad: what a tooth and its gap take up of a wheel with 12 teeth. Gears of robots have an arc minute, 0.0003 rad, common
+# planetary ones half a degree; more than this is a slip of the unit.
+_MOST_PLAY = 0.5
 
 
 def _are_stiffnesses(value: Any) -> bool:
@@ -41,7 +44,8 @@ ELASTICITY = Group(
         ),
         "damping": Numbers("Damping beside the stiffness.", "Nm s/rad", count=6, low=0.0, default=_ZEROS),
         "backlash": Numbers(
-            "Play: the way, at the joint, from one flank to the other.", "rad", count=6, low=0.0, default=_ZEROS
+            "Play: the way, at the joint, from one flank to the other.", "rad", count=6, low=0.0, high=_MOST_PLAY,
+            default=_ZEROS,
         ),
         "friction": Text("The side on which the friction of the joints acts.", choices=SIDES, default=MOTOR),
     },
@@ -59,7 +63,7 @@ class Elasticity:
     Attributes:
         stiffness: Nm/rad; infinite for a rigid drive, which has neither damping nor play.
         damping: beside the stiffness, Nm s/rad; with play only where the flanks touch.
-        backlash: play from one flank to the other, rad.
+        backlash: play from one flank to the other, rad, up to 0.5.
         friction_side: MOTOR or LINK, where the friction of the joints acts.
 
     Raises:
@@ -75,10 +79,12 @@ class Elasticity:
         stiffness = np.asarray(self.stiffness)
         if stiffness.shape != (6,) or not np.all(stiffness > 0):
             raise ConfigError(f"elasticity: stiffness is {stiffness.tolist()}; accepted: {_STIFFNESS}")
-        for name in ("damping", "backlash"):
+        ranges = (("damping", math.inf, "6 finite numbers >= 0"),
+                  ("backlash", _MOST_PLAY, f"6 numbers in [0, {_MOST_PLAY:g}]"))  # fmt: skip
+        for name, most, accepted in ranges:
             value = np.asarray(getattr(self, name))
-            if value.shape != (6,) or not np.all(np.isfinite(value) & (value >= 0)):
-                raise ConfigError(f"elasticity: {name} is {value.tolist()}; accepted: 6 finite numbers >= 0")
+            if value.shape != (6,) or not np.all(np.isfinite(value) & (value >= 0) & (value <= most)):
+                raise ConfigError(f"elasticity: {name} is {value.tolist()}; accepted: {accepted}")
             for i in np.flatnonzero((value > 0) & np.isinf(stiffness)):
                 found = f"elasticity: {name}[{i}] is {value[i]:g}, stiffness[{i}] infinite"
                 raise ConfigError(f"{found}; accepted: 0 for a rigid drive")

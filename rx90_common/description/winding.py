@@ -76,8 +76,13 @@ class Windings:
     def __post_init__(self) -> None:
         for name in ("resistance", "thermal_resistance", "heat_capacity"):
             value = np.asarray(getattr(self, name))
-            if value.shape != (6,) or not np.all(value > 0 if name != "resistance" else value >= 0):
+            good = value > 0 if name != "resistance" else np.isfinite(value) & (value >= 0)
+            if value.shape != (6,) or not np.all(good):
                 raise ConfigError(f"winding: {name} is {value.tolist()}; accepted: 6 numbers > 0")
+        for name in ("ambient", "initial", "reference", "coefficient", "derating", "limit"):
+            value = getattr(self, name)
+            if math.isnan(value) or (math.isinf(value) and name not in ("derating", "limit")):
+                raise ConfigError(f"winding: {name} is {value}; accepted: a finite number")
         if self.used and not self.derating < self.limit:
             raise ConfigError(f"winding: derating is {self.derating:g} °C; accepted: below limit = {self.limit:g} °C")
         if self.used and not max(self.ambient, self.initial) <= self.derating:

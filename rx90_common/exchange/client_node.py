@@ -40,9 +40,9 @@ class ClientNode:
     say: Callable[[str], None]
     check_interrupt: Callable[[], None]
 
-    def spin(self) -> None:
-        """Take a message or an answer, or wait a moment for one."""
-        self.executor.spin_once(timeout_sec=POLL)
+    def spin(self, longest: float = POLL) -> None:
+        """Take a message or an answer, or wait for one, at most so many seconds."""
+        self.executor.spin_once(timeout_sec=longest)
         self.check_interrupt()
 
     def wait(self, ready: Callable[[], bool], what: str) -> None:

@@ -19,11 +19,13 @@ class MotorStates(NamedTuple):
         stamp_ns: sample time, ns.
         position: rad, shape (n,).
         velocity: rad/s, shape (n,).
+        torque: reported by the drives, Nm, shape (n,), if it is.
     """
 
     stamp_ns: int
     position: Array
     velocity: Array
+    torque: Array | None = None
 
 
 class ServoLoops(Protocol):
@@ -85,7 +87,7 @@ class MotorMessages:
             ExchangeError: for a stamp between two ticks, unless the rates are known to be the same.
         """
         try:
-            stamp_ns, position, velocity, _ = self._spare.decode(raw)
+            stamp_ns, position, velocity, torque = self._spare.decode(raw)
             if position is None or velocity is None:
                 raise ExchangeError("no positions or no velocities; accepted: both")
         except ExchangeError as error:
@@ -97,7 +99,7 @@ class MotorMessages:
             )
             raise self._refused("stamp", text) if self.same_rates else ExchangeError(f"{self._topic}: {text}")
         self._codec, self._spare = self._spare, self._codec
-        return MotorStates(stamp_ns, position, velocity)
+        return MotorStates(stamp_ns, position, velocity, torque)
 
     def _refused(self, kind: str, text: str) -> MessageError:
         self._log.say(kind, f"{self._topic}: {text}; the message is ignored")

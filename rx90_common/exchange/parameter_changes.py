@@ -54,6 +54,7 @@ class ParameterChanges:
     def __init__(self, node: Node, unconfigured: Callable[[], bool]) -> None:
         self._node, self._unconfigured = node, unconfigured
         self._groups: list[ChangeGroup] = []
+        self._told: list[str] = []
         self._leading: dict[str, Callable[[Any], Mapping[str, Any]]] = {}
         qos = QoSProfile(depth=_REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._publisher = node.create_publisher(ParameterEvent, f"~/{PARAMETERS}", qos)
@@ -65,17 +66,22 @@ class ParameterChanges:
         """Let a group be changed from now on, until `forbid_all`."""
         self._groups.append(group)
 
+    def tell(self, name: str) -> None:
+        """Let `tell_values` tell a parameter that cannot be changed, too, until `forbid_all`."""
+        self._told.append(name)
+
     def forbid_all(self) -> None:
-        """Let none be changed any more."""
+        """Let none be changed, and none of them be told, any more."""
         self._groups.clear()
+        self._told.clear()
 
     def lead(self, name: str, others: Callable[[Any], Mapping[str, Any]]) -> None:
         """Have other parameters set with one: `others` returns their values for one of `name`, or raises Rx90Error."""
         self._leading[name] = others
 
     def tell_values(self) -> None:
-        """Publish the values that may be changed, as they are: so a bag has them from its begin on."""
-        names = [name for group in self._groups for name in group.names]
+        """Publish the values that may be changed or are to be told: so a bag has them from its begin on."""
+        names = [*(name for group in self._groups for name in group.names), *self._told]
         values = [self._node.get_parameter(name).to_parameter_msg() for name in names]
         self._publisher.publish(ParameterEvent(node=self._node.get_fully_qualified_name(), new_parameters=values))
 

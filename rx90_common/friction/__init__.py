@@ -11,6 +11,7 @@ __all__ = [
     "ELEMENT_COUNT",
     "FrictionElement",
     "FrictionSet",
+    "arm_elements",
     "bristle",
     "element",
     "friction_file",

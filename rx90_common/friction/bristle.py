@@ -48,7 +48,7 @@ def load_elements(arrays: Any, width: int) -> Elements:
     )
 
 
-@inlined
+@kernel
 def one_element(arrays: Any, index: int) -> Elements:
     """Return one element of such a record, in plain numbers."""
     return Elements(

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, LINEAR_SPEED, SIGNS
-from rx90_common.friction.parts.bristles import LUGRE_SHARE, BristlesPart
+from rx90_common.friction.parts.bristles import LUGRE_PASSIVITY, BristlesPart
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
@@ -76,7 +76,7 @@ class FrictionElement:
     def __post_init__(self) -> None:
         for parameter in FRICTION_PARAMETERS:
             for name in parameter.attributes:
-                parameter.check(name, getattr(self, name))
+                object.__setattr__(self, name, parameter.check(name, getattr(self, name)))
         for sign in SIGNS:
             coulomb, static = getattr(self, f"tau_c_{sign}"), getattr(self, f"tau_s_{sign}")
             if static < coulomb:
@@ -123,15 +123,15 @@ class FrictionElement:
         """Return the speed, rad/s, from which the element is not passive; infinite if none up to `max_velocity`.
 
         The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000); Maxwell slip has
-        another number there (`BristlesPart.passive_share`).
+        another factor there (`BristlesPart.passivity_factor`).
         """
-        speed = np.geomspace(1e-4, max_velocity, 4000)
+        speed = _speeds_up_to(max_velocity)
         broken = self.damping(speed) * speed >= self._least_dissipation(speed)
         return float(speed[broken][0]) if broken.any() else math.inf
 
     def passive_damping(self, max_velocity: float) -> float:
         """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
-        speed = np.geomspace(1e-4, max_velocity, 4000)
+        speed = _speeds_up_to(max_velocity)
         fading = np.exp(-((speed / self.omega_d) ** 2))
         with np.errstate(divide="ignore"):
             return float(np.min(self._least_dissipation(speed) / (speed * fading)))
@@ -141,8 +141,13 @@ class FrictionElement:
         weakest, least = self, 1.0
         for part in self.parts.values():
             weakest, least = part.weakest(weakest), least * part.least_factor
-        share = LUGRE_SHARE if self.bristles is None else self.bristles.passive_share(self.c0, speed)
-        return share * least * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
+        factor = LUGRE_PASSIVITY if self.bristles is None else self.bristles.passivity_factor(self.c0, speed)
+        return factor * least * np.minimum(weakest.sliding_torque(speed), weakest.sliding_torque(-speed))
+
+
+def _speeds_up_to(largest: float) -> NDArray[np.float64]:
+    """Return the speeds, rad/s, shape (n,), at which passivity is looked at."""
+    return np.geomspace(1e-4, largest, 4000)
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

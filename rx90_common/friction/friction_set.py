@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import conjoined, quoted
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import MaxwellSlip
 
@@ -53,21 +53,25 @@ class FrictionSet:
         """Return a line for each element that is not passive up to the given speeds, rad/s, shape (6,)."""
         reach = [*max_velocity, max_velocity[4] + max_velocity[5]]
         where = "" if self.file is None else f"{self.file}: "
-        lines = []
-        for name, element, speed in zip(self.names, self.elements, reach, strict=True):
-            limit = element.passivity_limit(speed)
-            if math.isfinite(limit):
-                accepted = element.passive_damping(speed)
-                reducing = [name for name, part in element.parts.items() if part.leaves_less]
-                least = f", where {' and '.join(reducing)} leave least friction" if reducing else ""
-                blocks = isinstance(element.bristles, MaxwellSlip)
-                bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
-                lines.append(
-                    f"{where}elements.{name}.c1 is {element.c1:g} Nm s/rad, "
-                    f"not passive from {limit:.3g} rad/s on; accepted: below {accepted:.3g} "
-                    f"({bound} up to {speed:.3g} rad/s{least}), or a c1 that fades with omega_d"
-                )
-        return lines
+        warnings = [_passivity_warning(*each) for each in zip(self.names, self.elements, reach, strict=True)]
+        return [f"{where}{warning}" for warning in warnings if warning]
+
+
+def _passivity_warning(name: str, element: FrictionElement, speed: float) -> str:
+    """Return a line for an element that is not passive up to a speed, rad/s; "" for one that is."""
+    limit = element.passivity_limit(speed)
+    if math.isinf(limit):
+        return ""
+    reducing = [part_name for part_name, part in element.parts.items() if part.leaves_less]
+    leave = "leaves" if len(reducing) == 1 else "leave"
+    least = f", where {conjoined(reducing)} {leave} least friction" if reducing else ""
+    blocks = isinstance(element.bristles, MaxwellSlip)
+    bound = "the bound of its blocks, docs/explanation/bristles.md," if blocks else "c1 < 4 c0 g / |v|"
+    return (
+        f"elements.{name}.c1 is {element.c1:g} Nm s/rad, not passive from {limit:.3g} rad/s on; "
+        f"accepted: below {element.passive_damping(speed):.3g} ({bound} up to {speed:.3g} rad/s{least}), "
+        "or a c1 that fades with omega_d"
+    )
 
 
 def refuse_parts(

@@ -11,6 +11,8 @@ from functools import cached_property
 from rx90_common.base.entries import REQUIRED, Entry, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
+from rx90_common.base.quoting import quoted
+from rx90_common.base.section import as_number
 from rx90_common.friction.parts.table import PARTS
 
 SIGNS = ("positive", "negative")
@@ -72,23 +74,26 @@ class FrictionParameter:
         about = f"{self.meaning[0].upper()}{self.meaning[1:]}."
         if not self.signed:
             default = REQUIRED if self.default is None else self.default
-            return Number(about, self.unit, low=low, high=high, above=above, default=default)
+            infinite = self.default == math.inf
+            return Number(about, self.unit, low=low, high=high, above=above, default=default, infinite=infinite)
         number = Number(f"{about} For both signs of the velocity.", self.unit, low=low, high=high, above=above)
         pair = {sign: replace(number, about=f"{about} Of {sign} velocities.") for sign in SIGNS}
         return Either(
             about, self.unit, mapping=Group(f"{about} For each sign of the velocity.", keys=pair), plain=number
         )
 
-    def check(self, attribute: str, value: float) -> None:
-        """Refuse a value that is not in the range.
+    def check(self, attribute: str, value: object) -> float:
+        """Return a value, a scalar of NumPy's as a float; refuse one that is no number or not in the range.
 
         Raises:
             ConfigError: naming attribute, value and range.
         """
         low, high, above = self.interval
-        inside = (value > low if above else value >= low) and value <= high
-        if not inside or (value > sys.float_info.max and self.default != math.inf):
-            raise ConfigError(f"{attribute} is {value}; accepted: {self.accepted}")
+        number = as_number(value)
+        inside = (number > low if above else number >= low) and number <= high
+        if not inside or (number > sys.float_info.max and self.default != math.inf):
+            raise ConfigError(f"{attribute} is {quoted(value)}; accepted: {self.accepted}")
+        return number
 
 
 FRICTION_PARAMETERS = (

@@ -12,12 +12,12 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.wrist import to_joint, to_joint_torque
-from rx90_controller.law.loops import LAW_STATE_DTYPE, law_reset, position_loop, velocity_loop
+from rx90_controller.law.lookahead import Lookahead
+from rx90_controller.law.loops import LAW_STATE_DTYPE, law_release, law_reset, position_loop, velocity_loop
+from rx90_controller.law.model_friction import cool_model
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.trajectory import TrajectoryGenerator
-
-_LOOKAHEAD = 64  # set-points that are sampled at once
 
 
 class CS7B:
@@ -42,21 +42,30 @@ class CS7B:
         self._gear = drives.gear
         self.trajectory = TrajectoryGenerator(parameters.limits(robot), rates.position_period, np.zeros(6))
         self.tick = 0
-        self._lookahead = np.zeros((0, 3, 6))
-        self._first = 0  # position tick of the first set-point in it
-        self._revision = self.trajectory.revision
+        self._lookahead = Lookahead(self.trajectory)
         # Fixed memory: what is sent in every tick is read from there.
         self._reference = np.zeros((3, 6))
         self._error = np.zeros((3, 6))
         self._details = np.zeros((3, 6))
         self.command: Array = self.state["command"][0]
         self.setpoint = np.zeros((3, 6))
-        self._measured = (np.zeros(6), np.zeros(6))
+        self._measured: tuple[Array, Array, Array | None] = (np.zeros(6), np.zeros(6), None)
+        self._currents_err = drives.current_sensor.used
         self.fault: DriveFault | None = None
 
     def reset(self, position: Array, tick: int = 0) -> None:
-        """Hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
+        """Begin anew: hold the measured motor positions, rad, shape (6,), from base tick `tick` on."""
         law_reset(self.state)
+        self._hold(position, tick)
+
+    def release(self, position: Array, tick: int) -> None:
+        """Let the motion end without torque and hold the positions from a later tick on; the model's joints cool."""
+        law_release(self.state)
+        before = self.position_tick
+        self._hold(position, tick)
+        cool_model(self.law, self.state, self.position_tick - before)
+
+    def _hold(self, position: Array, tick: int) -> None:
         self.fault = None
         hold = np.empty(6)
         to_joint(self._gear, np.ascontiguousarray(position), hold)
@@ -65,6 +74,7 @@ class CS7B:
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
+        cool_model(self.law, self.state, count)
         self.tick += count * self.rates.ratio
         self.trajectory.delay(count, self.position_tick)
 
@@ -78,6 +88,7 @@ class CS7B:
         self.tracking_error()
         self.details()
         self.trajectory.warm_up()
+        self.release(rest, self.tick)
         self.reset(rest)
 
     @property
@@ -90,19 +101,18 @@ class CS7B:
         """Return whether the next base tick runs the position loop."""
         return self.tick % self.rates.ratio == 0
 
-    def step(self, position: Array, velocity: Array) -> Array:
-        """Run the loops that are due in this tick.
+    def step(self, position: Array, velocity: Array, torque: Array | None = None) -> Array:
+        """Run the loops that are due in this tick; return `command`: motor torques, torque constant times current.
 
         Args:
             position: motor positions by the encoders, rad, shape (6,).
             velocity: measured motor velocities, rad/s, shape (6,).
-
-        Returns:
-            `command`: motor torques, torque constant times current.
+            torque: what the drives report, Nm, shape (6,), if they do; for `details` alone.
         """
         tick, slow = divmod(self.tick, self.rates.ratio)
         if slow == 0:
-            self.setpoint, self._measured = self._setpoint(tick), (position, velocity)
+            self.setpoint, self._measured = self._lookahead.at(tick), (position, velocity, torque)
+            self._reference[:2], self._details[0] = self.setpoint[:2], self.setpoint[2]
             tripped = position_loop(self.law, self.state, self.setpoint, position, velocity)
             if tripped:
                 self.note_fault()
@@ -114,17 +124,6 @@ class CS7B:
         """Keep the first fault, found by the supervision in the present tick."""
         if self.fault is None:
             self.fault = DriveFault.of(self.joint_names, self.law, self.state, self.tick * self.rates.period)
-
-    def _setpoint(self, tick: int) -> Array:
-        """Return the set-point of a position tick, from a block: sampling one alone takes longer than the law."""
-        row = tick - self._first
-        if self._revision != self.trajectory.revision or not 0 <= row < len(self._lookahead):
-            self._lookahead = self.trajectory.setpoints(tick, _LOOKAHEAD)
-            self._first, row = tick, 0
-            self._revision = self.trajectory.revision
-        setpoint: Array = self._lookahead[row]
-        self._reference[:2], self._details[0] = setpoint[:2], setpoint[2]
-        return setpoint
 
     @property
     def saturated(self) -> NDArray[np.int64]:
@@ -155,18 +154,19 @@ class CS7B:
 
         Always the same arrays, brought up to date by this call.
         """
-        state = self.state
         position, velocity, torque = self._error
-        to_joint(self._gear, state["error"][0], position)
-        to_joint(self._gear, state["velocity_error"][0], velocity)
-        to_joint_torque(self._gear, state["command"][0], torque)
+        to_joint(self._gear, self.state["error"][0], position)
+        to_joint(self._gear, self.state["velocity_error"][0], velocity)
+        to_joint_torque(self._gear, self.state["command"][0], torque)
         return position, velocity, torque
 
     def details(self) -> tuple[Array, Array, Array]:
         """Return set-point acceleration rad/s^2, joints; commanded and motor current A, motors; each shape (6,).
 
-        Always the same arrays, brought up to date by this call.
+        The motor current is what the drives report where their current sensors have errors, else the law's own.
+        Always the same arrays, brought up to date by this call: before what `step` was given is changed.
         """
         acceleration, commanded, current = self._details
-        commanded[:], current[:] = self.state["commanded"][0], self.state["current"][0]
+        commanded[:], reported = self.state["commanded"][0], self._measured[2] if self._currents_err else None
+        current[:] = self.state["current"][0] if reported is None else reported / self.law["torque_constant"][0]
         return acceleration, commanded, current

@@ -11,7 +11,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_motor
-from rx90_common.friction import ELEMENT_COUNT
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.model_torque import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
@@ -39,7 +38,14 @@ LAW_STATE_DTYPE = np.dtype(
 
 @kernel
 def law_reset(states: Record) -> None:
-    """Set integrators, currents, errors and the model's bristles to zero."""
+    """Begin anew: as `law_release`, and the joints of the model are as warm as its file has them at the start."""
+    law_release(states)
+    states[0].model.friction.warm = 0
+
+
+@kernel
+def law_release(states: Record) -> None:
+    """Set integrators, currents and errors to zero; the next position tick does so with the model's bristles."""
     state = states[0]
     for i in range(6):
         state.integrator[i] = state.position_torque[i] = state.feed_forward[i] = 0.0
@@ -49,8 +55,6 @@ def law_reset(states: Record) -> None:
         for k in range(3):
             state.reference[k, i] = 0.0
     state.model.parts = FRESH
-    for i in range(ELEMENT_COUNT):
-        state.model.z[i] = 0.0
 
 
 @kernel

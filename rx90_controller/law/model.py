@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,33 +14,46 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
 from rx90_common.base.quoting import plain
 from rx90_common.base.section import Section
-from rx90_common.base.share import resolve_config
-from rx90_common.description.drives import load_drives
+from rx90_common.base.share import config_path
+from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import DESCRIPTIONS, FILES, NO_TOOL
 from rx90_common.dynamics import manipulator_record
-from rx90_common.friction import load_friction
+from rx90_common.friction import FrictionElement, load_friction
+from rx90_common.friction.arm_elements import fill_arm_parts
 from rx90_common.friction.element import element_arrays
-from rx90_common.friction.friction_set import refuse_parts
 
 ROLES: Final = ("urdf", "tool", "drives", "friction")
 """The files of a model, by their names in the block `model` and in ModelFiles."""
 
 MODEL = Group(
-    "What the controller knows of the arm, for inverse_dynamics and friction_model; it may be wrong. A file is looked "
-    "for beside this one, then as everywhere: a path, or a name below config/. One that is left out is the robot "
-    "folder's own, beside this file.",
+    "What the controller knows of the arm, for inverse_dynamics and friction_model; it may be wrong. A relative path "
+    "is looked for in this file's folder, then in config/. A file that is left out is the robot folder's own, beside "
+    "this file. Of friction that scatters the mean is taken.",
     keys={role: Text(f"The {DESCRIPTIONS[role]}.", default=LEFT_OUT) for role in ROLES},
     default=LEFT_OUT,
 )
 """The block `model` of a controller file."""
 
 
-class ModelConstants(NamedTuple):
-    """The model as compiled code reads it: the arm, MANIPULATOR_DTYPE, and seven elements; shape (1,) each."""
+@dataclass(frozen=True)
+class ArmModel:
+    """What the files of a model hold, of use to the compiled law.
+
+    Attributes:
+        arm: without friction, shape (1,), MANIPULATOR_DTYPE.
+        friction: the seven elements; their scatter counts with its mean, which is nothing.
+        drives: gears, and how much heat the motors give.
+    """
 
     arm: np.ndarray[Any, Any]
-    friction: np.ndarray[Any, Any]
+    friction: tuple[FrictionElement, ...]
+    drives: DriveParameters
+
+    def fill(self, model: Any, period: float) -> None:
+        """Write arm and friction into a record of MODEL_DTYPE, zero before, for position ticks of `period`, s."""
+        model["arm"], model["friction"]["elements"] = self.arm[0], element_arrays(self.friction)[0]
+        fill_arm_parts(model["friction"]["parts"], self.friction, self.drives.gear, self.drives.motor_heat, period)
 
 
 @dataclass(frozen=True)
@@ -77,7 +90,7 @@ class ModelFiles:
         return cls(**found)  # type: ignore[arg-type]  # None only for the tool
 
     @cached_property
-    def constants(self) -> ModelConstants:
+    def constants(self) -> ArmModel:
         """Return what they hold, read once.
 
         Raises:
@@ -90,19 +103,24 @@ class ModelFiles:
                     f"the feed-forward by a model needs {plain(path)}, which is not there; accepted: {FILES[role]} "
                     f"beside the controller file, or model.{role} in it"
                 )
-        robot = load_robot(self.urdf, self.tool)
-        friction = load_friction(self.friction, robot.joint_names)
-        elements = dict(zip(friction.names, friction.elements, strict=True))
-        refuse_parts(elements, "the controller's friction model", f"{plain(self.friction)}: elements.")
-        arm = manipulator_record(robot.chain, load_drives(self.drives))
-        return ModelConstants(arm, element_arrays(friction.elements))
+        robot, drives = load_robot(self.urdf, self.tool), load_drives(self.drives)
+        friction = load_friction(self.friction, robot.joint_names).elements
+        known = tuple(replace(element, scatter=None) for element in friction)
+        return ArmModel(manipulator_record(robot.chain, drives), known, drives)
 
 
 def _resolved(named: Section, role: str) -> Path:
+    """Return a file that a controller file names: the same one from whatever folder a program is started."""
     name = named.text(role)
-    beside = named.file.parent / name
     try:
-        return beside if beside.is_file() else resolve_config(name)
-    except (OSError, ConfigError) as error:
-        named.refuse(role, name, f"a {DESCRIPTIONS[role]}: beside this file, by a path, or by a name below config/")
-        raise AssertionError from error
+        own = Path(name).expanduser()
+        found = own if own.is_absolute() else named.file.parent / own
+        if not found.is_file() and not own.is_absolute():
+            found = config_path(name)
+        if found.is_file():
+            return found
+    except (OSError, RuntimeError, ConfigError):  # a name that the system does not take, a home that does not exist
+        pass
+    accepted = "a path from this file's folder or from config/, or an absolute one"
+    named.refuse(role, name, f"a {DESCRIPTIONS[role]}: {accepted}")
+    raise AssertionError

@@ -5,11 +5,12 @@ at the set-point of the time at which it acts in the mean, `lead` later: half a 
 delay of the current loop. The set-points are driven on to there with their own accelerations: a trajectory that comes
 later may change what the generator has ahead, and the nodes would know less of it than the loop without ROS.
 
-The friction model is the LuGre element with the velocity of the set-points as input, its bristle's state included: the
-observer of Canudas de Wit, Olsson, Astrom and Lischinsky (1995), without the correction by the error and driven by what
-is wanted instead of what is measured. Nothing measured enters, so it cannot make the loop oscillate, however wrong
-its parameters are. Each bristle takes its exact step over the period, and what is fed forward is the mean torque over
-it; at rest both stay as they are, to the last bit.
+The friction model is the plant's with the velocity of the set-points as input, the bristles' state included. With
+LuGre's that is the observer of Canudas de Wit, Olsson, Astrom and Lischinsky (1995), without the correction by the
+error and driven by what is wanted instead of what is measured. Nothing measured enters, so it cannot make the loop
+oscillate, however wrong its parameters are. Each bristle takes its exact step over the period, and what is fed forward
+is the mean torque over it; at rest both stay as they are, to the last bit. What an element has beyond the paper's law
+stands in rx90_controller.law.model_friction.
 """
 
 from __future__ import annotations
@@ -23,10 +24,15 @@ from rx90_common.description.wrist import to_motor_torque
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_common.dynamics.manipulator import inverse_dynamics
 from rx90_common.friction import ELEMENT_COUNT
-from rx90_common.friction.bristle import bristle_step, load_elements
-from rx90_common.friction.element import elements_dtype
+from rx90_common.friction.arm_elements import add_to_joints
 from rx90_common.kernels.compiled import inlined, kernel
-from rx90_common.kernels.lanes import append, first, fma, lane, load, store
+from rx90_common.kernels.lanes import Lanes, fma, load, store
+from rx90_controller.law.model_friction import (
+    FRICTION_DTYPE,
+    FRICTION_STATE_DTYPE,
+    parted_friction,
+    plain_friction,
+)
 
 INVERSE_DYNAMICS, FRICTION = 1, 2
 """Bits of `parts`: what is on."""
@@ -37,7 +43,7 @@ MODEL_DTYPE = np.dtype(
     [
         ("parts", np.int64),
         ("arm", MANIPULATOR_DTYPE),
-        ("friction", elements_dtype(ELEMENT_COUNT)),
+        ("friction", FRICTION_DTYPE),
         ("lead", np.float64),  # s
         ("period", np.float64),  # of the position loop, s
     ],
@@ -48,7 +54,7 @@ MODEL_DTYPE = np.dtype(
 MODEL_STATE_DTYPE = np.dtype(
     [
         ("parts", np.int64),  # of the last position tick
-        ("z", np.float64, ELEMENT_COUNT),  # deflections of the model's bristles, rad
+        ("friction", FRICTION_STATE_DTYPE),
         ("before", np.float64, 6),  # motor side, Nm: what was fed forward before the parts changed
         # Workspace.
         ("body", BODY_DTYPE),
@@ -79,26 +85,32 @@ def add_model_torque(law: Any, state: Any, setpoint: Array) -> None:
     store(own.q, q)
     store(own.v, v)
     store(own.a, a)
-    if model.parts & INVERSE_DYNAMICS:
+    rigid, friction = model.parts & INVERSE_DYNAMICS != 0, model.parts & FRICTION != 0
+    parted = friction and model.friction.parts.used != 0
+    if rigid or parted:
         inverse_dynamics(model.arm, own.body, own.q, own.v, own.a, own.joint)
-    else:
+    if parted:
+        parted_friction(law, own, not _frictional(own.parts))
+    if not rigid:
         store(own.joint, 0.0 * a)
-    if model.parts & FRICTION:
-        _add_friction(model, own)
+    if friction:
+        add_to_joints(own.joint, _torques(model, own, parted))
     to_motor_torque(law.gear, own.joint, own.motor)
     store(state.feed_forward, load(state.feed_forward, 6) + load(own.motor, 6))
 
 
 @inlined
-def _add_friction(model: Any, own: Any) -> None:
-    """Advance the bristles of the seven elements by a period and add their mean torques to those of the joints."""
-    velocity = append(load(own.v, 6), own.v[4] + own.v[5])
-    z, torque = bristle_step(load_elements(model.friction, 7), load(own.z, 7), velocity, model.period)
-    store(own.z, z)
-    store(own.joint, load(own.joint, 6) + first(torque, 6))
-    wrist = lane(torque, 6)
-    own.joint[4] += wrist
-    own.joint[5] += wrist
+def _torques(model: Any, own: Any, parted: bool) -> Lanes:
+    """Return the torques of the friction elements, Nm."""
+    if parted:
+        return load(own.friction.parts.friction, 7)
+    return plain_friction(model.friction, own.friction, own.v, model.period)
+
+
+@inlined
+def _frictional(parts: int) -> bool:
+    """Return whether the friction model was on in a position tick with these parts."""
+    return parts != FRESH and parts & FRICTION != 0
 
 
 @kernel
@@ -107,9 +119,9 @@ def begin_parts(state: Any) -> None:
     own = state.model
     for i in range(6):
         own.before[i] = state.feed_forward[i]
-    if not own.parts & FRICTION:
+    if not _frictional(own.parts):
         for i in range(ELEMENT_COUNT):
-            own.z[i] = 0.0
+            own.friction.z[i] = 0.0
 
 
 @kernel

@@ -238,7 +238,18 @@ class CS7BParameters:
         )
 
     def record(self, robot: RobotModel, drives: DriveParameters, rates: Rates) -> np.ndarray[Any, Any]:
-        """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE."""
+        """Return the law's constants, shape (1,), dtype CONTROLLER_DTYPE.
+
+        Raises:
+            ConfigError: if the drives' current sensors have errors, and another bandwidth for the loop through which
+                these act.
+        """
+        sensor = drives.current_sensor
+        if sensor.used and sensor.bandwidth != self.current_bandwidth:
+            raise ConfigError(
+                f"the current loop's bandwidth is {self.current_bandwidth:g} Hz for the controller; accepted: "
+                f"{sensor.bandwidth:g} Hz, as current_sensor of the drives has it, for it is one loop"
+            )
         record = np.zeros(1, CONTROLLER_DTYPE)
         law = record[0]
         gear_squared = drives.gear * drives.gear
@@ -271,7 +282,7 @@ class CS7BParameters:
         assert self.model is not None
         model = law["model"]
         model["parts"] = self.feed_forward.model_parts
-        model["arm"], model["friction"] = (constants[0] for constants in self.model.constants)
+        self.model.constants.fill(model, rates.position_period)
         model["period"] = rates.position_period
         # The current follows by (1 - gain) of what is missing, tick by tick: in the mean so many ticks later.
         late = rates.period * (1.0 - law["current_gain"]) / law["current_gain"]

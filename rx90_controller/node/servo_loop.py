@@ -93,18 +93,18 @@ class ServoLoop:
             if self._released or not self.enabled:
                 self._released = False
                 self._requests.note_dropped("the torque is off")
-                cs7b.reset(states.position, stamp_ns // cs7b.rates.period_ns + 1)
+                cs7b.release(states.position, stamp_ns // cs7b.rates.period_ns + 1)
                 return False
             slow = cs7b.on_position_tick
             if slow:
                 self._requests.note_end()
-            cs7b.step(states.position, states.velocity)
+            cs7b.step(states.position, states.velocity, states.torque)
             self._unpublished = slow
             if cs7b.fault is None:
                 return True
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
             self._trip(cs7b.fault)
-            cs7b.reset(states.position, cs7b.tick)
+            cs7b.release(states.position, cs7b.tick)
             return False
 
     def after_command(self, stamp_ns: int) -> None:

@@ -20,7 +20,10 @@ _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted", "dashdot")
 _DECADES = 3  # of speed that are drawn on either side
 _POINTS = 400  # on either side
 _COLUMNS = 2
-_LEGEND = "* assumed; a/b: for positive/negative velocity; at v rad/s: the torque at constant velocity, without load"
+_LEGEND = (
+    "* assumed; a/b: for positive/negative velocity; at v rad/s: the torque at constant velocity, without load, "
+    "at the reference temperature"
+)
 _UNKNOWN = "of unknown provenance"
 
 
@@ -75,7 +78,9 @@ def comparison_json(choices: Sequence[FrictionChoice], speed: float) -> str:
 
 
 def comparison_plot(choices: Sequence[FrictionChoice], speed: float) -> Plot:
-    """Return the torque at constant velocity up to `speed`, rad/s, without load, over a logarithmic velocity.
+    """Return the torque at constant velocity up to `speed`, rad/s, over a logarithmic velocity.
+
+    It is that without load, at the reference temperature, in the mean over angle and scatter.
 
     A panel for each name of an element; one panel for single elements, and for those of one file.
     """

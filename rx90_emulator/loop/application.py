@@ -18,10 +18,10 @@ from rx90_common.description.urdf import inertia_fault
 from rx90_common.friction import FrictionSet
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.catalogue import Catalogue, Key, Leaf, Value
+from rx90_emulator.loop.catalogue import Catalogue, Index, Key, Leaf, Value
 from rx90_emulator.loop.setup import Setup
 
-Changes = dict[Key, dict[int | None, Value]]
+Changes = dict[Key, dict[Index, Value]]
 
 
 def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
@@ -42,10 +42,10 @@ def with_parameters(setup: Setup, values: Mapping[str, Value]) -> Setup:
     for path, value in values.items():
         for place in catalogue.places(path):
             try:
-                place.check(value)
+                taken = place.check(value)
             except ConfigError as error:
                 raise ConfigError(f"{quoted(path)}: {error}") from error
-            leaves.update(dict.fromkeys(place.leaves, value))
+            leaves.update(dict.fromkeys(place.leaves, taken))
     return _changed(setup, _sections(leaves))
 
 
@@ -75,13 +75,13 @@ def _changed(setup: Setup, sections: Mapping[str, Changes]) -> Setup:
     if "friction" in sections:
         new["friction"] = _friction(setup.friction, sections["friction"])
     if "drives" in sections:
-        new["drives"] = _with_blocks("drives", setup.drives, sections["drives"])
+        new["drives"] = _replaced("drives", setup.drives, sections["drives"])
     if "controller" in sections:
-        new["controller"] = _controller(setup, sections["controller"])
+        new["controller"] = _replaced("controller", setup.controller, sections["controller"])
     links = dict(sections.get("arm", {}))
     seed = links.pop(("seed",), None)
     if seed is not None:
-        new["seed"] = _seed(seed[None])
+        new["seed"] = _seed(seed[()])
     if links:
         new["robot"] = _robot(setup.robot, links)
     return replace(setup, **new) if new else setup
@@ -92,8 +92,8 @@ def _fields(holder: object, changes: Changes) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     for (name,), entries in changes.items():
         old = getattr(holder, name)
-        if None in entries:
-            fields[name] = entries[None]
+        if () in entries:
+            fields[name] = entries[()]
             continue
         numbers = np.array(old, dtype=np.float64)
         for index, value in entries.items():
@@ -102,31 +102,10 @@ def _fields(holder: object, changes: Changes) -> dict[str, Any]:
     return fields
 
 
-def _replaced(section: str, holder: Any, changes: Changes) -> Any:
-    try:
-        return replace(holder, **_fields(holder, changes))
-    except ConfigError as error:
-        raise ConfigError(f"{section}: {error}") from error
-
-
-def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
-    by_element: dict[str, Changes] = defaultdict(dict)
-    for (name, *field), entries in changes.items():
-        by_element[name][tuple(field)] = entries
-    elements = tuple(
-        _with_blocks(f"friction.{name}", element, by_element[name]) if name in by_element else element
-        for name, element in zip(friction.names, friction.elements, strict=True)
-    )
-    return replace(friction, elements=elements)
-
-
-def _with_blocks(where: str, holder: Any, changes: Changes) -> Any:
-    """Return a dataclass with changed values of its own, and of the blocks in it: parts of an element, of drives."""
+def _replaced(where: str, holder: Any, changes: Changes) -> Any:
+    """Return a dataclass with changed values of its own, and of the dataclasses in it, such as parts of an element."""
     own: Changes = {key: entries for key, entries in changes.items() if len(key) == 1}
-    blocks: dict[str, Changes] = defaultdict(dict)
-    for (name, *field), entries in changes.items():
-        if field:
-            blocks[name][tuple(field)] = entries
+    blocks = _by_first_name({key: entries for key, entries in changes.items() if len(key) > 1})
     new = {name: _replaced(where, getattr(holder, name), block) for name, block in blocks.items()}
     try:
         return replace(holder, **_fields(holder, own), **new)
@@ -134,17 +113,26 @@ def _with_blocks(where: str, holder: Any, changes: Changes) -> Any:
         raise ConfigError(f"{where}: {error}") from error
 
 
+def _by_first_name(changes: Changes) -> dict[str, Changes]:
+    groups: dict[str, Changes] = defaultdict(dict)
+    for (name, *field), entries in changes.items():
+        groups[name][tuple(field)] = entries
+    return groups
+
+
+def _friction(friction: FrictionSet, changes: Changes) -> FrictionSet:
+    by_element = _by_first_name(changes)
+    elements = tuple(
+        _replaced(f"friction.{name}", element, by_element[name]) if name in by_element else element
+        for name, element in zip(friction.names, friction.elements, strict=True)
+    )
+    return replace(friction, elements=elements)
+
+
 def _seed(value: Value) -> int:
-    if value != int(value):
+    if isinstance(value, float) and not value.is_integer():  # NaN and infinity are none
         raise ConfigError(f"arm.seed is {value}; accepted: a whole number from 0 to {LARGEST_SEED}")
     return int(value)
-
-
-def _controller(setup: Setup, changes: Changes) -> Any:
-    switches = {key[1]: bool(entries[None]) for key, entries in changes.items() if key[0] == "feed_forward"}
-    law = {key: entries for key, entries in changes.items() if key[0] != "feed_forward"}
-    feed_forward = replace(setup.controller.feed_forward, **switches)
-    return _replaced("controller", replace(setup.controller, feed_forward=feed_forward), law)
 
 
 def _robot(robot: RobotModel, changes: Changes) -> RobotModel:
@@ -155,7 +143,7 @@ def _robot(robot: RobotModel, changes: Changes) -> RobotModel:
         row = int(link.removeprefix("link_")) - 1
         links.add(row)
         for index, value in entries.items():
-            bodies[field][row if index is None else (row, index)] = value
+            bodies[field][(row, *index)] = value
     for row in sorted(links):
         _check_body(row, bodies["mass"][row], bodies["com"][row], bodies["inertia"][row])
     chain = chain._replace(**bodies)

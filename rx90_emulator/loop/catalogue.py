@@ -2,12 +2,14 @@
 
 `friction.joint_2.c0`, `friction.*.tau_c`, `drives.rotor_inertia[1]`, `drives.elasticity.stiffness[0]`,
 `controller.kp[*]`, `arm.link_3.mass`, `controller.feed_forward.coulomb`, `task.speed`, `arm.seed`, and where an element
-has that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`. A `*` stands for every
-name or index in its place; an index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
+has that part `friction.joint_2.load.driving` or `friction.joint_2.ripple.motor_amplitude[0]`, and where motors cog
+`drives.cogging.amplitude[1][0]`, of the second wave and motor 1. A `*` stands for every name or index in its place; an
+index counts from 0. `tau_c` and `tau_s` stand for both signs of the velocity.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +25,7 @@ from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.setup import Setup
 
 Key = tuple[str, ...]
+Index = tuple[int, ...]
 Value = float | bool
 
 SWITCH = "switch"
@@ -53,6 +56,7 @@ DRIVE_BLOCKS = {
     },
     "current_sensor": {**dict.fromkeys(("offset", "noise", "resolution"), "A"), "bandwidth": "Hz"},
 }
+COGGING_UNITS = {"harmonic": "1", "amplitude": "Nm", "phase": "rad"}
 CONTROLLER_UNITS = {
     "inertia": "kg m^2",
     "kp": "1/s",
@@ -86,15 +90,20 @@ TASK_UNITS = {
     "singularity_margin": "1",
 }
 
-_PATH = re.compile(r"(?P<names>[^\[\]]+)(?:\[(?P<index>\d+|\*)\])?")
+_PATH = re.compile(r"(?P<names>[^\[\]]+)(?P<indices>(?:\[(?:[0-9]{1,9}|\*)\])*)")
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """One value: the key of its leaf, and the index where the leaf is an array."""
+    """One value: the key of its leaf, and the index in it, () where the leaf is one number."""
 
     key: Key
-    index: int | None = None
+    index: Index = ()
+
+    @property
+    def path(self) -> str:
+        """Return what names it."""
+        return ".".join(self.key) + "".join(f"[{i}]" for i in self.index)
 
 
 @dataclass(frozen=True)
@@ -111,15 +120,17 @@ class Place:
     leaves: tuple[Leaf, ...]
     unit: str
 
-    def check(self, value: Value) -> None:
-        """Refuse a value of the wrong kind.
+    def check(self, value: Value | np.generic) -> Value:
+        """Return a value, a scalar of NumPy's as one of Python's; refuse one of the wrong kind.
 
         Raises:
             ConfigError: with what is accepted.
         """
         switch = self.unit == SWITCH
-        if not isinstance(value, int | float) or isinstance(value, bool) != switch:
+        plain = value.item() if isinstance(value, np.generic) else value
+        if not isinstance(plain, int | float) or isinstance(plain, bool) != switch:
             raise ConfigError(f"a value is {value}; accepted: {'true or false' if switch else 'numbers'}")
+        return plain
 
 
 class ParameterValue(NamedTuple):
@@ -146,6 +157,8 @@ class Catalogue:
         self._add(("drives",), setup.drives, DRIVES_UNITS)
         for block, units in DRIVE_BLOCKS.items():
             self._add(("drives", block), getattr(setup.drives, block), units)
+        if len(setup.drives.cogging.harmonic):
+            self._add(("drives", "cogging"), setup.drives.cogging, COGGING_UNITS)
         self._add(("controller",), setup.controller, CONTROLLER_UNITS)
         self._add(("controller", "feed_forward"), setup.controller.feed_forward, FEED_FORWARD_UNITS)
         if task is not None:
@@ -173,14 +186,14 @@ class Catalogue:
     def value(self, leaf: Leaf) -> Value:
         """Return a value as the files have it."""
         value = self._values[leaf.key]
-        if leaf.index is not None:
-            return float(value[leaf.index])
+        if leaf.index:
+            return float(np.asarray(value)[leaf.index])
         return value if isinstance(value, bool) else float(value)
 
     def all(self) -> list[Place]:
         """Return a place for each value."""
-        shapes = {key: "*" if np.ndim(value) else None for key, value in self._values.items()}
-        return [place for key, index in shapes.items() for place in self._indexed(".".join(key), key, index)]
+        every = {key: ("*",) * np.ndim(value) for key, value in self._values.items()}
+        return [place for key, indices in every.items() for place in self._indexed(".".join(key), key, indices)]
 
     def places(self, path: str) -> tuple[Place, ...]:
         """Return what a path names, one place for each combination that its `*` stand for.
@@ -188,6 +201,7 @@ class Catalogue:
         Raises:
             ConfigError: if it names nothing, or values of different units; with what is accepted.
         """
+        check_type(path=(path, str))
         match = _PATH.fullmatch(path)
         if match is None:
             raise ConfigError(f"{quoted(path)} is not a path; accepted: such as friction.joint_2.c0 or drives.gear[1]")
@@ -195,26 +209,23 @@ class Catalogue:
         keys = [key for key in self._names if _matches(key, wanted)]
         if not keys:
             raise ConfigError(self._unknown(path, wanted))
-        places = [place for key in keys for place in self._indexed(path, key, match["index"])]
+        indices = match["indices"][1:-1].split("][") if match["indices"] else []
+        places = [place for key in keys for place in self._indexed(path, key, indices)]
         units = sorted({place.unit for place in places})
         if len(units) > 1:
             found = f"values of different units ({', '.join(units)})"
             raise ConfigError(f"{quoted(path)} names {found}; accepted: one unit")
         return tuple(places)
 
-    def _indexed(self, path: str, key: Key, index: str | None) -> list[Place]:
-        keys, name = self._names[key], ".".join(key)
-        unit, size = self._units[keys[0]], np.size(self._values[keys[0]])
-        if np.ndim(self._values[keys[0]]) == 0:
-            if index is not None:
-                raise ConfigError(f"{quoted(path)}: {name} is one value; accepted: {name}, without an index")
-            return [Place(name, tuple(Leaf(k) for k in keys), unit)]
-        if index is None or (index != "*" and int(index) >= size):
-            raise ConfigError(
-                f"{quoted(path)}: {name} is {size} numbers; accepted: {name}[0] to {name}[{size - 1}], or {name}[*]"
-            )
-        chosen = range(size) if index == "*" else (int(index),)
-        return [Place(f"{name}[{i}]", tuple(Leaf(k, i) for k in keys), unit) for i in chosen]
+    def _indexed(self, path: str, key: Key, indices: Sequence[str]) -> list[Place]:
+        keys, shape = self._names[key], np.shape(self._values[self._names[key][0]])
+        if len(indices) != len(shape) or any(i != "*" and int(i) >= n for i, n in zip(indices, shape, strict=True)):
+            raise ConfigError(f"{quoted(path)}: {_accepted_indices('.'.join(key), shape)}")
+        chosen = (range(n) if i == "*" else (int(i),) for i, n in zip(indices, shape, strict=True))
+        return [
+            Place(Leaf(key, index).path, tuple(Leaf(k, index) for k in keys), self._units[keys[0]])
+            for index in itertools.product(*chosen)
+        ]
 
     def _unknown(self, path: str, wanted: Sequence[str]) -> str:
         """Say at which name a path goes astray, and which names there are in that place."""
@@ -227,10 +238,20 @@ class Catalogue:
                 return f"{quoted(path)} goes on after a value; accepted: {'.'.join(wanted[:depth])}"
             if wanted[depth] != "*" and wanted[depth] not in below:
                 break
+        if wanted[:2] == ["drives", "cogging"] and depth == 1:
+            return f"{quoted(path)}: the motors have no cogging; accepted: with a drives file that has it"
         if wanted[0] == "friction" and depth == 2 and wanted[depth] in PARTS:
             who = "no element has the part" if wanted[1] == "*" else f"{wanted[1]} has no part"
             return f"{quoted(path)}: {who} {wanted[2]}; accepted: with a friction file that has it"
         return f"{quoted(path)} names nothing: {quoted(wanted[depth])} is unknown; accepted there: {', '.join(below)}"
+
+
+def _accepted_indices(name: str, shape: tuple[int, ...]) -> str:
+    if not shape:
+        return f"{name} is one value; accepted: {name}, without an index"
+    count = " by ".join(str(n) for n in shape)
+    last, every = (f"{name}[{']['.join(each)}]" for each in ([str(n - 1) for n in shape], ["*"] * len(shape)))
+    return f"{name} is {count} numbers; accepted: {name}{'[0]' * len(shape)} to {last}, or {every}"
 
 
 def _matches(key: Sequence[str], wanted: Sequence[str]) -> bool:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from rx90_common.bags.robot_name import check_robot
 from rx90_common.bags.trajectories import read_trajectories
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, TrajectoryError, check_type
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
 from rx90_controller.goals.goal import GoalOptions
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.trajectory.message import points_from_message
@@ -42,6 +44,8 @@ class RecordedRun:
         changed: names of the law's parameters that were changed meanwhile; `replay` has those of the setup throughout.
         given: names of those that had other values than the setup's from the beginning, as the bag tells them, and of
             what else was accepted of trajectories, which `replay` does not know.
+        seed: of all that was random in the arm, None if the bag tells none: then `replay` has that of the setup.
+        temperature_rate: of the temperatures, Hz; the same.
     """
 
     commands: tuple[MotionCommand, ...]
@@ -49,6 +53,8 @@ class RecordedRun:
     duration: float
     changed: tuple[str, ...] = ()
     given: tuple[str, ...] = ()
+    seed: int | None = None
+    temperature_rate: int | None = None
 
 
 def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = None) -> RecordedRun:
@@ -80,23 +86,42 @@ def read_run(bag: Path | str, setup: Setup, initial_position: Array | None = Non
         initial_position = setup.plant().position_of(
             _position_at_rest(bag, states.position, states.velocity, row, setup)
         )
+    changed = {change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)}
+    values = read_values(bag)
+    given = [name for name, value in values.items() if _is_other(name, value, setup.controller)]
+    return RecordedRun(
+        commands=_commands(bag, setup),
+        initial_position=initial_position,
+        duration=last / NANOSECONDS + setup.rates.position_period,
+        changed=tuple(sorted(changed)),
+        given=tuple(sorted(given)),
+        seed=_whole(bag, values, SEED),
+        temperature_rate=_whole(bag, values, TEMPERATURE_RATE),
+    )
+
+
+def _whole(bag: Path | str, values: Mapping[str, Any], name: str) -> int | None:
+    """Return a whole number that a bag tells, None if it tells none."""
+    value: int | None = values.get(name)
+    if value is not None and type(value) is not int:
+        raise BagError(f"{plain(bag)}: its {name} is {quoted(value)}; accepted: a whole number")
+    return value
+
+
+def _commands(bag: Path | str, setup: Setup) -> tuple[MotionCommand, ...]:
+    """Return the trajectories of a bag, and where the arm was stopped, by the ticks of their starts."""
     commands = []
     for one in read_trajectories(bag):
-        start = setup.rates.start_tick(one.start_ns / NANOSECONDS)
         try:
             points = points_from_message(setup.robot.joint_names, one.message) if one.message.points else None
         except TrajectoryError as error:
             raise TrajectoryError(f"{plain(bag)}: {error}") from error
-        commands.append(MotionCommand(start, points))
-    step = setup.rates.position_period
-    changed = {change.name for change in read_changes(bag) if change.name.startswith(OF_LAW)}
-    given = [name for name, value in read_values(bag).items() if _is_other(name, value, setup.controller)]
-    duration = last / NANOSECONDS + step
-    return RecordedRun(tuple(commands), initial_position, duration, tuple(sorted(changed)), tuple(sorted(given)))
+        commands.append(MotionCommand(setup.rates.start_tick(one.start_ns / NANOSECONDS), points))
+    return tuple(commands)
 
 
 def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bool = False) -> RunResult:
-    """Do a recorded run again through the closed loop without ROS.
+    """Do a recorded run again through the closed loop without ROS, with its seed and the rate of its temperatures.
 
     Raises:
         TrajectoryError: if a trajectory is refused.
@@ -104,6 +129,10 @@ def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bo
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
     check_type(setup=(setup, Setup), run=(run, RecordedRun))
+    if run.seed is not None:
+        setup = replace(setup, seed=run.seed)
+    if run.temperature_rate is not None:
+        setup = replace(setup, rates=replace(setup.rates, temperature_hz=run.temperature_rate))
     return simulate_commands(
         setup, run.commands, run.initial_position, run.duration, substeps=substeps, record_fast=record_fast
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,13 +14,15 @@ from numpy.typing import NDArray
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, FailureError, check_type, write_error
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
+    PARAMETERS,
+    SEED,
+    TEMPERATURE_RATE,
     TEMPERATURES,
     TRAJECTORY_ACCEPTED,
 )
@@ -52,8 +55,11 @@ class SlowSeries(NamedTuple):
         friction_states: bristle deflection rad, input velocity rad/s, friction torque Nm, shape (m, 3, 7).
         reference: set-point rad, rad/s, feed-forward torque Nm, shape (m, 3, 6).
         tracking_error: rad, rad/s, commanded torque Nm, shape (m, 3, 6).
-        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, 6).
-        temperatures: of the friction elements, degrees Celsius, once a second, shape (k, 7); k is 0 where none has one.
+        details: set-point acceleration rad/s^2, joints; commanded and motor current A, motors; shape (m, 3, 6). The
+            motor current is what the drives report, where their current sensors have errors.
+        temperatures: of the friction elements, degrees Celsius, at the rate of temperatures, shape (k, 7), 0 for those
+            that have none; k is 0 where neither joints nor windings get warm.
+        windings: of the motors' windings, the same, shape (k, 6).
     """
 
     joint_states: Array
@@ -62,10 +68,11 @@ class SlowSeries(NamedTuple):
     tracking_error: Array
     details: Array
     temperatures: Array
+    windings: Array
 
 
-def empty_series(ticks: int, ratio: int, record_fast: bool, base_hz: int = 0) -> tuple[FastSeries, SlowSeries]:
-    """Return arrays for a run of `ticks` base ticks; temperatures are kept if `base_hz` says how often, once a second.
+def empty_series(ticks: int, ratio: int, record_fast: bool, warm_ticks: int = 0) -> tuple[FastSeries, SlowSeries]:
+    """Return arrays for a run of `ticks` base ticks; temperatures are kept once in `warm_ticks`, not at all for 0.
 
     Raises:
         FailureError: if they do not fit into memory.
@@ -75,8 +82,9 @@ def empty_series(ticks: int, ratio: int, record_fast: bool, base_hz: int = 0) ->
     try:
         fast = FastSeries(np.empty((fast_rows, 3, 6)), np.empty((fast_rows, 6)))
         joints, friction, *others = (np.empty((rows, 3, columns)) for columns in (6, 7, 6, 6, 6))
-        warmth = np.empty((-(-ticks // base_hz) if base_hz else 0, 7))
-        slow = SlowSeries(joints, friction, others[0], others[1], others[2], warmth)
+        warm_rows = -(-ticks // warm_ticks) if warm_ticks else 0
+        warmth = np.empty((warm_rows, 7)), np.empty((warm_rows, 6))
+        slow = SlowSeries(joints, friction, others[0], others[1], others[2], *warmth)
     except (MemoryError, ValueError, OverflowError) as error:  # the last two: more than any machine could address
         raise FailureError(f"a run of {ticks:g} ticks does not fit into memory; accepted: a shorter one") from error
     return fast, slow
@@ -160,23 +168,43 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     """
     check_type(run=(run, RunResult))
     # Here, because it takes as long as the plant's import.
-    from rx90_common.bags.writing import string_message, temperature_message, trajectory_message, write_joint_states
+    from rx90_common.bags.writing import (
+        parameters_message,
+        string_message,
+        temperature_message,
+        trajectory_message,
+        write_joint_states,
+    )
 
-    names, period_ns = run.setup.robot.joint_names, run.setup.rates.period_ns * run.setup.rates.ratio
-    others = [string_message("/robot_description", run.setup.robot.urdf)]
+    names, rates = run.setup.robot.joint_names, run.setup.rates
+    period_ns = rates.period_ns * rates.ratio
+    told = {SEED: run.setup.seed, TEMPERATURE_RATE: rates.temperature_hz}
+    others = [
+        string_message("/robot_description", run.setup.robot.urdf),
+        parameters_message(f"/rx90_sim/{PARAMETERS}", "/rx90_sim", told),
+    ]
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
         others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
-    for second, row in enumerate(run.slow.temperatures):
-        for i, element in enumerate(run.setup.friction.elements):
-            if element.temperature is not None:
-                name = run.setup.friction.names[i]
-                others.append(temperature_message(f"/{TEMPERATURES}", second * NANOSECONDS, name, float(row[i])))
+    for stamp_ns, name, temperature in _temperatures(run):
+        others.append(temperature_message(f"/{TEMPERATURES}", stamp_ns, name, temperature))
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
     series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
     write_joint_states(path, series, storage=storage, messages=others)
+
+
+def _temperatures(run: RunResult) -> Iterator[tuple[int, str, float]]:
+    """Yield stamp, ns, name of element or motor, and temperature, degrees Celsius, as the nodes publish them."""
+    period_ns = run.setup.rates.period_ns * run.setup.rates.temperature_ticks
+    friction, motors = run.setup.friction, range(6) if run.setup.drives.winding.used else ()
+    elements = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
+    for row, (joints, windings) in enumerate(zip(run.slow.temperatures, run.slow.windings, strict=True)):
+        for i in elements:
+            yield row * period_ns, friction.names[i], float(joints[i])
+        for i in motors:
+            yield row * period_ns, MOTOR_NAMES[i], float(windings[i])
 
 
 def save_arrays(run: RunResult, file: Path | str) -> None:
@@ -185,7 +213,8 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
     The series are named as the topics, less their node. `time [s]`, shape (m,), belongs to those on position ticks,
     shape (m, joints); `detail time [s]` to set-point acceleration and currents, on every tenth of these; `base time
     [s]`, shape (n,), to `motor_states` and `motor_commands`, which are there if the run kept them; `temperature time
-    [s]` to `temperature [degC]`, shape (k, elements), which is there if an element has one (0 for the others).
+    [s]` to `temperature [degC]`, shape (k, elements), and `winding temperature [degC]`, shape (k, motors), which are
+    there if joints or windings get warm (0 for elements that have none).
 
     Raises:
         Rx90Error: if the file cannot be written.
@@ -197,8 +226,10 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         "detail time [s]": run.times[::DETAIL_DECIMATION],
     }
     if len(run.slow.temperatures):
-        arrays["temperature time [s]"] = np.arange(len(run.slow.temperatures), dtype=np.float64)
+        rows = np.arange(len(run.slow.temperatures), dtype=np.float64)
+        arrays["temperature time [s]"] = rows / run.setup.rates.temperature_hz
         arrays["temperature [degC]"] = run.slow.temperatures
+        arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():
         if topic == MOTOR_STATES:
             ticks = np.arange(len(series.stamp_ns), dtype=np.float64)

@@ -11,6 +11,7 @@ from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionSet, load_friction
+from rx90_common.friction.parts.scatter import check_seed
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, load_controller
 from rx90_sim.plant import Plant
@@ -28,6 +29,9 @@ class Setup:
         rates: of the loops.
         files: where they were read from, and the robot's own task and poses; None if they were not read.
         seed: of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits.
+
+    Raises:
+        ConfigError: for a seed that is no whole number from 0 to 2^53.
     """
 
     robot: RobotModel
@@ -38,6 +42,9 @@ class Setup:
     files: RobotFiles | None = None
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+
     @classmethod
     def load(cls, files: RobotFiles | None = None, rates: Rates | None = None, seed: int = 0) -> Setup:
         """Read the files, by default the shipped ones.
@@ -45,6 +52,7 @@ class Setup:
         Raises:
             ConfigError: naming file, key, value and accepted range.
         """
+        check_seed(seed)  # before files are read
         files, rates = files or RobotFiles(), rates or Rates()
         check_type(rates=(rates, Rates))
         robot = load_robot(files.urdf, files.tool)

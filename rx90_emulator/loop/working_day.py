@@ -8,7 +8,11 @@ brought at the temperature T_0 in its middle, and its slope s over temperature, 
 is linear and has an exponential as its answer (Rosenbrock's method; what is left out is of the third order in the
 temperature's change, or of the second until the slope is known). It is followed over as many whole cycles as no
 temperature changes by more than a bound in, then the next cycle is simulated. Windings go with an exponential of their
-own time constant towards where the simulated cycle drove them.
+own time constant towards where the simulated cycle drove them. What the controller's model believes of the joints goes
+the way of the joints, as elements of its own: arrays of 14, the plant's seven first.
+
+Each simulated cycle begins with a reset, so with the same random numbers: else what scatter changes between two cycles
+would count as the slope s.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from numpy.typing import NDArray
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, check_type
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_controller.law.model_temperatures import ModelTemperatures
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.closed_loop import run_setpoints, setpoints_of
 from rx90_emulator.loop.line import path_accuracy, plan_line
@@ -33,24 +38,26 @@ from rx90_emulator.loop.setup import Setup
 CHANGE = 0.5
 """K by which no temperature changes between two simulated cycles, unless the caller says otherwise."""
 LONGEST = 1000.0 * 3600.0
-"""s"""
+"""Time that may be simulated, s."""
 _FEWEST = 12  # cycles that are simulated, if there are so many: a curve needs points
 _WINDING_CHANGE = 10.0  # of the windings, in parts of that of the joints: 10 K change their resistance by 4 %
 _LEAST_CHANGE = 0.2  # in parts of the bound, from which on a change of heat is more than its noise
 _MOST_FEEDBACK = 0.5  # of slope times resistance: beyond, heat would feed itself
 
+_VALUES = ("heat", "friction", "worst", "rms")  # of a cycle, of which a repeated line has a row each
+
 Tell = Callable[[int, int], None]
 
 
 class Cycle(NamedTuple):
-    """What one simulated cycle gave, for the seven elements where nothing else is said.
+    """What one simulated cycle gave, in plant and controller.
 
     Attributes:
-        warm: temperatures in its middle, degrees Celsius.
-        end: temperatures at its end, degrees Celsius.
+        warm: temperatures in its middle, degrees Celsius, shape (14,).
+        end: temperatures at its end, degrees Celsius, shape (14,).
         windings: temperatures at its end, degrees Celsius, shape (6,).
-        heat: mean, of friction and motors, W.
-        friction: mean size of the friction torque, Nm.
+        heat: mean, of friction and motors, W, shape (14,).
+        friction: mean size of the friction torque, Nm, shape (7,).
         worst: path error of the way there, m.
         rms: the same.
     """
@@ -76,6 +83,8 @@ class RepeatedLine:
         temperatures: of the friction elements then, degrees Celsius, 0 where one has none, shape (n, 7).
         windings: of the motors, degrees Celsius, shape (n, 6).
         heat: mean of friction and motors in the cycle, W, shape (n, 7).
+        believed: temperatures of the friction elements in the controller's model, degrees Celsius, 0 where it has none
+            or is off, shape (n, 7).
         friction: mean size of the friction torque in the cycle, Nm, shape (n, 7).
         worst: largest path error on the way there, m, shape (n,).
         rms: root mean square path error there, m, shape (n,).
@@ -88,6 +97,7 @@ class RepeatedLine:
     temperatures: Array
     windings: Array
     heat: Array
+    believed: Array
     friction: Array
     worst: Array
     rms: Array
@@ -120,7 +130,7 @@ def repeat_line(
 
 
 class Day:
-    """The same step by step, so that whoever is interrupted has what was done.
+    """What `repeat_line` does, step by step, so that whoever is interrupted has what was done.
 
     Attributes:
         done: how many cycles have been passed.
@@ -136,9 +146,9 @@ class Day:
             raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
         self._setup, self._task, self._bound = setup, task, change
         self._cycles = _Cycles(setup, task)
-        self._capacity, self._conductance, self._ambient, self._now = _nodes(parts)
+        self._capacity, self._conductance, self._ambient, self._now = _nodes([*parts, *_believed(setup)])
         self._windings = np.full(6, setup.drives.winding.initial)
-        self._slope = np.zeros(7)
+        self._slope = np.zeros(14)
         self._known: Cycle | None = None
         self._rows: list[tuple[float, Array, Array, Cycle]] = []
         self.done, self._ended = 0, False
@@ -172,8 +182,9 @@ class Day:
     def result(self) -> RepeatedLine:
         """Return the cycles that were simulated."""
         times, temperatures, windings, cycles = zip(*self._rows, strict=True)
-        values = (np.array([getattr(one, name) for one in cycles]) for name in ("heat", "friction", "worst", "rms"))
-        rows = (np.array(times), np.array(temperatures), np.array(windings), *values)
+        joints = np.array(temperatures)
+        heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
+        rows = (np.array(times), joints[:, :7], np.array(windings), heat[:, :7], joints[:, 7:], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)
 
     def _learn(self, cycle: Cycle) -> None:
@@ -239,13 +250,22 @@ def _time_to(way: Array, rate: Array, bound: float) -> float:
 
 
 def _nodes(parts: list[TemperaturePart | None]) -> tuple[Array, Array, Array, Array]:
-    """Return capacity, J/K, conductance, W/K, ambient and start, degrees Celsius; what has none stays at 0."""
+    """Return capacity, J/K, conductance, W/K, ambient and start, degrees Celsius; without a part it stays at 0."""
     rows = [
         (1.0, 0.0, 0.0, 0.0) if part is None else (part.capacity, 1.0 / part.resistance, part.ambient, part.start)
         for part in parts
     ]
     capacity, conductance, ambient, start = np.array(rows).T
     return capacity, conductance, ambient, start
+
+
+def _believed(setup: Setup) -> list[TemperaturePart | None]:
+    """Return the temperatures of the controller's model, none where its friction is off."""
+    controller = setup.controller
+    if not controller.feed_forward.friction_model:
+        return [None] * 7
+    assert controller.model is not None
+    return [element.temperature for element in controller.model.constants.friction]
 
 
 class _Cycles:
@@ -264,6 +284,7 @@ class _Cycles:
         ticks = rates.ticks_of(turn * rates.position_period + float(back.times[-1]))
         self._setup, self._task, self._ticks = setup, task, ticks
         self._plant, self._controller = setup.plant(), setup.cs7b()
+        self._believed = ModelTemperatures(self._controller.law, self._controller.state)
         self._fast, self._slow = empty_series(ticks, rates.ratio, record_fast=False)
         self._start = there.position[0]
         self._plant.reset(self._start)
@@ -273,21 +294,22 @@ class _Cycles:
         self._there, self.duration = turn, ticks * rates.period
 
     def run(self, joints: Array, windings: Array) -> Cycle:
-        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (7,) and (6,)."""
-        plant = self._plant
+        """Return what a cycle gives that begins with these temperatures, degrees Celsius, shapes (14,) and (6,)."""
+        plant, believed = self._plant, self._believed
         plant.reset(self._start)
-        plant.temperatures.set(joints)
+        plant.temperatures.set(joints[:7])
         plant.state["temperature"] = windings
         self._controller.reset(plant.motor_states()[0])
+        believed.set(joints[7:])
         run_setpoints(plant, self._controller, self._setpoints, self._ticks, self._fast, self._slow)
-        end = plant.temperatures.now.copy()
+        end = np.concatenate([plant.temperatures.now, believed.now])
         times = np.arange(self._there, dtype=np.float64) * self._setup.rates.position_period
         accuracy = path_accuracy(self._setup.robot, self._task, times, self._slow.joint_states[: self._there, 0])
         return Cycle(
             0.5 * (joints + end),
             end,
             plant.winding_temperatures(),
-            plant.temperatures.heat / self.duration,
+            np.concatenate([plant.temperatures.heat, believed.heat]) / self.duration,
             np.abs(self._slow.friction_states[:, 2]).mean(axis=0),
             accuracy.worst,
             accuracy.rms,

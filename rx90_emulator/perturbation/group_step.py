@@ -17,7 +17,7 @@ from rx90_common.kernels.compiled import inlined, kernel
 from rx90_common.kernels.lanes import Lanes, absolute, fma, load, select, store
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
 from rx90_emulator.perturbation.batch import FEW, MANY
-from rx90_sim.drives import encoder_reading, observe
+from rx90_sim.drives import observe, whole_steps
 
 
 class Tables(NamedTuple):
@@ -140,7 +140,7 @@ def _switch_on(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
     for i in range(6):
         angle = _motor_angle(plant, nominal, state, i, lanes)
         store(state.observer[i], angle)
-        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
+        store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
 
 
 @inlined
@@ -323,7 +323,7 @@ def _sample(plant: Any, nominal: Array, state: Any, lanes: int) -> None:
         )
         store(state.observer[i], position)
         store(state.motor_velocity[i], velocity)
-        store(state.motor_position[i], encoder_reading(angle, plant.resolution[i]))
+        store(state.motor_position[i], whole_steps(angle, plant.resolution[i]))
 
 
 @inlined

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from rx90_common.base.quoting import counted
 from rx90_emulator.sweep.store import about, parts_folder, read_results
 
 
@@ -43,8 +44,8 @@ def _failures(table: pa.Table) -> list[str]:
     if not texts:
         return ["no run failed"]
     kinds = Counter(text.split(":")[0] for text in texts)
-    counted = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
-    return [f"{len(texts)} runs failed ({counted}), for example: {texts[0]}"]
+    by_kind = ", ".join(f"{kind} {count}" for kind, count in kinds.most_common())
+    return [f"{counted(len(texts), 'run')} failed ({by_kind}), for example: {texts[0]}"]
 
 
 def _columns(table: pa.Table) -> list[str]:

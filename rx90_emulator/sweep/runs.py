@@ -147,10 +147,9 @@ class _BoundBlock:
             for leaf in bound.leaves:
                 other = owner.setdefault(leaf, bound)
                 if other is not bound:
-                    at = ".".join(leaf.key) + ("" if leaf.index is None else f"[{leaf.index}]")
                     raise ConfigError(
                         f"block '{self.block.name}': '{other.parameter.name}' and '{bound.parameter.name}' both "
-                        f"set {at}; accepted: one parameter for each value"
+                        f"set {leaf.path}; accepted: one parameter for each value"
                     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rclpy.node import Node
 
@@ -13,7 +13,7 @@ from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.node_tools import declare, declare_rates
-from rx90_common.exchange.topics import LOCK_STEP, TIME_MODES
+from rx90_common.exchange.topics import LOCK_STEP, SEED, TEMPERATURE_RATE, TIME_MODES
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
@@ -29,7 +29,6 @@ class SimulationParameters:
     rates: Rates
     joint_state_rate: int
     clock_rate: int
-    temperature_rate: int
     tf_rate: int
     time_mode: str
     real_time_factor: float
@@ -61,14 +60,14 @@ def read_parameters(node: Node) -> SimulationParameters:
         ConfigError: naming parameter, value and accepted range.
     """
     return SimulationParameters(
-        rates=declare_rates(node),
+        rates=replace(declare_rates(node), temperature_hz=declare(
+            node, TEMPERATURE_RATE, 1, "rate of temperatures, of joints and windings that get warm, Hz", low=1,
+            high=20000,
+        )),
         joint_state_rate=declare(
             node, "joint_state_rate", 1000, "rate of joint_states and friction_states, Hz", low=1, high=20000
         ),
         clock_rate=declare(node, "clock_rate", 50, "rate of /clock, Hz", low=1, high=20000),
-        temperature_rate=declare(
-            node, "temperature_rate", 1, "rate of temperatures, of joints whose friction has one, Hz", low=1, high=20000
-        ),
         tf_rate=declare(
             node, "tf_rate", 0, "rate of /tf, Hz; 0: neither /tf nor /tf_static, for robot_state_publisher has them",
             low=0, high=20000,
@@ -91,7 +90,7 @@ def read_parameters(node: Node) -> SimulationParameters:
         paused=declare(node, "paused", False, "begin with time standing still"),
         substeps=declare(node, "substeps", 1, "steps of the plant in a tick", low=1, high=1000),
         seed=declare(
-            node, "seed", 0, "of all that is random in the arm, such as the scatter of its friction; a reset begins "
+            node, SEED, 0, "of all that is random in the arm, such as the scatter of its friction; a reset begins "
             "with it again", low=0, high=LARGEST_SEED,
         ),
     )  # fmt: skip

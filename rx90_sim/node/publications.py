@@ -40,7 +40,7 @@ class Publications:
         self._friction = publish(node, JointState, "friction_states", STATE_QOS.profile)
         self._joint_sample = self._friction_sample = b""  # the newest, as it was sent; empty: not sent
         self._sampled = SampledStates(node, plant, rates)
-        self._temperatures = Temperatures(node, plant, parameters)
+        self._temperatures = Temperatures(node, plant, rates)
         self._time = Clock()
         self._clock = publish(node, Clock, "/clock", CLOCK_QOS.profile)
 

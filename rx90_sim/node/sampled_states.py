@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
@@ -9,12 +11,18 @@ from sensor_msgs.msg import JointState
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.qos import CLOCK_QOS
-from rx90_common.exchange.topics import SAMPLED, SAMPLED_RATE
+from rx90_common.exchange.topics import HURRIES, SAMPLED, SAMPLED_RATE
 from rx90_sim.plant import Plant
+
+_PERIOD = 1.0 / SAMPLED_RATE
+_SELDOM = 1.0 / 30.0  # s of wall time from one to the next, where time hurries
 
 
 class SampledStates:
     """The same messages at SAMPLED_RATE, so that a page or a plot costs the tick a tenth; for the ticking thread.
+
+    That is a rate of simulated time. Where a simulation runs faster than time there are 30 in a second of wall time:
+    nobody sees more, and each of them keeps the simulation from its next tick.
 
     Args:
         node: owner of the topics.
@@ -35,6 +43,8 @@ class SampledStates:
             node.create_publisher(JointState, f"{SAMPLED}/friction_states", CLOCK_QOS.profile),
         )
         self._samples: tuple[bytes, ...] = ()
+        self._due = self._published = 0.0  # s of the steady clock: when the next is due, and when the last one was
+        self._since = 0  # samples since the last one that was published
 
     def publish_due(self, tick: int) -> None:
         """Publish the states of this tick if they are due, to those who listen."""
@@ -43,7 +53,13 @@ class SampledStates:
             self._plant.friction_states()
             # Also for nobody: who comes when time stands still gets the newest.
             self._samples = (self._encode_joints(stamp), self._encode_friction(stamp))
-            self.repeat()
+            self._since += 1
+            now = time.monotonic()
+            if now >= self._due - 0.5 * _PERIOD:  # in real time some ticks come a little early
+                hurries = self._since > 1 and self._since * _PERIOD > HURRIES * (now - self._published)
+                self._due = max(self._due, now) + (_SELDOM if hurries else _PERIOD)
+                self._published, self._since = now, 0
+                self.repeat()
 
     def repeat(self) -> None:
         """Publish the newest samples again."""

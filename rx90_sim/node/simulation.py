@@ -14,6 +14,7 @@ from rx90_common.exchange.lifecycle import ManagedNode, started
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
+from rx90_common.exchange.topics import SEED, TEMPERATURE_RATE
 from rx90_sim.node.arm import SimulatedArm
 from rx90_sim.node.parameters import FILE_PARAMETERS, declare_step_ticks, read_parameters
 
@@ -68,6 +69,8 @@ class Simulation:
         self._allow("real_time_factor", arm.check_pace, arm.ticks.pacer.change)
         self._allow("command_timeout", float, arm.ticks.held.wait_for)
         self._allow("step_ticks", int, lambda _: None)  # looked at by each call
+        for name in (SEED, TEMPERATURE_RATE):
+            self.node.changes.tell(name)
         self._follow(arm.time_mode)
         self.node.ticking.begin(arm.ticks.run, arm.ticks.control.stop)
 

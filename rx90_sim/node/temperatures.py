@@ -1,4 +1,4 @@
-"""How warm the joints are, as messages: one for each friction element that has a temperature."""
+"""How warm joints and windings are, as messages: one for each friction element, and each motor, that gets warm."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import Temperature
 
-from rx90_common.base.rates import NANOSECONDS, ticks_per
+from rx90_common.base.rates import NANOSECONDS, Rates
 from rx90_common.exchange.qos import STATE_QOS
 from rx90_common.exchange.qos_overrides import publish
-from rx90_common.exchange.topics import TEMPERATURES
-from rx90_sim.node.parameters import SimulationParameters
+from rx90_common.exchange.topics import MOTOR_NAMES, TEMPERATURES
 from rx90_sim.plant import Plant
 
 
@@ -18,17 +17,16 @@ class Temperatures:
     """The topic `temperatures`; called by the ticking thread.
 
     Attributes:
-        publisher: of the topic, which is there even if no element has a temperature.
-
-    Raises:
-        ConfigError: if the rate does not divide the base rate.
+        publisher: of the topic, which is there even if nothing gets warm.
     """
 
-    def __init__(self, node: Node, plant: Plant, parameters: SimulationParameters) -> None:
-        rates = parameters.rates
-        self._plant, self._period_ns = plant, rates.period_ns
-        self._ticks = ticks_per("temperature_rate", rates.base_hz, parameters.temperature_rate)
+    def __init__(self, node: Node, plant: Plant, rates: Rates) -> None:
+        self._period_ns, self._ticks = rates.period_ns, rates.temperature_ticks
         self.publisher: Publisher = publish(node, Temperature, TEMPERATURES, STATE_QOS.profile)
+        warm = plant.temperatures
+        self._values = [(plant.friction_names[i], warm.now, i) for i in warm.elements]
+        if plant.constants["winding"]["used"][0]:
+            self._values += [(name, plant.state["temperature"][0], i) for i, name in enumerate(MOTOR_NAMES)]
         self._tick = self._sent = -1
 
     def publish_due(self, tick: int) -> None:
@@ -42,11 +40,9 @@ class Temperatures:
         if tick % self._ticks or tick == self._sent or not self.publisher.get_subscription_count():
             return
         self._sent = tick
-        for element in self._plant.temperatures.elements:
-            self.publisher.publish(self._message(element, tick * self._period_ns))
-
-    def _message(self, element: int, stamp: int) -> Temperature:
-        message = Temperature(temperature=float(self._plant.temperatures.now[element]))  # variance 0: exact
-        message.header.frame_id = self._plant.friction_names[element]
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
-        return message
+        stamp = tick * self._period_ns
+        for name, temperatures, i in self._values:
+            message = Temperature(temperature=float(temperatures[i]))  # variance 0: exact
+            message.header.frame_id = name
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+            self.publisher.publish(message)

@@ -176,6 +176,25 @@ def test_what_needs_a_model_takes_the_files_beside(
     assert (law.model.friction, law.model.tool) == (path.parent / "friction.yaml", None)
 
 
+def test_named_files_do_not_depend_on_where_a_program_is_started(
+    shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a folder that was moved away from its model, a file of that name in the present folder is not taken for it."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for folder in (elsewhere, tmp_path):
+        (folder / "mine.yaml").write_bytes(shipped_files.friction.read_bytes())
+    monkeypatch.chdir(elsewhere)
+    shared = {role: str(getattr(shipped_files, role)) for role in ("urdf", "drives")}
+    named = edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "mine.yaml"})
+    model = load_controller(named).model
+    assert model is not None
+    assert model.friction == named.parent / "mine.yaml"
+    model.friction.unlink()
+    accepted = "a friction file: a path from this file's folder or from config/, or an absolute one"
+    assert f"model.friction is 'mine.yaml'; accepted: {accepted}" in refusal(named)
+
+
 def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: Edit, tmp_path: Path) -> None:
     """A named file is beside the controller file or below config/; what is wrong in it is refused in any case."""
     shared = {role: shipped_files.text(role) for role in ("urdf", "drives", "friction")}
@@ -186,16 +205,16 @@ def test_the_model_s_files_may_be_named(shipped_files: RobotFiles, edited_yaml: 
     assert model is not None
     assert (model.tool, model.friction, model.drives) == (None, other, shipped_files.drives)
     for role, name, accepted in (
-        ("friction", "nowhere.yaml", "is 'nowhere.yaml'; accepted: a friction file: beside this file"),
+        ("friction", "nowhere.yaml", "is 'nowhere.yaml'; accepted: a friction file: a path from this file's folder"),
         ("drives", 3, "is 3; accepted: a text"),
         ("gears", "x", "is not a known key; accepted: drives, friction, tool, urdf"),
     ):
         said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, role: name}))
         assert f"model.{role} {accepted}" in said
     whole = other.read_text()
-    other.write_text(whole.replace("{tau_c: 25.0", "{scatter: {deviation: 0.02, correlation_time: 10}, tau_c: 25.0"))
+    other.write_text(whole.replace("{tau_c: 25.0", "{load: {driving: -0.1, driven: 0.1}, tau_c: 25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
-    assert f"{other}: elements.joint_1.scatter: the controller's friction model cannot hold this part" in said
+    assert f"{other}: elements.joint_1.load.driving is -0.1; accepted" in said
     other.write_text(whole.replace("tau_c: 25.0", "tau_c: -25.0"))
     said = refusal(edited_yaml(shipped_files.controller, ("model",), {**shared, "friction": "other.yaml"}))
     assert f"{other}: elements.joint_1.tau_c is -25.0; accepted" in said

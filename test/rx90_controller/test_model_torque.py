@@ -179,6 +179,22 @@ def test_a_reset_begins_with_undeflected_bristles(shipped: Setup) -> None:
     assert np.array_equal(controller.reference()[2], np.zeros(6))
 
 
+def test_a_friction_model_that_was_off_begins_undeflected(shipped: Setup) -> None:
+    """Switched on again where the set-points rest, it feeds nothing forward; left on, it holds what it had."""
+    off, on = (
+        setup.controller.record(setup.robot, setup.drives, setup.rates)
+        for setup in (shipped, by_model(shipped, inverse_dynamics=False))
+    )
+    setpoints, here = moving(shipped, np.full((50, 6), 0.05)), np.zeros(6)
+    rest = setpoints[-1] * np.array([[1.0], [0.0], [0.0]])
+    for between, left in ((on, True), (off, False)):
+        state = np.zeros(1, LAW_STATE_DTYPE)
+        law_reset(state)
+        for law, setpoint in (*((on, one) for one in setpoints), (between, rest), (on, rest)):
+            position_loop(law, state, setpoint, here, here)
+        assert state["feed_forward"][0].any() == left
+
+
 def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
     """Hold a pose for ticks, then for as many with another controller's constants.
 
@@ -191,7 +207,7 @@ def held(setup: Setup, other: Setup, ticks: int) -> tuple[Array, Any]:
     setpoints = controller.trajectory.setpoints(0, ticks // 2)
     fast, slow = empty_series(2 * ticks, 4, record_fast=False)
     for first, law in ((0, controller.law), (ticks, other.cs7b().law)):
-        run_ticks(plant.constants, plant.state, law, controller.state, setpoints, 4, first, ticks, fast, slow)
+        run_ticks(plant.constants, plant.state, law, controller.state, setpoints, 4, 4000, first, ticks, fast, slow)
     moved = slow.joint_states[:, 0] - slow.joint_states[ticks // 4, 0]
     return moved[ticks // 4 :], controller.state[0]
 
@@ -203,6 +219,27 @@ def test_switching_it_on_and_off_does_not_move_the_arm(shipped: Setup) -> None:
         (still, _), (moved, state) = held(before, before, 8000), held(before, after, 8000)
         assert np.abs(moved).max() < 1.2 * np.abs(still).max() + 1e-6
         assert (np.abs(state["integrator"] * shipped.drives.gear)[1] > 20.0) == carried
+
+
+def test_integrators_hand_over_no_more_than_they_may_hold(shipped: Setup) -> None:
+    """Where the model brings more than an integrator's limit, the integrator stays at it; after a reset at 0."""
+    off, on = (
+        setup.controller.record(setup.robot, setup.drives, setup.rates)
+        for setup in (shipped, by_model(shipped, friction_model=False))
+    )
+    state, here = np.zeros(1, LAW_STATE_DTYPE), np.zeros(6)
+    law_reset(state)
+    rest = np.zeros((3, 6))
+    rest[0, 1] = 1.0  # the upper arm leans forward
+    for law in (off, on):
+        law["integrator_limit"] = 1e-3
+        position_loop(law, state, rest, here, here)
+    weight = state["feed_forward"][0]
+    assert np.abs(weight).max() > 0.01
+    assert state["integrator"][0] == pytest.approx(-np.clip(weight, -1e-3, 1e-3))
+    law_reset(state)
+    position_loop(on, state, rest, shipped.drives.gear * (coupling_matrix() @ rest[0]), here)
+    assert not state["integrator"].any()
 
 
 def test_it_counts_for_saturation_and_anti_windup(shipped: Setup, tmp_path: Path) -> None:

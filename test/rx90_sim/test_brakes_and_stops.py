@@ -10,6 +10,7 @@ import pytest
 from rx90_common.base.errors import ConfigError, DivergenceError, Rx90Error
 from rx90_common.friction import FrictionSet
 from rx90_emulator.loop.setup import Setup
+from rx90_sim.plant import Plant
 
 COUPLING = np.eye(6)
 COUPLING[5, 4] = 1.0
@@ -105,20 +106,37 @@ def test_an_end_stop_pushes_back(shipped: Setup, frictionless: FrictionSet, join
     assert np.all(np.isfinite(plant.joint_states()[0]))
 
 
-def test_an_end_stop_never_pulls(shipped: Setup, frictionless: FrictionSet) -> None:
-    """A joint that leaves its stop fast is not held back by the stop's damper."""
-    chain = shipped.robot.chain._replace(gravity=np.zeros(3))
+def beyond_a_stop(shipped: Setup, frictionless: FrictionSet, side: float) -> Plant:
+    """Return an arm without weight and friction whose first joint is 1 mrad beyond its upper or lower limit."""
     drives = dataclasses.replace(shipped.drives, spring_torque=np.zeros(6))
-    robot = dataclasses.replace(shipped.robot, chain=chain)
+    robot = dataclasses.replace(shipped.robot, chain=shipped.robot.chain._replace(gravity=np.zeros(3)))
     plant = dataclasses.replace(shipped, friction=frictionless, robot=robot, drives=drives).plant()
     pose = np.zeros(6)
-    pose[0] = shipped.robot.upper[0]
+    pose[0] = (shipped.robot.upper if side > 0 else shipped.robot.lower)[0]
     plant.reset(pose)
     plant.step(np.zeros(6))
-    plant.state["q"][0, 0] += 1e-3
-    plant.state["v"][0, 0] = -1.0  # 670 Nm of damping against 40 Nm of spring
+    plant.state["q"][0, 0] += side * 1e-3
+    return plant
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_end_stop_never_pulls(shipped: Setup, frictionless: FrictionSet, side: float) -> None:
+    """A joint that leaves its stop fast is not held back by the stop's damper."""
+    plant = beyond_a_stop(shipped, frictionless, side)
+    plant.state["v"][0, 0] = -side  # 670 Nm of damping against 40 Nm of spring
     plant.step(np.zeros(6))
-    assert plant.joint_states()[1][0] <= -1.0 + 1e-9
+    assert side * plant.joint_states()[1][0] <= -1.0 + 1e-6
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_end_stop_is_a_spring_and_a_damper(shipped: Setup, frictionless: FrictionSet, side: float) -> None:
+    """Beyond either limit and on its way into the stop, a joint is pushed back by k d + c v."""
+    plant = beyond_a_stop(shipped, frictionless, side)
+    plant.state["v"][0, 0] = side * 0.1
+    plant.step(np.zeros(6))
+    push = shipped.drives.stop_stiffness[0] * 1e-3 + shipped.drives.stop_damping[0] * 0.1
+    slower = np.linalg.inv(plant.state["mass_matrix"][0])[0, 0] * push * shipped.rates.period
+    assert 0.1 - side * plant.joint_states()[1][0] == pytest.approx(slower, rel=0.02)
 
 
 def ringing(setup: Setup, joint: int) -> Setup:

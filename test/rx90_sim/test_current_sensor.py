@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.current_sensor import CurrentSensor
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -42,12 +43,14 @@ def currents(plant: Plant, setup: Setup, command: Array, ticks: int) -> tuple[Ar
 def test_the_loop_turns_an_offset_into_a_torque(shipped: Setup) -> None:
     """What a drive reports is on average what was asked for; the current is off by the offset, after the loop's lag."""
     setup = sensed(shipped, CurrentSensor(offset=OFFSET))
-    command = 0.1 * setup.drives.peak_torque
-    reported, true = currents(setup.plant(), setup, command, 40)
+    command, plant = 0.1 * setup.drives.peak_torque, setup.plant()
+    reported, true = currents(plant, setup, command, 40)
     wanted = command / setup.drives.torque_constant
     lag = np.exp(-2.0 * np.pi * 800.0 * setup.rates.period * np.arange(40))[:, None]
     assert true == pytest.approx(wanted - OFFSET * (1.0 - lag), abs=1e-12)
     assert reported == pytest.approx(wanted + OFFSET * lag, abs=1e-12)
+    plant.step(None)
+    assert plant.joint_states()[2].tolist() == [0.0] * 6  # an amplifier that is off gives no current
 
 
 def test_offset_and_noise_are_recovered(shipped: Setup) -> None:
@@ -102,6 +105,16 @@ def test_the_same_seed_gives_the_same_bits(shipped: Setup) -> None:
     other = simulate(dataclasses.replace(setup, seed=8), move, rest, 0.15, record_fast=True)
     assert other.fast is not None
     assert not np.array_equal(other.fast.motor_states, run.fast.motor_states)
+
+
+def test_the_current_loop_has_one_bandwidth(shipped: Setup) -> None:
+    """Drives whose sensors err through another loop than the controller's are refused; both paths together are not."""
+    setup = sensed(shipped, CurrentSensor(OFFSET))
+    with pytest.raises(ConfigError, match=r"bandwidth is 500 Hz for the controller; accepted: 800 Hz, as current_sens"):
+        with_parameters(setup, {"controller.current_bandwidth": 500.0}).cs7b()
+    both = {"controller.current_bandwidth": 500.0, "drives.current_sensor.bandwidth": 500.0}
+    assert with_parameters(setup, both).cs7b().law["current_gain"] < setup.cs7b().law["current_gain"]
+    with_parameters(shipped, {"controller.current_bandwidth": 500.0}).cs7b()  # ideal sensors have no part in it
 
 
 def test_without_errors_the_report_is_the_torque(shipped: Setup) -> None:

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from elastic_arms import (
+    INPUTS,
     POSE,
     SOFT,
     WRIST,
@@ -24,6 +25,9 @@ from scipy import linalg
 
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.elasticity import LINK, MOTOR
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.ripple import RipplePart
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 
@@ -113,6 +117,17 @@ def test_an_infinite_stiffness_is_the_rigid_plant(shipped: Setup, damping: float
     assert miss[-1] < 1e-10  # rad
 
 
+@pytest.mark.parametrize("side", [MOTOR, LINK])
+def test_load_is_what_the_link_gets_whichever_side_friction_is_on(shipped: Setup, side: str) -> None:
+    """With friction by load, too, stiff gears move as rigid ones do, be the friction before the gear or behind it."""
+    elements = tuple(dataclasses.replace(one, load=LoadPart(0.3, 0.2)) for one in shipped.friction.elements)
+    setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=elements))
+    rigid = way(setup)
+    assert np.abs(rigid - way(shipped)).max() > 1e-3  # rad
+    miss = [np.abs(way(elastic(setup, SOFT * k, 2e-4 * SOFT * k, 0.0, side)) - rigid).max() for k in (1e5, 1e7)]
+    assert miss[1] < 0.03 * miss[0] < 1e-8
+
+
 def test_rigid_and_elastic_gears_share_an_arm(shipped: Setup) -> None:
     """Drives without elasticity beside others move as in the rigid plant: all but one, and that one very stiff."""
     rigid = way(shipped)
@@ -156,9 +171,10 @@ def test_the_arm_begins_at_rest_in_its_gears(shipped: Setup, backlash: float, si
         assert links == pytest.approx(pose - np.linalg.solve(WRIST, twist), abs=1e-12)
 
 
-def test_brakes_hold_the_motors_and_stops_the_links(shipped: Setup) -> None:
+@pytest.mark.parametrize("side", [MOTOR, LINK])
+def test_brakes_hold_the_motors_and_stops_the_links(shipped: Setup, side: str) -> None:
     """With motors held by brakes the links go on to ring; a link driven against its stop leaves its motor behind."""
-    setup = elastic(shipped, SOFT, 2e-4 * SOFT)
+    setup = elastic(shipped, SOFT, 2e-4 * SOFT, 0.0, side)
     plant = setup.plant()
     plant.reset(np.zeros(6))
     weight = plant.state["transmission"]["twist"][0].copy()
@@ -196,6 +212,23 @@ def test_friction_brakes_the_side_that_the_file_names(shipped: Setup) -> None:
         rotors = WRIST @ state["v"] + (state["transmission"]["rate"] if side == MOTOR else 0.0)
         joints = np.linalg.solve(WRIST, rotors)
         assert plant.friction_states()[1] == pytest.approx([*joints, rotors[5]])
+
+
+@pytest.mark.parametrize("side", [MOTOR, LINK])
+def test_a_ripple_goes_by_the_angle_of_that_side(shipped: Setup, side: str) -> None:
+    """In a step with twisted gears the sliding torque is that of the motors' angles, or of the links'."""
+    ripple = RipplePart((500.0,), (0.5,))
+    element = FrictionElement(*[10.0] * 4, 0.05, 1.0, 1e12, 0.0, 0.0, ripple=ripple)  # settled as soon as it moves
+    setup = elastic(floating(shipped), SOFT, 0.0, 0.0, side)
+    setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, (element,) * 7))
+    plant = setup.plant()
+    state = free(plant, POSE)
+    twist = 1e-3 * np.arange(1.0, 7.0)
+    state["v"], state["transmission"]["twist"] = 0.3, twist
+    plant.step(np.zeros(6))
+    joints = POSE + 0.3 * 0.5 * setup.rates.period + (np.linalg.solve(WRIST, twist) if side == MOTOR else 0.0)
+    want = 10.0 * (1.0 + 0.5 * np.cos(500.0 * (INPUTS @ joints)))
+    assert plant.state["parts"]["friction"][0] == pytest.approx(want, rel=0.02)
 
 
 @pytest.mark.parametrize("damping", [0.0, 1e-4])

@@ -78,11 +78,28 @@ def test_a_moving_arm_warms_by_its_friction(shipped: Setup) -> None:
     assert heat == pytest.approx(taken - stored, rel=2e-3, abs=2e-3)
     assert heat[[0, 2]].min() > 3.0
     assert plant.temperatures.beyond_law() == ""
-    plant.state["parts"]["temperature"]["temperature"][0, 2] = 81.26
-    assert plant.temperatures.beyond_law() == "joint_3 at 81.3 °C keeps the friction of 80 °C, the highest of its law"
+    plant.state["parts"]["temperature"]["temperature"][0, 2:4] = 80.06, 80.0
+    assert plant.temperatures.beyond_law() == "joint_3 at 80.1 °C keeps the friction of 80 °C, the highest of its law"
     plant.reset(np.zeros(6))
     assert plant.temperatures.now.tolist() == [30.0, 0.0, 30.0, 30.0, 30.0, 30.0, 30.0]
     assert plant.temperatures.elements == (0, 2, 3, 4, 5, 6)
+
+
+def test_a_temperature_that_is_set_counts_at_once(shipped: Setup) -> None:
+    """Before any tick the viscous friction is c2 (f + (1 - f) exp(-(T - reference) / T_V)), T of each joint its own."""
+    setup, torques = warm(shipped), []
+    temperatures = np.array([60.0, 55.0, 50.0, 45.0, 40.0, 35.0, 30.0])
+    for wanted in (temperatures, np.full(7, PART.reference)):
+        plant = setup.plant()
+        plant.reset(np.zeros(6))
+        plant.state["v"] = 0.5
+        plant.temperatures.set(wanted)
+        assert plant.temperatures.now.tolist() == [wanted[0], 0.0, *wanted[2:]]  # the second has none
+        torques.append(plant.friction_states()[2].copy())
+    velocity = np.array([*[0.5] * 6, 1.0])
+    c2 = np.array([e.c2 * (e.temperature is not None) for e in setup.friction.elements])
+    want = c2 * velocity * 0.7 * np.expm1(-(temperatures - PART.reference) / PART.viscous_scale)
+    assert torques[0] - torques[1] == pytest.approx(want, abs=1e-12)
 
 
 def test_above_its_law_friction_stays(shipped: Setup) -> None:

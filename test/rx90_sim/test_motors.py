@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from scipy.integrate import solve_ivp
 from rx90_common.base.errors import ConfigError
 from rx90_common.description.cogging import Cogging
 from rx90_common.description.winding import COPPER, Windings
+from rx90_common.kernels.compiled import kernel
 from rx90_emulator.loop.setup import Setup
+from rx90_sim.cogging import add_cogging
 from rx90_sim.plant import Plant
-from rx90_sim.winding import WINDING_DTYPE, current_shares, fill_windings, warm_windings
+from rx90_sim.winding import WINDING_DTYPE, current_shares, fill_windings, warm_motors, warm_windings
 
 Array = NDArray[np.float64]
 TERMS = Cogging(
@@ -55,6 +58,24 @@ def test_the_torque_is_the_series_in_the_motors_angle(shipped: Setup) -> None:
         inside = series.harmonic[:, None] * motors + series.phase
         want = WRIST.T @ (shipped.drives.gear * np.sum(series.amplitude * np.cos(inside), axis=0))
         assert forces[0] - forces[1] == pytest.approx(want, rel=2e-3, abs=2e-3)
+
+
+@kernel
+def cog(plants: Any, states: Any, angle: Array, velocity: Array, torque: Array, step: float) -> None:
+    """Add the mean cogging over a step to joint torques."""
+    add_cogging(plants[0], states[0], angle, velocity, torque, step)
+
+
+def test_the_mean_over_a_step_is_exact_at_every_speed(shipped: Setup) -> None:
+    """Slow and fast, the mean of a wave is its middle times sin(x) / x with half the way in its angle as x."""
+    plant, rng, step = cogged(shipped).plant(), np.random.default_rng(9), shipped.rates.period
+    for speed in 10.0 ** np.arange(-6.0, 2.0, 0.25):
+        angle, velocity, torque = rng.uniform(-1.0, 1.0, 6), speed * rng.uniform(0.3, 1.0, 6), np.zeros(6)
+        cog(plant.constants, plant.state, angle, velocity, torque, step)
+        middle, half = (shipped.drives.gear * (WRIST @ one) for one in (angle, 0.5 * step * velocity))
+        harmonic = TERMS.harmonic[:, None]
+        means = TERMS.amplitude * np.cos(harmonic * middle + TERMS.phase) * np.sinc(harmonic * half / np.pi)
+        assert torque == pytest.approx(WRIST.T @ (shipped.drives.gear * means.sum(axis=0)), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("gears", ["rigid", "elastic"])
@@ -163,8 +184,11 @@ def test_the_amplifier_folds_back(shipped: Setup) -> None:
     )
     plant = dataclasses.replace(shipped, drives=drives).plant()
     peak = drives.peak_torque
-    hot = np.array([100.0, 120.0, 125.0, 130.0, 138.0, 150.0])
+    hot = np.array([100.0, 120.0, 125.05, 130.0, 138.0, 150.0])
     plant.state["temperature"][0] = hot
+    words = warm_motors(plant.constants, hot).split(", ")
+    assert words[0] == "motor_3 at 125.0 °C has 74 % of its peak current"  # 74.75: no more than there is
+    assert len(words) == 4
     plant.step(2.0 * peak)
     share = np.clip((140.0 - hot) / 20.0, 0.0, 1.0)
     assert plant.motor_states()[2] == pytest.approx(peak * share, abs=1e-12)
@@ -187,6 +211,7 @@ def test_cold_windings_stay_cold(shipped: Setup) -> None:
         plant.step(10.0 * shipped.drives.peak_torque)
     assert np.all(plant.winding_temperatures() == 20.0)
     assert current_shares(plant.constants, plant.winding_temperatures()).tolist() == [1.0] * 6
+    assert warm_motors(plant.constants, plant.winding_temperatures()) == ""
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ the velocity,
     alpha = 1/2 + 1/2 sin(pi (y - (g + z_ba) / 2) / (g - z_ba))    z_ba < y < g
     alpha = 1                                                      y >= g: LuGre
 
-The break-away deflection is z_ba = break_away tau_c / c0 of the sign of v: a constant below every g(v), as published.
+This alpha is the paper's; it has nothing to do with the viscous exponent. The break-away deflection is z_ba =
+break_away tau_c / c0, with the tau_c of the sign of v: a constant below every g(v), as published.
 
 **The step is exact for a velocity held over it.** Time enters by the travel |v| dt alone, and a step passes at most two
 of three branches, because y grows with the travel up to g and stays beyond g where it began there:
@@ -62,10 +63,10 @@ _WEIGHTS = (
     0.062253523938647894,
     0.027152459411754096,
 )
-_MAP = 0.3  # the rule's nodes lie evenly in n / (n + _MAP): the integrands bend where n is small
+_MAP = 0.3  # the integration variable is n / (n + _MAP), which has more nodes at small n, where the integrands bend
 _SETTLED = 1e-8  # of the way from break-away to steady sliding: nearer, LuGre's exponential is exact to rounding
-_LEAST = 1e-300  # of n, where exp(-u) underflows
-_QUARTER = 1.5707963267948966  # pi / 2
+_LEAST = 1e-300  # of n = n0 exp(-u): 0 would be divided by
+_HALF_PI = 1.5707963267948966
 _CLOSE = 1e-8  # relative correction after which Newton's next one is below rounding
 _MOST_CORRECTIONS = 30
 
@@ -74,12 +75,11 @@ _MOST_CORRECTIONS = 30
 def elasto_plastic_torque(element: Any, break_away: Number, z: Number, velocity: Number) -> Number:
     """Return the friction torque at one instant, Nm; arguments as those of `elasto_plastic_step`."""
     forward = velocity >= 0.0
-    steady = sliding_torque(element, velocity) / element.c0
-    elastic = break_away * select(forward, element.tau_c[0], element.tau_c[1]) / element.c0
+    steady, elastic = _steady_and_break_away(element, break_away, velocity)
     y = select(forward, z, -z)
-    left = (steady - y) / (steady - elastic)
-    within = select(left > 0.0, select(left < 1.0, left, 1.0), 0.0)
-    _, cosine = sine_cosine(_QUARTER * within)
+    n = (steady - y) / (steady - elastic)
+    between = select(n > 0.0, select(n < 1.0, n, 1.0), 0.0)
+    _, cosine = sine_cosine(_HALF_PI * between)  # the paper's (1 + sin(...)) / 2 is its square
     plastic = select(y > elastic, cosine * cosine, 0.0)
     z_dot = velocity * (1.0 - plastic * y / steady)
     bristle: Number = element.c0 * z + damping(element, velocity) * z_dot
@@ -103,8 +103,7 @@ def elasto_plastic_step(
         The new deflection, rad, and the mean friction torque over the step, Nm.
     """
     forward = velocity >= 0.0
-    steady = sliding_torque(element, velocity) / element.c0
-    elastic = break_away * select(forward, element.tau_c[0], element.tau_c[1]) / element.c0
+    steady, elastic = _steady_and_break_away(element, break_away, velocity)
     y = select(forward, z, -z)
     travel = absolute(velocity) * step
     room = elastic - y
@@ -118,6 +117,13 @@ def elasto_plastic_step(
     z_dot = select(forward, moved, -moved) / step
     torque = element.c0 * mean_z + damping(element, velocity) * z_dot + viscous_torque(element, velocity)
     return select(forward, y + moved, -(y + moved)), torque
+
+
+@inlined
+def _steady_and_break_away(element: Any, break_away: Number, velocity: Number) -> tuple[Number, Number]:
+    """Return the deflections of steady sliding, g(v), and of break-away, rad, in the sense of the velocity."""
+    coulomb = select(velocity >= 0.0, element.tau_c[0], element.tau_c[1])
+    return sliding_torque(element, velocity) / element.c0, break_away * coulomb / element.c0
 
 
 @inlined
@@ -169,7 +175,7 @@ def _transition(n0: Number, travel: Number, sharpness: Number) -> tuple[Number, 
 @inlined
 def _bend(n: Number, sharpness: Number) -> Number:
     """Return a(n) > 0."""
-    sine, _ = sine_cosine(_QUARTER * n)
+    sine, _ = sine_cosine(_HALF_PI * n)
     ratio = sine / n
     return ratio * ratio * (sharpness - n)
 

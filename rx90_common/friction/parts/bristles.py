@@ -17,11 +17,12 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group, Variants
+from rx90_common.base.quoting import counted
 from rx90_common.friction.bristles.blocks import MOST_BLOCKS
 from rx90_common.friction.parts.part import FrictionPart
 
-LUGRE_SHARE: Final = 4.0
-"""LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
+LUGRE_PASSIVITY: Final = 4.0
+"""Of `passivity_factor`: LuGre's bristle is passive where c1 |v| < 4 c0 g(v) (Barahanov and Ortega 2000)."""
 
 MOST_BREAK_AWAY: Final = 0.9
 """Of `break_away`: nearer to 1 the way from break-away to sliding is a corner."""
@@ -63,14 +64,14 @@ class BristlesPart(FrictionPart):
         """Return the block as it stands in a file."""
         return {"kind": self.kind, **super().values()}
 
-    def passive_share(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
-        """Return the number s for which the element is passive where c1 |v| < s c0 g(v).
+    def passivity_factor(self, c0: float, speed: ArrayLike) -> Array | float:  # noqa: ARG002 - of other kinds
+        """Return the factor p for which the element is passive where c1 |v| < p c0 g(v).
 
         Args:
             c0: of the element, Nm/rad.
             speed: rad/s, any shape.
         """
-        return LUGRE_SHARE
+        return LUGRE_PASSIVITY
 
 
 @dataclass(frozen=True)
@@ -134,15 +135,19 @@ class MaxwellSlip(BristlesPart):
         super().__post_init__()
         count = len(self.stiffness)
         if count > MOST_BLOCKS:
-            raise ConfigError(f"bristles: stiffness has {count} numbers; accepted: 1 to {MOST_BLOCKS}, one for a block")
+            raise ConfigError(
+                f"bristles: stiffness has {counted(count, 'number')}; accepted: 1 to {MOST_BLOCKS}, one for a block"
+            )
         if len(self.share) != count:
-            raise ConfigError(f"bristles: share has {len(self.share)} numbers; accepted: {count}, as stiffness has")
+            raise ConfigError(
+                f"bristles: share has {counted(len(self.share), 'number')}; accepted: {count}, as stiffness has"
+            )
         for name, whole in (("stiffness", "c0"), ("share", "the sliding torque")):
             total = math.fsum(getattr(self, name))
             if not abs(total - 1.0) <= _SUM_ERROR:
                 raise ConfigError(f"bristles: {name} sums to {total:.10g}; accepted: 1, as parts of {whole}")
 
-    def passive_share(self, c0: float, speed: ArrayLike) -> Array:
+    def passivity_factor(self, c0: float, speed: ArrayLike) -> Array:
         """Return the least of a_i / k_i (1 + sqrt(|v| / A_i))^2 over the blocks."""
         ratio = np.divide(self.share, self.stiffness)
         above = 1.0 + np.sqrt(np.asarray(speed)[..., None] * c0 / (self.attraction * ratio))

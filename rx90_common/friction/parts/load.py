@@ -38,7 +38,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -55,7 +55,10 @@ DIRECTIONS = ("driving", "driven")
 RELAX_TIME = 1e-3
 """How long the friction takes to follow the load unless a file says so, s."""
 
-_coefficient = partial(Number, unit="1", low=0.0, high=0.95)
+LARGEST_COEFFICIENT: Final = 0.95
+"""Largest Coulomb torque over load torque: below 1 the loop above is stable."""
+
+_coefficient = partial(Number, unit="1", low=0.0, high=LARGEST_COEFFICIENT)
 _quadratic = partial(Number, unit="1/Nm", low=0.0, high=1.0, default=0.0)
 _TABLE = Group(
     "Friction by the torque that the joint transmits.",

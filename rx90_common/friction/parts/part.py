@@ -31,7 +31,9 @@ class FrictionPart:
     def __post_init__(self) -> None:
         section = Section(dict(self._as_in_file()), Path(self.name))
         for key, entry in self.table.keys.items():
-            entry.take(section, key)
+            value = entry.take(section, key)
+            if isinstance(value, float | tuple):  # as a file gives it: no NumPy scalar, which writers do not know
+                object.__setattr__(self, key, value)
 
     @classmethod
     def entry(cls) -> Entry:
@@ -65,6 +67,13 @@ class FrictionPart:
         """Return the block as it stands in a file, without what has its default."""
         entries = self.table.keys
         return {key: value for key, value in self._as_in_file() if value != _plain(entries[key].default)}
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all values by their names, those of a list one by one: share[0]."""
+        found: dict[str, Any] = {}
+        for key, value in self._as_in_file():
+            found |= {f"{key}[{i}]": each for i, each in enumerate(value)} if isinstance(value, list) else {key: value}
+        return found
 
     def _as_in_file(self) -> Iterator[tuple[str, Any]]:
         return ((field.name, _plain(getattr(self, field.name))) for field in fields(self))

@@ -23,6 +23,7 @@ import numpy as np
 from rx90_common.base.entries import LEFT_OUT, ListOf, Number
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.base.quoting import counted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import sine_cosine
@@ -79,11 +80,13 @@ class RipplePart(FrictionPart):
         for angle in ANGLES:
             terms = len(getattr(self, f"{angle}_harmonic"))
             if terms > MOST_TERMS:
-                raise ConfigError(f"ripple: {angle}_harmonic has {terms} numbers; accepted: up to {MOST_TERMS}")
+                raise ConfigError(
+                    f"ripple: {angle}_harmonic has {counted(terms, 'number')}; accepted: up to {MOST_TERMS}"
+                )
             for what, accepted in (("amplitude", (terms,)), ("phase", (terms, 0))):
                 count = len(getattr(self, f"{angle}_{what}"))
                 if count not in accepted:
-                    raise ConfigError(f"ripple: {angle}_{what} has {count} numbers; accepted: {terms}, "
+                    raise ConfigError(f"ripple: {angle}_{what} has {counted(count, 'number')}; accepted: {terms}, "
                                       f"as {angle}_harmonic has")  # fmt: skip
         if not self.joint_harmonic and not self.motor_harmonic:
             raise ConfigError("ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic")

@@ -25,17 +25,30 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
+from rx90_common.base.quoting import quoted
 from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary_arrays import exponential_less_one_of
-from rx90_common.kernels.random_numbers import GOLDEN, mixed, of_four
+from rx90_common.kernels.random_numbers import GOLDEN, mixed, nearly_normal
 
 BOUND = 4.0
 """Largest |w| in deviations."""
 
 LARGEST_SEED = 2**53
 """Of a seed: whole numbers up to here are exact in every file format."""
+
+
+def check_seed(seed: object) -> None:
+    """Refuse what is no seed.
+
+    Raises:
+        ConfigError: with what is accepted.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= LARGEST_SEED:
+        raise ConfigError(f"seed is {quoted(seed)}; accepted: a whole number from 0 to {LARGEST_SEED}")
+
 
 _TABLE = Group(
     "A slow random walk of the friction.",
@@ -98,7 +111,7 @@ def fill_scatter(record: Any, parts: Sequence[ScatterPart | None], period: float
 def _draw(state: Any, element: int) -> float:
     """Return the next random number of an element: of mean 0 and variance 1, within 3.5."""
     state.scatter_counter[element] += GOLDEN
-    return of_four(mixed(state.scatter_counter[element]))
+    return nearly_normal(mixed(state.scatter_counter[element]))
 
 
 @inlined

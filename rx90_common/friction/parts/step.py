@@ -20,9 +20,15 @@ from rx90_common.kernels.lanes import Lanes, fma, load, store
 @inlined
 def reset_parts(parts: Any, state: Any, transmitted: Lanes, width: int) -> None:
     """Begin anew, with the torques that are transmitted then, Nm."""
+    start_temperatures(parts.temperature, state.temperature, width)
+    settle_parts(parts, state, transmitted)
+
+
+@inlined
+def settle_parts(parts: Any, state: Any, transmitted: Lanes) -> None:
+    """Begin anew, but for the temperatures."""
     store(state.load, transmitted)
     store(state.load_slope, 0.0 * transmitted)
-    start_temperatures(parts.temperature, state.temperature, width)
     start_scatter(parts.scatter, state)
     reset_bristles(state.bristles)
 

@@ -61,6 +61,7 @@ BROKEN: list[tuple[str | bytes, str]] = [
     ("? ~\n: 1", "the key None is not a name"),
     ("a: " + "1" * 5000, "not valid YAML"),
     ('"\\Uffffffff": 1', "not valid YAML"),
+    ('a: ["\\ud800"]', "holds half of a surrogate pair, no character"),
     ("a: !!int foo", "not valid YAML"),
     ("a: !!float foo", "not valid YAML"),
     ("a: !!timestamp foo", "not valid YAML"),

@@ -55,7 +55,10 @@ def test_shipped_robots_are_rigid() -> None:
         ("stiffness", [1e5] * 5 + [True], "6 numbers > 0"),
         ("stiffness", 1e5, "6 numbers > 0"),
         ("damping", [-1.0] * 6, "6 numbers, each a number >= 0"),
-        ("backlash", [math.inf] * 6, "6 numbers, each a finite number >= 0"),
+        ("damping", [math.inf] * 6, "6 numbers, each a finite number >= 0"),
+        ("backlash", [math.inf] * 6, "6 numbers, each a number in [0, 0.5]"),
+        ("backlash", [-1e-4] * 6, "6 numbers, each a number in [0, 0.5]"),
+        ("backlash", [0.0] * 5 + [1.0], "6 numbers, each a number in [0, 0.5]"),  # an arc minute, in its own unit
         ("friction", "both", "one of motor, link"),
         ("play", [0.0] * 6, "backlash, damping, friction, stiffness"),
     ],
@@ -70,11 +73,29 @@ def test_a_wrong_value_is_refused(
     assert accepted in line
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"stiffness": np.zeros(6)}, r"stiffness is .*; accepted: 6 numbers > 0"),
+        ({"damping": np.full(6, math.inf)}, r"damping is .*; accepted: 6 finite numbers >= 0"),
+        ({"backlash": np.full(6, 7.0)}, r"backlash is \[7.0, .*; accepted: 6 numbers in \[0, 0.5\]"),
+        ({"friction_side": "both"}, "friction is 'both'; accepted: one of motor, link"),
+    ],
+)
+def test_an_impossible_gear_is_refused_in_python(values: dict[str, Any], said: str) -> None:
+    """The class refuses what the file refuses; half a radian of play is the most, and is taken."""
+    with pytest.raises(ConfigError, match=said):
+        Elasticity(**{"stiffness": np.full(6, 1e4), **values})
+    assert Elasticity(np.full(6, 1e4), backlash=np.full(6, 0.5)).elastic.all()
+
+
 @pytest.mark.parametrize("key", ["damping", "backlash"])
 def test_a_rigid_drive_has_neither_damping_nor_play(shipped_files: RobotFiles, edited_yaml: Edit, key: str) -> None:
     """Damping or play beside an infinite stiffness is refused, not ignored: from a file and from Python."""
-    values = [0.0, 0.5, 0.0, 0.0, 0.0, 0.0]
+    values = [0.0, 1e-4, 0.0, 0.0, 0.0, 0.0]
     path = edited_yaml(shipped_files.drives, ("elasticity",), {**BLOCK, key: values})
-    assert f"{path}: elasticity: {key}[1] is 0.5, stiffness[1] infinite; accepted: 0" in refusal_by(load_drives, path)
-    with pytest.raises(ConfigError, match=rf"{key}\[1\] is 0.5, stiffness\[1\] infinite; accepted: 0"):
+    assert f"{path}: elasticity: {key}[1] is 0.0001, stiffness[1] infinite; accepted: 0" in refusal_by(
+        load_drives, path
+    )
+    with pytest.raises(ConfigError, match=rf"{key}\[1\] is 0.0001, stiffness\[1\] infinite; accepted: 0"):
         Elasticity(np.array(STIFFNESS), **{key: np.array(values)})

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -34,6 +35,13 @@ def inverse(setup: Setup, q: Array, v: Array, a: Array) -> Array:
     arm = manipulator_record(setup.robot.chain, setup.drives)
     inverse_dynamics(arm[0], body[0], q, v, a, torque)
     return torque
+
+
+@numba.njit
+def factorise_and_solve(mass: Array, factor: Array, x: Array) -> None:
+    """Write the factor of a matrix, and the solution for what x holds."""
+    factorise(mass, factor)
+    solve(factor, x)
 
 
 def random_urdf(seed: int) -> str:
@@ -148,8 +156,7 @@ def test_factor_and_solve_equal_lapack() -> None:
         root = rng.normal(size=(6, 6))
         mass, b = root @ root.T + 0.05 * np.eye(6), rng.normal(size=6)
         factor, x = np.zeros((6, 6)), b.copy()
-        factorise(mass, factor)
-        solve(factor, x)
+        factorise_and_solve(mass, factor, x)
         assert x == pytest.approx(np.linalg.solve(mass, b), rel=1e-10, abs=1e-12)
 
 

@@ -36,7 +36,7 @@ def test_missing_types_are_one_line_that_says_how_to_get_them(
 
 
 @pytest.fixture
-def node(needs_action: None, ros_domain: int, processes: Processes) -> Iterator[Any]:  # noqa: ARG001
+def node(needs_action: None, ros_domain: int, processes: Processes) -> Iterator[Any]:  # noqa: ARG001 - it must be there
     """Give a node in this process while another process serves."""
     processes.start(sys.executable, PEER).wait_for("serving")
     with own_node("asking", ros_domain) as own:

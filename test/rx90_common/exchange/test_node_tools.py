@@ -14,7 +14,8 @@ from rx90_common.exchange import node_tools
 
 
 @pytest.mark.ros
-def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: Path) -> None:  # noqa: ARG001 - a domain of its own
+@pytest.mark.usefixtures("ros_domain")
+def test_a_robot_folder_s_missing_file_is_named_once(tmp_path: Path) -> None:
     """The files that a node takes from a robot folder are those of the folder, whether they are there or not."""
     (tmp_path / "drives.yaml").touch()
     client = Client()
@@ -27,7 +28,8 @@ def test_a_robot_folder_s_missing_file_is_named_once(ros_domain: int, tmp_path: 
 
 
 @pytest.mark.ros
-def test_a_subscriber_that_never_fits_is_not_waited_for(ros_domain: int) -> None:  # noqa: ARG001 - a domain of its own
+@pytest.mark.usefixtures("ros_domain")
+def test_a_subscriber_that_never_fits_is_not_waited_for() -> None:
     """A subscriber that asks for more than is offered does not keep the others waiting."""
     client = Client()
     try:

@@ -15,7 +15,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal_by
+from schema_faults import validator
 
+from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import REQUIRED
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
@@ -25,9 +27,11 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
 from rx90_common.friction.parts.bristles import KINDS, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.part import FrictionPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.table import PARTS
+from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_emulator.loop.setup import Setup
 
 Edit = Callable[..., Path]
@@ -48,7 +52,7 @@ def refusal(path: Path) -> str:
 def test_a_bad_value_is_refused(shipped_files: RobotFiles, edited_yaml: Edit, key: str, value: Any) -> None:
     """Each key of an element refuses what is not in its range, naming file, element, key and value."""
     path = edited_yaml(shipped_files.friction, ("elements", "joint_3", key), value)
-    if value == 0.0 and key in MAY_BE_ZERO:
+    if (value == 0.0 and key in MAY_BE_ZERO) or (value == math.inf and key == "omega_d"):
         load_friction(path, NAMES)
         return
     text = refusal(path)
@@ -152,6 +156,19 @@ def test_a_damping_that_is_not_passive_is_warned_of(
     assert f"accepted: below {accepted:.3g} " in line
     better = dataclasses.replace(friction.elements[0], c1=0.99 * accepted)
     assert math.isinf(better.passivity_limit(speeds[0]))
+
+
+def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, edited_yaml: Edit) -> None:
+    """`omega_d: .inf` is the constant c1 of a file without it; other infinities are refused, by schema and reader."""
+    check = validator("friction")
+    for key, value, good in (("omega_d", math.inf, True), ("omega_d", -math.inf, False), ("omega_s", math.inf, False)):
+        path = edited_yaml(shipped_files.friction, ("elements", "joint_1", key), value)
+        assert check.is_valid(load_yaml(path).content) == good
+        if good:
+            assert load_friction(path, NAMES).elements[0].omega_d == math.inf
+        else:
+            with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number > 0"):
+                load_friction(path, NAMES)
 
 
 @pytest.mark.parametrize("value", [math.nan, -1.0, 0.0])
@@ -285,7 +302,7 @@ def test_what_is_written_is_read_back(
         again = FrictionFile.read(path)
         assert again == file
         assert repr(again.elements) == repr(file.elements)  # tells 0.0 from -0.0, which == does not
-        old = yaml.safe_load(path.read_text(encoding="utf-8"))
+        old = yaml.load(path.read_text(encoding="utf-8"), yaml.CSafeLoader)
     written = [values.get("alpha") for values in old["elements"].values()]
     assert written == [None if element.alpha == 1.0 else element.alpha for element in content.values()]
     assert old.get("source") == source
@@ -295,6 +312,7 @@ def test_what_is_written_is_read_back(
 
 LOAD = {"driving": 0.05, "driven": 0.08}
 SLIP = {"kind": "maxwell_slip", "stiffness": [0.5, 0.5], "share": [0.4, 0.6], "attraction": 1000.0}
+WARM = TemperaturePart(40.0, 20.0, 90.0, 40.0, 30.0, 1e3, 1.0, 20.0)
 WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
 
 
@@ -310,7 +328,7 @@ WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
         ("load", 0.1, "load is 0.1; accepted: a mapping"),
         ("ripple", {}, "ripple: no harmonic; accepted: one or more in joint_harmonic or motor_harmonic"),
         ("ripple", {**WAVE, "motor_phase": [1, 2]}, "ripple: motor_phase has 2 numbers; accepted: 1, as motor_"),
-        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple: joint_amplitude has 1 numbers; accepted: 0, as joint_"),
+        ("ripple", {**WAVE, "joint_amplitude": [0.1]}, "ripple: joint_amplitude has 1 number; accepted: 0, as joint_"),
         ("ripple", {**WAVE, "motor_amplitude": [-0.1]}, "ripple.motor_amplitude[0] is -0.1; accepted: a number"),
         (
             "ripple",
@@ -328,13 +346,14 @@ WAVE = {"motor_harmonic": [2], "motor_amplitude": [0.1]}
         ("bristles", {"kind": "brush"}, "bristles.kind is 'brush'; accepted: one of elasto_plastic, maxwell_slip"),
         ("bristles", {**SLIP, "stiffness": []}, "bristles.stiffness is []; accepted: a list of 1 to 10 numbers"),
         ("bristles", {**SLIP, "stiffness": [0.5, 0.4]}, "bristles: stiffness sums to 0.9; accepted: 1, as parts of c0"),
+        ("bristles", {**SLIP, "stiffness": [0.5, 0.4999]}, "bristles: stiffness sums to 0.9999; accepted: 1, as"),
         ("bristles", {**SLIP, "share": [0.5, 0.6]}, "bristles: share sums to 1.1; accepted: 1, as parts of the "),
-        ("bristles", {**SLIP, "share": [1.0]}, "bristles: share has 1 numbers; accepted: 2, as stiffness has"),
+        ("bristles", {**SLIP, "share": [1.0]}, "bristles: share has 1 number; accepted: 2, as stiffness has"),
         ("bristles", {**SLIP, "stiffness": [0.1] * 11}, "bristles: stiffness has 11 numbers; accepted: 1 to 10, "),
         ("bristles", {**SLIP, "share": [1.0, 0.0]}, "bristles.share[1] is 0.0; accepted: a number in (0, 1]"),
         ("bristles", {**SLIP, "attraction": 0.0}, "bristles.attraction is 0.0; accepted: a number > 0"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_in_a_part_is_refused(
     shipped_files: RobotFiles, edited_yaml: Edit, part: str, block: Any, words: str
 ) -> None:
@@ -350,6 +369,12 @@ def test_what_is_wrong_in_a_part_is_refused(
             PARTS[part].read(values)
         assert words.removeprefix(f"{part}.").removeprefix(f"{part}: ") in str(caught.value)
         assert str(caught.value).startswith(f"{part}: ")
+
+
+def test_a_ripple_may_have_as_many_waves_as_it_says() -> None:
+    """Eight waves of each angle are taken."""
+    eight = tuple(float(k) for k in range(1, 9))
+    assert RipplePart(eight, (0.05,) * 8, (), eight, (0.05,) * 8).least_factor == pytest.approx(0.2)
 
 
 def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
@@ -368,6 +393,30 @@ def test_parts_leave_less_to_the_passivity_limit(shipped: Setup) -> None:
     (line,) = warned.passivity_warnings(shipped.robot.max_velocity.tolist())
     assert "elements.joint_1.c1" in line
     assert "ripple" in line
+
+
+@pytest.mark.parametrize(
+    ("part", "named"),
+    [
+        (RipplePart((1.0,), (0.05,)), "ripple"),
+        (ScatterPart(0.01, 10.0), "scatter"),
+        (dataclasses.replace(WARM, speed_slope=0.02), "temperature"),
+        (dataclasses.replace(WARM, static_slope=0.02), "temperature"),
+    ],
+)
+def test_a_warning_names_the_part_that_leaves_less(shipped: Setup, part: FrictionPart, named: str) -> None:
+    """However little a part takes away, it is named where c1 would be passive without it."""
+    speeds = shipped.robot.max_velocity.tolist()
+    slow = dataclasses.replace(shipped.friction.elements[0], omega_s=1.0)  # static friction counts where c1 does
+    tight = dataclasses.replace(slow, c1=0.99 * slow.passive_damping(speeds[0]))
+    others = shipped.friction.elements[1:]
+    assert FrictionSet(shipped.friction.names, (tight, *others)).passivity_warnings(speeds) == []
+    parted = dataclasses.replace(tight, load=LoadPart(0.1, 0.2), **{named: part})
+    (line,) = FrictionSet(shipped.friction.names, (parted, *others)).passivity_warnings(speeds)
+    assert f"where {named} leaves least friction" in line
+    several = dataclasses.replace(parted, ripple=RipplePart((1.0,), (0.05,)), scatter=ScatterPart(0.01, 10.0))
+    (line,) = FrictionSet(shipped.friction.names, (several, *others)).passivity_warnings(speeds)
+    assert f"where {'temperature, ' * (named == 'temperature')}ripple and scatter leave least friction" in line
 
 
 def test_a_set_has_seven_elements(shipped: Setup) -> None:

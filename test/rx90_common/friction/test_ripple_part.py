@@ -9,6 +9,7 @@ import pytest
 from parted_joint import GEAR, Seven, along, any_element
 
 from rx90_common.friction.parts.ripple import ANGLES, RipplePart
+from rx90_common.friction.parts.scatter import ScatterPart
 
 
 def any_ripple(rng: np.random.Generator) -> RipplePart:
@@ -23,11 +24,17 @@ def any_ripple(rng: np.random.Generator) -> RipplePart:
 
 
 def test_sliding_torque_along_the_angles() -> None:
-    """At constant velocity the torque is (1 + series) times Coulomb and Stribeck, plus viscous (50 sets of values)."""
+    """At constant velocity the torque is (1 + series) times Coulomb and Stribeck, plus viscous (50 sets of values).
+
+    Beside a random walk, which is held here, it is (1 + series) (1 + walk) times as large.
+    """
     rng = np.random.default_rng(5)
     for _ in range(8):
-        elements = [any_element(rng, ripple=any_ripple(rng)) for _ in range(7)]
+        elements = [any_element(rng, ripple=any_ripple(rng), scatter=ScatterPart(0.1, 1.0)) for _ in range(7)]
         seven = Seven.of(elements)
+        seven.parts["scatter"]["decay"], seven.parts["scatter"]["kick"] = 1.0, 0.0
+        walk = seven.states["scatter_factor"][0]
+        assert np.abs(walk - 1.0).max() > 0.05
         velocity = rng.choice([-1.0, 1.0], 7) * rng.uniform(0.01, 1.0, 7)
         # A long way inside each angle: the bristle has settled there before the angle is the next one.
         angle = np.repeat(rng.uniform(-3.0, 3.0, (6, 7)), 3, axis=0)
@@ -43,7 +50,8 @@ def test_sliding_torque_along_the_angles() -> None:
                 for h, a, p in zip(harmonic, amplitude, phase, strict=True):
                     series += a * np.cos(h * turns * angle[:, i] + p)
             sign = np.sign(velocity[i])
-            want = sign * (1 + series) * element.sliding_torque(velocity[i]) + element.viscous_torque(velocity[i])
+            dry = sign * (1 + series) * walk[i] * element.sliding_torque(velocity[i])
+            want = dry + element.viscous_torque(velocity[i])
             assert torque[2::3, i] == pytest.approx(want[2::3], rel=1e-9)
 
 

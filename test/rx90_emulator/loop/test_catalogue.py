@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+import re
+from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 
 from rx90_common.base.errors import ConfigError
+from rx90_common.description.cogging import Cogging
 from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.elasticity import Elasticity
@@ -15,7 +18,9 @@ from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.table import PARTS
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.catalogue import Catalogue, Leaf
+from rx90_emulator.loop.application import with_parameters
+from rx90_emulator.loop.catalogue import Catalogue, Leaf, parameters
+from rx90_emulator.loop.setup import Setup
 
 
 @pytest.mark.parametrize(
@@ -52,9 +57,37 @@ def test_star_and_index_expand(catalogue: Catalogue) -> None:
     (both,) = catalogue.places("friction.joint_2.tau_c")
     assert [leaf.key[-1] for leaf in both.leaves] == ["tau_c_positive", "tau_c_negative"]
     assert [p.leaves for p in catalogue.places("controller.kp[*]")] == [
-        (Leaf(("controller", "kp"), i),) for i in range(6)
+        (Leaf(("controller", "kp"), (i,)),) for i in range(6)
     ]
     assert len(catalogue.places("arm.*.com[*]")) == 18
+
+
+COGGING = Cogging(np.array([2.0, 6.0]), np.arange(12.0).reshape(2, 6) / 100.0, np.zeros((2, 6)))
+
+
+def test_cogging_has_paths_where_motors_cog(shipped: Setup) -> None:
+    """A wave's amplitude for one motor, or all, is set as the file has it; without cogging, and beyond it, refused."""
+    setup = replace(shipped, drives=replace(shipped.drives, cogging=COGGING))
+    listed = {path: value for path, value in parameters(setup).items() if path.startswith("drives.cogging")}
+    assert len(listed) == 2 + 12 + 12
+    assert listed["drives.cogging.amplitude[1][3]"] == (0.09, "Nm")
+    assert listed["drives.cogging.harmonic[1]"] == (6.0, "1")
+    changed = {"drives.cogging.amplitude[0][*]": 0.5, "drives.cogging.amplitude[1][3]": 0.25}
+    want = COGGING.amplitude.copy()
+    want[0], want[1, 3] = 0.5, 0.25
+    found = with_parameters(setup, changed | {"drives.cogging.phase[*][5]": 1.0}).drives.cogging
+    assert found.amplitude.tolist() == want.tolist()
+    assert found.phase.tolist() == [[0.0] * 5 + [1.0]] * 2
+    for path, said in (
+        ("drives.cogging.amplitude[1]", "is 2 by 6 numbers; accepted: drives.cogging.amplitude[0][0] to drives.cogging."
+         "amplitude[1][5], or drives.cogging.amplitude[*][*]"),
+        ("drives.cogging.amplitude[2][0]", "is 2 by 6 numbers"),
+        ("drives.cogging.harmonic[0][0]", "is 2 numbers; accepted: drives.cogging.harmonic[0] to"),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=re.escape(said)):
+            with_parameters(setup, {path: 1.0})
+    with pytest.raises(ConfigError, match="the motors have no cogging; accepted: with a drives file that has it"):
+        with_parameters(shipped, {"drives.cogging.amplitude[0][0]": 1.0})
 
 
 def test_values_are_those_of_the_files(catalogue: Catalogue) -> None:

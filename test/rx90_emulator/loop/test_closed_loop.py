@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryError
 from rx90_common.base.rates import Rates
+from rx90_common.description.current_sensor import CurrentSensor
+from rx90_common.description.winding import Windings
 from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
@@ -49,6 +51,7 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             "tracking_error",
             "details",
             "temperatures",
+            "windings",
         )
     }
     for k in range(round(duration * setup.rates.base_hz)):
@@ -58,18 +61,20 @@ def step_by_step(setup: Setup, duration: float, start: int, substeps: int) -> di
             seen["friction_states"].append(np.array(plant.friction_states()))
         position, velocity, torque = plant.motor_states()
         seen["motor_states"].append(np.array([position, velocity, torque]))
-        command = controller.step(position, velocity).copy()
+        command = controller.step(position, velocity, torque).copy()
         seen["motor_commands"].append(command)
         if slow:
             seen["reference"].append(np.array(controller.reference()))
             seen["tracking_error"].append(np.array(controller.tracking_error()))
             seen["details"].append(np.array(controller.details()))
-        if k % setup.rates.base_hz == 0 and plant.temperatures.elements:
+        if k % setup.rates.base_hz == 0 and setup.drives.winding.used:
             seen["temperatures"].append(plant.temperatures.now.copy())
+            seen["windings"].append(plant.winding_temperatures())
         plant.step(command)
     return {
         **{name: np.array(rows) for name, rows in seen.items()},
         "temperatures": np.array(seen["temperatures"]).reshape(-1, 7),
+        "windings": np.array(seen["windings"]).reshape(-1, 6),
     }
 
 
@@ -86,6 +91,7 @@ CASES = {
     "other rates": (Rates(8000, 500), 1, 5),
     "one rate": (Rates(2000, 2000), 2, 0),
     "elastic gears with play": (Rates(), 1, 0),
+    "sensors and windings": (Rates(), 1, 0),
 }
 
 
@@ -96,6 +102,14 @@ def test_simulate_equals_plant_and_controller_stepped_one_by_one(shipped: Setup,
     setup = dataclasses.replace(shipped, rates=rates)
     if "elastic" in case:
         setup = elastic(setup, SOFT, 2e-4 * SOFT, 1e-4)
+    if "windings" in case:
+        six = np.ones(6)
+        drives = dataclasses.replace(
+            setup.drives,
+            current_sensor=CurrentSensor(noise=0.01 * six),
+            winding=Windings(2.0 * six, six, six, derating=90.0, limit=120.0),
+        )
+        setup = dataclasses.replace(setup, drives=drives, seed=3)
     start_time = start / rates.position_hz
     got = series(simulate(setup, there_and_back(), HOME, 0.8, start_time, substeps, record_fast=True))
     want = step_by_step(setup, 0.8, start, substeps)
@@ -119,7 +133,7 @@ def test_recording_the_fast_series_does_not_change_the_run(shipped: Setup) -> No
     assert lean.fast is None
     for name, values in lean.slow._asdict().items():
         assert values.tobytes() == getattr(full.slow, name).tobytes()
-        shapes = {"friction_states": (500, 3, 7), "temperatures": (0, 7)}
+        shapes = {"friction_states": (500, 3, 7), "temperatures": (0, 7), "windings": (0, 6)}
         assert values.shape == shapes.get(name, (500, 3, 6))
     assert full.fast is not None
     assert full.fast.motor_states.shape == (2000, 3, 6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,11 @@ from own_model import by_model, scaled, with_friction
 
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
+from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.load import LoadPart
+from rx90_common.friction.parts.ripple import RipplePart
+from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.friction.tracing import prescribed_torque
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
@@ -23,6 +29,15 @@ from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
 HOME = np.array([0.1, 0.5, 1.2, 0.2, 0.9, 0.3])
+PARTS = {
+    "load": LoadPart(0.05, 0.08),
+    "temperature": TemperaturePart(40.0, 15.0, 90.0, 20.0, 20.0, 9000.0, 0.4, 20.7, 0.4, 0.02, 0.02),
+    "ripple": RipplePart((1.0,), (0.05,), (), (2.0,), (0.06,)),
+}
+BRISTLES: dict[str, Callable[[FrictionElement], BristlesPart]] = {
+    "elasto_plastic": lambda _: ElastoPlastic(0.7),
+    "maxwell_slip": lambda element: MaxwellSlip((0.5, 0.3, 0.2), (0.2, 0.3, 0.5), 20.0 * element.tau_c_positive),
+}
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +52,23 @@ def test_with_the_right_model_the_path_error_is_below_30_micrometres(shipped: Se
     both = run_line(by_model(shipped), load_task()).path_accuracy
     assert both.worst < 0.03e-3
     assert both.rms < 0.05 * own.path_accuracy.rms
+
+
+def with_parts(setup: Setup, kind: str, path: Path) -> Setup:
+    """Return the setup with all parts, bristles of a kind too, in the plant and in the controller's model."""
+    elements = tuple(dataclasses.replace(e, **PARTS, bristles=BRISTLES[kind](e)) for e in setup.friction.elements)
+    parted = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
+    return with_friction(parted, elements, path)
+
+
+@pytest.mark.parametrize("kind", list(BRISTLES))
+def test_with_parts_in_plant_and_model_the_path_error_is_as_small(shipped: Setup, tmp_path: Path, kind: str) -> None:
+    """Load, cold joints, ripple and other bristles: still below 0.03 mm, where a model without them is above."""
+    parted = with_parts(shipped, kind, tmp_path / "friction.yaml")
+    right = run_line(by_model(parted), load_task()).path_accuracy
+    plain = dataclasses.replace(parted, controller=shipped.controller)
+    assert right.worst < 2e-6
+    assert run_line(by_model(plain), load_task()).path_accuracy.worst > 0.03e-3
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.3])
@@ -87,9 +119,9 @@ def test_joins_leave_the_model_as_it_is(shipped: Setup) -> None:
     assert np.abs(np.diff(friction, axis=0)).max() < 6.0
 
 
-def test_the_controller_of_the_nodes_feeds_forward_the_same_bits(shipped: Setup) -> None:
+def test_the_controller_of_the_nodes_feeds_forward_the_same_bits(shipped: Setup, tmp_path: Path) -> None:
     """Ticked from outside, as the nodes do, plant and controller give the closed loop's commands, over joins too."""
-    setup = by_model(shipped)
+    setup = by_model(with_parts(shipped, "maxwell_slip", tmp_path / "friction.yaml"))
     ticks, motions = 2800, commands(setup)
     run = simulate_commands(setup, motions, HOME, ticks * setup.rates.period, record_fast=True)
     plant, controller = setup.plant(), setup.cs7b()

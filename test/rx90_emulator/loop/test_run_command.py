@@ -41,7 +41,15 @@ def test_what_cannot_be_written_is_refused_before_the_run(tmp_path: Path, capsys
         (["--output", str(tmp_path)], f"{tmp_path} exists; accepted: a new name"),
         (["--output", f"{tmp_path}/file/bag"], f"{tmp_path}/file/bag: cannot be written (Not a directory)"),
         (["--hours", "8", "--output", f"{tmp_path}/bag"], "--output with --hours; accepted: --task and --plot"),
+        (["--hours", "8", "--decimation", "1"], "--decimation with --hours; accepted: --task and --plot"),
+        (["--hours", "8", "--storage", "mcap"], "--storage with --hours; accepted: --task and --plot"),
+        (["--hours", "8", "--start-time", "0"], "--start-time with --hours; accepted: --task and --plot"),
+        (["--hours", "8", "--slow-only"], "--slow-only with --hours; accepted: --task and --plot"),
         (["--hours", "8", "--plot", "day.txt"], "--plot day.txt; accepted: a file with .png, .svg, .pdf"),
+        (
+            ["--friction", str(warm_friction(tmp_path)), "--hours", "0"],
+            "--hours 0: the time is 0 s; accepted: from one cycle, 11.2 s, to 3.6e+06 s",
+        ),
         (["--plot", "day.svg"], "--plot without --hours; accepted: with --hours; rx90_bag plot draws bags"),
         (
             ["--hours", "8"],
@@ -146,6 +154,12 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
     assert (
         run("rx90_run", ["--trajectory", str(file), *zero, *robot, "--start-time", "0.2", "--output", str(first)]) == 0
     )
+    capsys.readouterr()
+    for words, line in (([], "seed 0, as the bag tells\n"), (["--seed", "5"], "")):
+        assert run("rx90_run", ["--from-bag", str(first), *robot, *words]) == 0
+        out, err = capsys.readouterr()
+        assert "".join(each for each in out.splitlines(keepends=True) if "seed" in each) == line
+        assert err == ("rx90_run: warning: the seed of that run was 0; here --seed 5 holds\n" if words else "")
     said = "recorded of the robot 'tx40', not of 'rx90b'; accepted: a bag of that robot, or --robot with the bag's"
     assert run("rx90_run", ["--from-bag", str(first), "--output", str(second)]) == 2
     assert said in capsys.readouterr().err
@@ -167,8 +181,13 @@ def test_a_run_found_in_a_bag_is_done_again_bit_by_bit(
         "rx90_run: warning: allow_partial_joints_goal, feed_forward.coulomb, servo.kv had other values in that run"
         in err
     )
-    assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s" in out
+    assert f"trajectories in {tmp_path}/fir\\nst: 1, from 0.200 s\nseed 0: the bag tells none\n" in out
     assert run("rx90_bag", ["compare", str(first), str(second)]) == 0
+    for name, value in (("seed", 0.5), ("temperature_rate", "often")):
+        foreign = told | {name: value}
+        monkeypatch.setattr("rx90_emulator.loop.recorded_run.read_values", lambda _, told=foreign: told)
+        assert run("rx90_run", ["--from-bag", str(first), *robot]) == 2
+        assert f"fir\\nst: its {name} is {value!r}; accepted: a whole number" in capsys.readouterr().err
     position = read_bag(first)["joint_states"].position
     assert position is not None
     assert position[0].tolist() == [0.0] * 6

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -53,24 +55,55 @@ def test_order_changes_nothing(sweep: Sweep, outcomes: list[RunOutcome]) -> None
         assert other.run(index) == outcomes[index]
 
 
+@contextmanager
+def a_cluster(processes: int) -> Iterator[distributed.LocalCluster]:
+    """Give a Dask cluster of so many processes, which find the rooms as these tests do."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
+        with distributed.LocalCluster(
+            n_workers=processes,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs="CRITICAL",
+        ) as cluster:
+            yield cluster
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[distributed.LocalCluster]:
+    """Give a cluster of two processes; it starts another one for each that it loses."""
+    with a_cluster(2) as cluster:
+        yield cluster
+
+
+def test_a_cluster_without_processes_is_refused(tmp_path: Path, sweep: Sweep) -> None:
+    """A scheduler that has no workers is refused in one line, and leaves nothing behind."""
+    with a_cluster(0) as cluster, pytest.raises(SweepError, match="has no workers") as error:
+        run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
+    assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
+
+
 def test_cluster_changes_nothing(
-    tmp_path: Path, sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, sweep: Sweep, expected: pa.Table, cluster: distributed.LocalCluster
 ) -> None:
-    """Two processes of a Dask cluster give the same table, and a scheduler without workers is refused."""
-    # The cluster's processes find the rooms as these tests do.
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
-    output = tmp_path / "out.parquet"
-    with distributed.LocalCluster(
-        n_workers=0, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
-    ) as cluster:
-        address = cluster.scheduler_address
-        with pytest.raises(SweepError, match="has no workers"):
-            run_sweep(sweep, output, scheduler=address, quiet=True)
-        assert not list(tmp_path.iterdir())
-        cluster.scale(2)
-        cluster.wait_for_workers(2, timeout=60)
-        run_sweep(sweep, output, scheduler=address, quiet=True)
-    assert_same(read_results(output), expected)
+    """Two processes of a Dask cluster give the same table."""
+    run_sweep(sweep, tmp_path / "out.parquet", scheduler=cluster.scheduler_address, quiet=True)
+    assert_same(read_results(tmp_path / "out.parquet"), expected)
+
+
+def test_a_cluster_that_loses_a_process_goes_on(
+    sweep: Sweep, expected: pa.Table, cluster: distributed.LocalCluster
+) -> None:
+    """A process of the cluster that is killed with work in hand costs no run: another one takes it over."""
+    victim = next(iter(cluster.workers.values())).process.pid
+    with dask_pool(sweep, cluster.scheduler_address) as pool:
+        chunks = [[index] for index in range(len(sweep))]
+        futures = [pool.submit(chunk) for chunk in chunks]
+        os.kill(victim, signal.SIGKILL)
+        outcomes = [outcome for future in futures for outcome in future.result(timeout=120)]
+    assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
 def test_no_cluster(tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -134,23 +167,6 @@ def test_an_error_that_nobody_thought_of_is_a_row(sweep: Sweep, monkeypatch: pyt
     outcome = sweep.run(0)
     assert outcome.metrics is None
     assert outcome.error == "MemoryError: no room for 7 TiB"
-
-
-def test_a_cluster_that_loses_a_process_goes_on(
-    sweep: Sweep, expected: pa.Table, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A process of the cluster that is killed with work in hand costs no run: another one takes it over."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs="CRITICAL"
-    ) as cluster:
-        victim = next(iter(cluster.workers.values())).process.pid
-        with dask_pool(sweep, cluster.scheduler_address) as pool:
-            chunks = [[index] for index in range(len(sweep))]
-            futures = [pool.submit(chunk) for chunk in chunks]
-            os.kill(victim, signal.SIGKILL)
-            outcomes = [outcome for future in futures for outcome in future.result(timeout=120)]
-    assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
 def test_a_lost_worker_is_said(sweep: Sweep) -> None:

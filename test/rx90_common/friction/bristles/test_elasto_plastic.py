@@ -51,6 +51,17 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
         assert torque == pytest.approx(exact_torque, abs=2.0 * share)
 
 
+def test_near_steady_sliding_a_step_is_exact() -> None:
+    """However near a bristle begins to its steady deflection, it is where a solver has it to 1e-12 of it."""
+    oracle, velocity, step = ElastoPlasticOracle(ELEMENT, 0.7), 0.02, 5e-3
+    elastic, steady = oracle.limits(velocity)
+    for n in 10.0 ** np.arange(-9.0, -1.0):
+        z = steady - n * (steady - elastic)
+        exact, _ = oracle.hold(z, velocity, step)
+        found, _ = elasto_plastic_step(COMPILED, 0.7, z, velocity, step)
+        assert found == pytest.approx(exact, rel=1e-12, abs=0.0)
+
+
 def test_beyond_the_steady_deflection_it_is_lugre() -> None:
     """Where the sliding curve has fallen below the deflection, and in steady sliding, the step has LuGre's numbers."""
     for z, velocity in ((3.1e-4, 0.3), (-4.4e-4, -0.2), (2.5e-4, 3.0)):
@@ -58,7 +69,7 @@ def test_beyond_the_steady_deflection_it_is_lugre() -> None:
             elasto_plastic_step(COMPILED, 0.7, z, velocity, 2.5e-4),
             bristle_step(COMPILED, z, velocity, 2.5e-4),
         )
-        assert ours == pytest.approx(lugre, rel=1e-12)
+        assert ours == pytest.approx(lugre, rel=1e-12, abs=0.0)
 
 
 @given(

@@ -53,6 +53,21 @@ def test_a_step_at_constant_velocity_is_exact(seed: int) -> None:
         assert now == pytest.approx(oracle.torque(forces, velocity), rel=1e-9)
 
 
+def test_a_slipping_block_that_moves_as_a_stuck_one_still_slips() -> None:
+    """Slow steps in which the attraction asks for more than the velocity make no block stick: faster, it slips on."""
+    arrays, state, forces = record_of(BLOCKS), np.zeros((2, MOST_BLOCKS)), np.zeros(3)
+    oracle = MaxwellSlipOracle(ELEMENT, np.array(BLOCKS.stiffness), np.array(BLOCKS.share), BLOCKS.attraction)
+    moved = []
+    for velocity, step in ((1.0, 0.05), (1e-3, 1e-3), (2e-3, 2e-3), (0.05, 2e-3), (0.01, 1e-3)):
+        before = state[0, :3].copy()
+        forces, exact = oracle.hold(forces, velocity, step)
+        assert maxwell_slip_step(COMPILED, arrays, 0, state, velocity, step)[1] == pytest.approx(exact, rel=1e-10)
+        np.testing.assert_allclose(state[0, :3] * BLOCKS.stiffness * ELEMENT.c0, forces, atol=1e-10)
+        moved.append((state[0, :3] - before) / (velocity * step))
+    assert moved[1] == pytest.approx(np.ones(3))  # as stuck ones
+    assert np.all(moved[3] < 0.99)
+
+
 def test_many_small_steps_make_one_large_step() -> None:
     """At constant velocity the result does not depend on the step: events lie where they lie."""
     arrays = record_of(BLOCKS)
@@ -90,7 +105,7 @@ def test_the_bound_of_c1_is_sharp() -> None:
     arrays, speed = record_of(one), 2.0
     tau, attracted = 25.0, one.attraction / 1e5
     beyond = 1.0 + math.sqrt(speed / attracted)
-    bound = tau * float(one.passive_share(1e5, speed)) / speed
+    bound = tau * float(one.passivity_factor(1e5, speed)) / speed
     for c1, created in ((0.99 * bound, False), (1.01 * bound, True)):
         element = FrictionElement(tau, tau, 20.0 * tau, 20.0 * tau, 1e-3, 1.0, 1e5, c1, 0.0)
         compiled, step = one_element(element_arrays((element,))[0], 0), 1e-9
