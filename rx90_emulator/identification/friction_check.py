@@ -63,7 +63,8 @@ def check_friction(
             raise IdentificationError(
                 f"{file.path or '--friction'}: element {quoted(name)} is none of this arm; accepted: {', '.join(names)}"
             )
-    refuse_parts(file.elements, "a validation by recorded torques", f"{file.path or '--friction'}: elements.")
+    where = f"{file.path or '--friction'}: elements."
+    refuse_parts(file.elements, "a validation by recorded torques", where, held=("bristles",))
     records = []
     for bag in paths:
         progress(bag.name)

@@ -29,6 +29,8 @@ def identify_friction(
     robot: RobotOptions = _DEFAULT_ROBOT,
     tolerances: ValidationTolerances = _DEFAULT_TOLERANCES,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    bristle_kinds: bool = False,
 ) -> FrictionIdentification:
     """Identify the friction of a robot from recorded bags (section 4 of Waiboer, Aarts and Jonker).
 
@@ -36,7 +38,10 @@ def identify_friction(
         bags: by use, or a folder that `rx90_experiment` wrote.
         robot: that the bags come from; by default this project's.
         tolerances: what counts as agreement with the validation bags.
-        progress: called with the name of each step before it: each bag, the two fits, each validation.
+        progress: called with the name of each step before it: each bag, the two fits, each kind of bristles of each
+            joint, each validation.
+        bristle_kinds: whether the kind of each joint's bristles is chosen by cross-validation over its
+            micro-oscillations, seconds for each joint; without, they are LuGre's.
 
     Returns:
         Estimates with standard deviations, both fits, and a validation for each validation bag.
@@ -47,7 +52,7 @@ def identify_friction(
         ConfigError: for a file of the robot that cannot be used.
     """
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
-    _check_bags(chosen)
+    _check_bags(chosen, bristle_kinds=bristle_kinds)
     source = RecordedRobot.load(robot)
     if not chosen.presliding and source.fallback is None:
         raise IdentificationError(
@@ -55,7 +60,7 @@ def identify_friction(
             "--fallback FILE"
         )
     records = _read(chosen, source, progress)
-    result = identify_records(records["sliding"], records["presliding"], source, progress)
+    result = identify_records(records["sliding"], records["presliding"], source, progress, bristle_kinds=bristle_kinds)
     checks = []
     for record in records["validation"]:
         progress(record.source.name)
@@ -64,9 +69,11 @@ def identify_friction(
     return replace(result, bags=used, validations=tuple(checks))
 
 
-def _check_bags(bags: IdentificationBags) -> None:
+def _check_bags(bags: IdentificationBags, *, bristle_kinds: bool) -> None:
     if not bags.sliding:
         raise IdentificationError("no bag with sweeps at constant velocity; accepted: a folder, or --sliding BAG ...")
+    if bristle_kinds and not bags.presliding:
+        raise IdentificationError("--bristle-kinds without micro-oscillations; accepted: with --presliding BAG ...")
     for use, paths in vars(bags).items():
         places = [bag.resolve() for bag in paths]
         for bag in paths:

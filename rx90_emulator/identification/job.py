@@ -11,10 +11,12 @@ from rx90_emulator.identification.experiments.folder import IdentificationBags, 
 from rx90_emulator.identification.friction_check import check_friction
 from rx90_emulator.identification.identify import identify_friction
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
+from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.output.files import check_targets
 from rx90_emulator.identification.output.friction_file import friction_text
 from rx90_emulator.identification.output.report import check_page, report_page
 from rx90_emulator.identification.output.summary import check_summary, identification_summary
+from rx90_emulator.identification.presliding.element_kinds import kind_steps
 from rx90_emulator.identification.progress import steps
 from rx90_emulator.identification.result.identification import FrictionIdentification
 
@@ -54,6 +56,7 @@ def run_identification(
     output: Path,
     report: Path | None = None,
     *,
+    bristle_kinds: bool = False,
     force: bool = False,
 ) -> bool:
     """Identify with a progress bar, write the files, print a summary, and return whether no validation bag disagrees.
@@ -64,6 +67,7 @@ def run_identification(
         tolerances: of the validation.
         output: as in `write_identification`, as are report and force; checked before anything long begins.
         report: HTML page.
+        bristle_kinds: as in `identify_friction`.
         force: whether files that exist are replaced.
 
     Raises:
@@ -72,8 +76,10 @@ def run_identification(
     _targets(output, report, force=force)
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(bags)
     total = sum(map(len, vars(chosen).values())) + 2 + len(chosen.validation)
+    if bristle_kinds:
+        total += kind_steps(RecordedRobot.load(robot).arm)
     with steps(total) as step:
-        result = identify_friction(chosen, robot, tolerances, step)
+        result = identify_friction(chosen, robot, tolerances, step, bristle_kinds=bristle_kinds)
     files = write_identification(result, output, report, force=force)
     print(f"{identification_summary(result)}\nfriction file: {files[0]}\nreport: {files[1]}")
     return result.confirmed

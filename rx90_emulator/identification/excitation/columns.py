@@ -74,8 +74,7 @@ class StandardColumns:
 
     def values(self) -> Array:
         """Return the parameters as the arm's description has them, shape (P,): a prior. Offsets are 0."""
-        links = [body.toDynamicParameters() for body in list(self.arm.model.inertias)[1:]]
         inverse = np.linalg.inv(self.arm.coupling)
         rotors = np.diag(inverse.T @ self.arm.rotor @ inverse)
         springs = self.arm.spring[list(self.springs)]
-        return np.concatenate([*links, rotors, springs, np.zeros(len(self.arm.names))])
+        return np.concatenate([self.arm.inertial, rotors, springs, np.zeros(len(self.arm.names))])

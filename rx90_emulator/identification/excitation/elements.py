@@ -44,7 +44,7 @@ def simulated_elements(
         element, known = _element(one.element, one.parameters, other), dict(one.parameters)
         if loads is not None:
             element, known = replace(element, load=loads.part(number)), known | loads.estimates(number)
-        found.append(IdentifiedElement(element, known, dict.fromkeys(known, one.sources)))
+        found.append(IdentifiedElement.of(element, known, dict.fromkeys(known, one.sources), other))
     return tuple(found)
 
 

@@ -22,7 +22,8 @@ from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem
 from rx90_emulator.identification.model.estimates import ParameterEstimate
 
-_DIGITS = 6
+_DIGITS = 6  # significant ones of a coefficient to simulate with
+_BLOCK = 4000  # samples whose columns are in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,3 @@ def _transmitted(problem: ExcitationProblem, run: FilteredRun, body: Payload | N
     motor = np.linalg.solve(arm.coupling.T, joint.T).T
     together = [k for k, row in enumerate(arm.coupling) if np.count_nonzero(row) > 1]
     return np.hstack([motor, motor[:, together]])
-
-
-_BLOCK = 4000  # samples whose columns are in memory at a time

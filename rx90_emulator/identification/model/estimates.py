@@ -18,6 +18,8 @@ VISCOUS_EXPONENT = "alpha"
 """Of the sliding regime too, and estimated where the data prefer another value than 1."""
 PRESLIDING = ("c0", "c1")
 PARAMETERS = (*SLIDING, VISCOUS_EXPONENT, *PRESLIDING)
+LARGEST_DEVIATION = 0.3
+"""Relative standard deviation of c0 or c1, up to which it is identifiable."""
 _MOST_DECIMALS = 7
 LARGEST = 1e12
 """Largest value or deviation that is written, SI units: no bristle is so stiff, and no arm so strong."""

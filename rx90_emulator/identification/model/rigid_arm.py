@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.description.rigid_torque import configurations, rigid_torque
+from rx90_common.description.rigid_torque import configurations, rigid_torque, rotor_and_spring_torque
 from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.identification.model.urdf_model import joint_model
 from rx90_emulator.loop.setup import Setup
+
+_LEAST_MASS = 1e-12  # kg
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,39 @@ class RigidArm:
         """
         model, data = self.model, self.model.createData()
         motion = zip(configurations(model, position), velocity, acceleration, strict=True)
-        rows = [np.array(pin.computeJointTorqueRegressor(model, data, *row)) for row in motion]
-        return np.array(rows).reshape(len(position), len(self.names), 10 * len(self.names))
+        found = np.empty((*position.shape, 10 * len(self.names)))
+        for k, row in enumerate(motion):
+            found[k] = pin.computeJointTorqueRegressor(model, data, *row)
+        return found
+
+    def torque_of(self, regressor: Array, inertial: Array, position: Array, acceleration: Array) -> Array:
+        """Return `torque` with other inertial parameters, Nm, shape (m, n): cheap where the regressor is there.
+
+        Args:
+            regressor: along the motion, shape (m, n, 10 n).
+            inertial: of the links, shape (10 n,).
+            position: rad, shape (m, n).
+            acceleration: rad/s^2, shape (m, n).
+        """
+        return regressor @ inertial + rotor_and_spring_torque(self.rotor, self.spring, position, acceleration)
+
+    def stiffness_of(self, inertial: Array, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Return the derivative of `torque_of` by the positions, Nm/rad, shape (m, n, n), all arguments as there."""
+        model = self.model.copy()
+        for k, (mass, *rest) in enumerate(inertial.reshape(-1, 10).tolist()):
+            # It divides by the mass, which may be 0; below 0 it may be.
+            model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(np.array([mass or _LEAST_MASS, *rest]))
+        data, found = model.createData(), np.empty((*position.shape, position.shape[1]))
+        motion = zip(configurations(model, position), velocity, acceleration, strict=True)
+        for k, row in enumerate(motion):
+            pin.computeRNEADerivatives(model, data, *row)
+            found[k] = data.dtau_dq
+        return found + (self.spring * np.cos(position))[:, :, None] * np.eye(position.shape[1])
+
+    @property
+    def inertial(self) -> Array:
+        """Return the links' inertial parameters in the regressor's order, SI units, shape (10 n,)."""
+        return np.concatenate([body.toDynamicParameters() for body in list(self.model.inertias)[1:]])
 
     def ranges(self) -> Array:
         """Return the joints' ranges by the URDF, rad, shape (n,); 0 where it has none."""

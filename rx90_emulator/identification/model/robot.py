@@ -32,8 +32,8 @@ class RecordedRobot:
         arm: rigid-body model and friction elements.
         setup: for the closed loop; None for another robot than this project's.
         own_layout: of the messages of another robot.
-        fallback: elements whose values stand in for parameters that are not identifiable, and whose omega_d is taken
-            over; None to refuse bags that leave such parameters.
+        fallback: elements whose values stand in for parameters that are not identifiable, bristles of another kind
+            with their c0, and whose omega_d is taken over; None to refuse bags that leave such parameters.
         fallback_name: their file.
         torque_delay: by how much a torque acted later than in the sample period that ends at its stamp, s.
         record_time: whether the times of recording replace the stamps in the headers.
@@ -147,5 +147,6 @@ def _fallback(name: str, arm: RigidArm) -> tuple[tuple[FrictionElement, ...] | N
         dict(zip(arm.element_names, elements, strict=True)),
         "an identification with it as --fallback",
         f"{name}: elements.",
+        held=("bristles",),
     )
     return elements, name

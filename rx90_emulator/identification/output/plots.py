@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rx90_common.report.plot import COLOURS, GREY, INK, Band, Curve, Dots, Heat, Level, Panel, Plot
+from rx90_emulator.identification.presliding.element_kinds import ElementKind
 from rx90_emulator.identification.presliding.fit import HysteresisLoop
 from rx90_emulator.identification.result.identification import FrictionIdentification
 from rx90_emulator.identification.result.validation import Validation
@@ -62,8 +63,7 @@ def _curve(name: str, curve: CurvePoints) -> Plot:
 
 def hysteresis_plot(loop: HysteresisLoop) -> Plot:
     """Show friction torque against position in the middle of one micro-motion, measured and simulated."""
-    count = len(loop.position)
-    part = slice((_LOOPS - 1) * count // (2 * _LOOPS), (_LOOPS + 1) * count // (2 * _LOOPS))
+    part = _middle(len(loop.position))
     position = loop.position[part] * 1e6
     curves = [
         Curve(position, loop.torque[part], "measured", COLOURS[5], 1.8),
@@ -72,16 +72,35 @@ def hysteresis_plot(loop: HysteresisLoop) -> Plot:
     return Plot([Panel(curves, loop.joint, "position, µrad", "friction torque, Nm")], height=3.2)
 
 
+def kind_plot(kind: ElementKind) -> Plot:
+    """Show torque against position along a stretch of the largest micro-motion: measured, and by each kind."""
+    position, torques = kind.largest
+    part = _middle(len(position))
+    widths = {"measured": 1.8}
+    colours = (COLOURS[5], COLOURS[1], COLOURS[2], COLOURS[3])
+    curves = [
+        Curve(position[part] * 1e6, torque[part], name, colour, widths.get(name, 0.8))
+        for (name, torque), colour in zip(torques.items(), colours, strict=False)
+    ]
+    return Plot([Panel(curves, kind.element, "position, µrad", "torque of the bristles, Nm")], height=3.2)
+
+
+def _middle(count: int) -> slice:
+    return slice((_LOOPS - 1) * count // (2 * _LOOPS), (_LOOPS + 1) * count // (2 * _LOOPS))
+
+
 def correlation_plots(result: FrictionIdentification) -> list[Plot]:
     """Return the correlation of each element's parameters."""
     plots = []
+    others = [kind.element for kind in result.kinds if kind.trial is not None]  # their c0 and c1 are not this fit's
     pairs = zip(result.arm.element_names, result.sliding.estimates, result.presliding.estimates, strict=True)
     for name, sliding, presliding in pairs:
         names: Sequence[str] = (*sliding.parameters, *presliding.parameters)
         size, first = len(names), len(sliding.parameters)
         matrix = np.full((size, size), np.nan)
         matrix[:first, :first] = sliding.correlation
-        matrix[first:, first:] = presliding.correlation
+        if name not in others:
+            matrix[first:, first:] = presliding.correlation
         if np.isfinite(matrix).any():
             plots.append(Plot([Heat(names, matrix, name)]))
     return plots

@@ -15,9 +15,16 @@ from rx90_emulator.identification.output.plots import (
     curve_plots,
     drift_plots,
     hysteresis_plot,
+    kind_plot,
     validation_plot,
 )
-from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
+from rx90_emulator.identification.presliding.element_kinds import decisions
+from rx90_emulator.identification.presliding.kinds import MOST_MOTIONS, MOST_OF_BAG, TOLD
+from rx90_emulator.identification.result.identification import (
+    FrictionIdentification,
+    IdentifiedElement,
+    shown_parameters,
+)
 from rx90_emulator.identification.result.validation import Validation
 
 
@@ -56,11 +63,13 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
     """
     named = list(zip(result.arm.element_names, result.elements, strict=True))
     unidentifiable = [
-        (name, parameter, estimate.reason, getattr(one.element, parameter))
+        (name, parameter, estimate.reason, one.value(parameter))
         for name, one in named
         for parameter, estimate in one.estimates.items()
         if not estimate.identifiable
     ]
+    compared = [kind for kind in result.kinds if kind.choice is not None]
+    others = [kind.element for kind in compared if kind.trial is not None]
     return render_page(
         "rx90_emulator.identification.output",
         "identification.html.j2",
@@ -82,6 +91,26 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,
         curves=curve_plots(result),
-        loops=[hysteresis_plot(loop) for loop in result.presliding.loops],
+        loops=[hysteresis_plot(loop) for loop in result.presliding.loops if loop.joint not in others],
+        others=others,
+        compared=compared,
+        decisions=decisions(result.kinds),
+        given=result.with_given_bristles,
+        numbers=[(name, *row) for name, one in named if not one.given_bristles for row in _own_numbers(one)],
+        families=[trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials],
+        most_motions=MOST_MOTIONS,
+        most_of_bag=MOST_OF_BAG,
+        told=TOLD,
+        kind_loops=[kind_plot(kind) for kind in compared],
         correlations=correlation_plots(result),
     )
+
+
+def _own_numbers(one: IdentifiedElement) -> list[tuple[str, str, str]]:
+    """Return name, value and deviation of the numbers of an element's own bristles; no deviation where assumed."""
+    found = []
+    for name, estimate in one.estimates.items():
+        if name.startswith("bristles."):
+            value, deviation = estimate.texts() if estimate.identifiable else (f"{one.value(name):.4g}", "")
+            found.append((name.removeprefix("bristles."), value, deviation))
+    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rx90_emulator.identification.presliding.element_kinds import ElementKind, decisions
 from rx90_emulator.identification.result.identification import FrictionIdentification, shown_parameters
 from rx90_emulator.identification.result.validation import Validation
 
@@ -27,7 +28,30 @@ def identification_summary(result: FrictionIdentification) -> str:
                 lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         lines.append(f"{name:<{width}}" + "".join(cells))
     reasons = [f"not identifiable: {_which(names)}: {reason}" for reason, names in lacking.items()]
-    return "\n".join([*lines, *reasons, *_fit(result), *(_verdict(check) for check in result.validations)])
+    verdicts = [_verdict(check) for check in result.validations]
+    return "\n".join([*lines, *reasons, *_kinds(result.kinds), *_given(result), *_fit(result), *verdicts])
+
+
+def _kinds(kinds: Sequence[ElementKind]) -> list[str]:
+    """Return what each kind of bristles misses in micro-oscillations that it was not fitted to, and the decisions."""
+    compared = [kind for kind in kinds if kind.choice is not None]
+    lines = []
+    if compared:
+        width = max(10, *(len(kind.element) + 1 for kind in kinds))
+        families = [trial.family.name for kind in compared[:1] if kind.choice for trial in kind.choice.trials]
+        lines.append("bristles: missed of the friction torque (standard errors behind the best kind)")
+        lines.append(f"{'element':<{width}}" + "".join(f"{name:>25}" for name in families))
+        for kind in compared:
+            assert kind.choice is not None
+            cells = [f"{trial.missed:.1%} ({trial.behind:.1f})" for trial in kind.choice.trials]
+            lines.append(f"{kind.element:<{width}}" + "".join(f"{cell:>25}" for cell in cells))
+    return [*lines, *(f"bristles of {names}: {text}" for names, text in decisions(kinds))]
+
+
+def _given(result: FrictionIdentification) -> list[str]:
+    """Return in a line whose bristles are the fallback's, of another kind than LuGre's."""
+    names = ", ".join(result.with_given_bristles)
+    return [f"bristles of {names}: as c0 those of {result.fallback_name}, assumed"] if names else []
 
 
 def _fit(result: FrictionIdentification) -> list[str]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.fft import rfft, rfftfreq
 from scipy.signal.windows import tukey
 
-from rx90_common.base.arrays import Array
+from rx90_common.base.arrays import Array, Mask
 
 BLOCK = 8
 """Steps of the simulation in one block mean."""
@@ -36,6 +38,13 @@ def fast_length(longest: int) -> int:
     return max(n << (longest // n).bit_length() - 1 for n in odd if n <= longest)
 
 
+@lru_cache(maxsize=16)
+def _window(length: int, step: float) -> tuple[Array, Array, Mask]:
+    """Return the window over block means, the frequencies of its transform, Hz, and which are in the band."""
+    frequency = rfftfreq(length, BLOCK * step)
+    return tukey(length, _TAPER), frequency, (frequency >= _LOWEST) & (frequency <= _HIGHEST)
+
+
 def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
     """Return Fourier coefficients in the band of micro-oscillations (Tukey window), and their frequencies.
 
@@ -48,9 +57,7 @@ def band_spectrum(torque: Array, step: float) -> tuple[Array, Array]:
         it has in a single step; frequencies, Hz, shape (r,).
     """
     length = fast_length(len(torque))
-    window = tukey(length, _TAPER)
-    frequency = rfftfreq(length, BLOCK * step)
-    band = (frequency >= _LOWEST) & (frequency <= _HIGHEST)
+    window, frequency, band = _window(length, step)
     parts = rfft((torque - torque.mean(axis=0))[:length] * window[:, None], axis=0)[band]
     parts = parts * np.sqrt(2.0 * BLOCK / (window @ window))
     return np.concatenate([parts.real, parts.imag]), np.tile(frequency[band], 2)

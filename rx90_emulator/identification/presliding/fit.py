@@ -11,15 +11,21 @@ from scipy.linalg import block_diag
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
-from rx90_emulator.identification.model.estimates import PRESLIDING, ElementEstimate, ParameterEstimate
+from rx90_emulator.identification.model.estimates import (
+    LARGEST_DEVIATION,
+    PRESLIDING,
+    ElementEstimate,
+    ParameterEstimate,
+)
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.presliding.band import block_means
 from rx90_emulator.identification.presliding.group_model import JointGroup, joint_groups
+from rx90_emulator.identification.presliding.kind_model import KindMotion, largest_motions
+from rx90_emulator.identification.presliding.kinds import MOST_MOTIONS, MOST_OF_BAG
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion, find_micro_motions, most_informative
 from rx90_emulator.identification.presliding.solver import GroupSolution, fit_group
-from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.records.record import BagSource, JointRecord
 
-_LARGEST = 0.3  # standard deviation of ln c0 or ln c1, up to which a parameter is identifiable
 _NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors of the motion deflect bristles far
 _ALL_SLIDING = 0.95  # of it: bristles slide
 _MISFIT = 0.3  # of the friction torque
@@ -44,6 +50,46 @@ class HysteresisLoop:
 
 
 @dataclass(frozen=True, eq=False)
+class MovedGroup:
+    """The largest micro-motions of joints that share their friction elements with no other joint.
+
+    Attributes:
+        elements: indices of its e elements.
+        motions: the largest first; MOST_MOTIONS at most of a single element, else MOST_OF_BAG of each bag.
+        c0: of LuGre's bristles, Nm/rad, shape (e,).
+        sources: their bags.
+    """
+
+    elements: tuple[int, ...]
+    motions: tuple[KindMotion, ...]
+    c0: Array
+    sources: tuple[BagSource, ...]
+
+    @classmethod
+    def of(
+        cls, group: JointGroup, motions: Sequence[MicroMotion], sliding: Sequence[FrictionElement], c0: Array
+    ) -> MovedGroup:
+        """Return them of all micro-motions of a group.
+
+        Args:
+            group: the joints.
+            motions: of them, one or more.
+            sliding: the elements' sliding regime.
+            c0: as the attribute.
+        """
+        break_away = np.abs(group.inputs).T @ np.array([one.tau_c_positive for one in sliding])
+        if len(group.elements) == 1:
+            largest = largest_motions(motions, break_away, MOST_MOTIONS)
+        else:  # one direction of motion moves some elements only, and each is recorded in a bag of its own
+            bags: dict[str, list[MicroMotion]] = {}
+            for motion in motions:
+                bags.setdefault(motion.record.sha256, []).append(motion)
+            largest = [motion for bag in bags.values() for motion in largest_motions(bag, break_away, MOST_OF_BAG)]
+        compared = tuple(KindMotion.of(motion, group.inputs, sliding) for motion in largest)
+        return cls(group.elements, compared, c0, tuple(dict.fromkeys(motion.record.bag for motion in largest)))
+
+
+@dataclass(frozen=True, eq=False)
 class PreslidingFit:
     """The presliding regime of all elements.
 
@@ -51,11 +97,13 @@ class PreslidingFit:
         estimates: for each element of the arm, in its order; the parameters are those in PRESLIDING.
         loops: the largest micro-motion of each joint that has any.
         motions: how many micro-motions were used.
+        groups: what the joints did that made any micro-motion.
     """
 
     estimates: tuple[ElementEstimate, ...]
     loops: tuple[HysteresisLoop, ...]
     motions: int
+    groups: tuple[MovedGroup, ...] = ()
 
 
 def identify_presliding(
@@ -98,6 +146,7 @@ def identify_presliding(
     unknown = "no micro-oscillation of its joints in the bags"
     estimates = [ElementEstimate.unknown(name, PRESLIDING, unknown) for name in arm.element_names]
     loops: list[HysteresisLoop] = []
+    moved: list[MovedGroup] = []
     used = 0
     for group in groups:
         own = [motion for motion in motions if motion.joints == group.joints]
@@ -113,7 +162,8 @@ def identify_presliding(
         for place, e in enumerate(group.elements):
             estimates[e] = _estimate(arm, group, place, solution, chosen)
         loops += _loops(arm, chosen, solution)
-    return PreslidingFit(tuple(estimates), tuple(loops), used)
+        moved.append(MovedGroup.of(group, own, elements, solution.values[:, 0]))
+    return PreslidingFit(tuple(estimates), tuple(loops), used, tuple(moved))
 
 
 def _chosen(
@@ -141,7 +191,7 @@ def _estimate(
     parameters = {}
     for name, value, deviation in zip(PRESLIDING, solution.values[place], relative, strict=True):
         reason = doubt
-        if not reason and not deviation < _LARGEST:
+        if not reason and not deviation < LARGEST_DEVIATION:
             reason = f"relative standard deviation {deviation:.2g} at a value of {value:.3g}"
         estimate = ParameterEstimate(float(value), float(value * deviation))
         parameters[name] = ParameterEstimate.unknown(reason) if reason else estimate

@@ -1,28 +1,33 @@
-"""A joint's micro-motion with bristles of a given kind: what the torque in the band of micro-oscillations would be."""
+"""Micro-motions with bristles of given kinds: what the torques in the band of micro-oscillations would be."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.friction import FrictionElement
-from rx90_common.friction.bristle import load_elements
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
+from rx90_common.friction.bristles.step import bristles_dtype
 from rx90_common.friction.element import element_arrays
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
-from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import lane, load
-from rx90_emulator.identification.presliding.band import band_spectrum, block_means
-from rx90_emulator.identification.presliding.micro_motion import MicroMotion
+from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip, fill_bristles
+from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE, follow_bristles
+from rx90_emulator.identification.presliding.band import BLOCK, band_spectrum, block_means
+from rx90_emulator.identification.presliding.micro_motion import MicroMotion, load_of
 
-LONGEST = 2.0
+LONGEST: Final = 2.0
 """s of a micro-motion that are compared: they hold some six of its slowest waves."""
 
-_ATTRACTION = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
-_STATE = np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True)
+ATTRACTION: Final = "attraction"
+"""The number of Maxwell slip that presliding does not show."""
+
+_KEPT = 16  # spectra of a motion: those of a difference quotient begin at the same deflection
+_COARSEST = 5.1e-4  # s, of a step: at 33 Hz the mean over it is 0.1 % off
+_RATE = 200.0  # 1/s: the sliding curve hardly shows in presliding, and its attraction not at all
 
 
 @dataclass(frozen=True)
@@ -38,11 +43,21 @@ class KindFamily:
     elastic: bool = False
 
     @property
+    def kind(self) -> str:
+        """Return "LuGre", "elasto-plastic" or "Maxwell slip"."""
+        if self.blocks:
+            return "Maxwell slip"
+        return "elasto-plastic" if self.elastic else "LuGre"
+
+    @property
     def name(self) -> str:
         """Return its name in a table."""
-        if self.blocks:
-            return f"Maxwell slip, {self.blocks} blocks"
-        return "elasto-plastic" if self.elastic else "LuGre"
+        return f"{self.kind} ({self.blocks} blocks)" if self.blocks else self.kind
+
+    @property
+    def count(self) -> int:
+        """Return how many numbers of its own it has."""
+        return 2 * (self.blocks - 1) if self.blocks else int(self.elastic)
 
     def guesses(self) -> list[Array]:
         """Return where fits may begin."""
@@ -57,16 +72,18 @@ class KindFamily:
     def bristles(self, shape: Array, coulomb: float) -> BristlesPart | None:
         """Return the bristles of such numbers, for a Coulomb torque, Nm."""
         if self.elastic:
-            return ElastoPlastic(float(0.9 / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
+            return ElastoPlastic(float(MOST_BREAK_AWAY / (1.0 + np.exp(-np.clip(shape[0], -30.0, 30.0)))))
         if not self.blocks:
             return None
         stiffness, share = (_parts(half) for half in np.split(np.clip(shape, -8.0, 8.0), 2))
-        return MaxwellSlip(stiffness, share, _ATTRACTION * coulomb)
+        # Blocks have no order of their own: in that in which they slip, fits without one motion each are compared.
+        order = np.argsort(share / stiffness, kind="stable")
+        return MaxwellSlip(tuple(stiffness[order].tolist()), tuple(share[order].tolist()), _RATE * coulomb)
 
 
-def _parts(logarithms: Array) -> tuple[float, ...]:
+def _parts(logarithms: Array) -> Array:
     weights = np.exp(np.append(0.0, logarithms))
-    return tuple((weights / weights.sum()).tolist())
+    return np.asarray(weights / weights.sum())
 
 
 FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blocks in (2, 3, 4)))
@@ -74,72 +91,149 @@ FAMILIES = (KindFamily(), KindFamily(elastic=True), *(KindFamily(blocks) for blo
 
 
 @dataclass(frozen=True, eq=False)
-class KindMotion:
-    """A micro-motion of a joint with one element of its own, in the band.
+class ElementTrace:
+    """The motion of one friction element.
 
     Attributes:
         element: the sliding regime; c0 and c1 are not used.
         speed: held over each step, rad/s, shape (m,).
         step: s.
-        target: spectrum of what the bristles give: drive less weight, inertia and viscous torque, Nm, shape (r,).
-        inertial: spectrum of the joint's inertia times its acceleration, Nm, shape (r,).
-        line: Hz, rounded, of each of the r numbers.
+        steps: in a block.
     """
 
     element: FrictionElement
     speed: Array
     step: float
-    target: Array
-    inertial: Array
-    line: Array
-    _known: dict[tuple[BristlesPart | None, float, float], tuple[Array, Array]] = field(
-        default_factory=dict, init=False
-    )
+    steps: int
+    _known: dict[tuple[BristlesPart | None, float, float], Array] = field(default_factory=dict, init=False)
 
     @classmethod
-    def of(cls, motion: MicroMotion, element: FrictionElement) -> KindMotion:
-        """Return the beginning of a micro-motion of one joint."""
-        used = slice(round(LONGEST / motion.step))
-        speed, joint = np.ascontiguousarray(motion.velocity[used, 0]), motion.joints[0]
-        acceleration = motion.acceleration[used]
-        torque = motion.drive[used, 0] - acceleration @ motion.mass[0] - element.viscous_torque(speed)
-        both = np.column_stack([torque, motion.inertia[joint] * acceleration[:, joint]])
-        spectrum, frequency = band_spectrum(block_means(both), motion.step)
-        plain = replace(element.without_parts(), c1=0.0, c2=0.0)
-        return cls(plain, speed, motion.step, spectrum[:, 0], spectrum[:, 1], np.round(frequency))
+    def of(cls, element: FrictionElement, speed: Array, step: float) -> ElementTrace:
+        """Return the trace of an element with such input velocities, rad/s, in steps of a record, s."""
+        plain = replace(element.without_parts(), c1=1.0, c2=0.0)
+        steps = BLOCK // 2 if 2.0 * step <= _COARSEST else BLOCK
+        held = speed[: len(speed) // BLOCK * BLOCK].reshape(-1, BLOCK // steps).mean(axis=1)
+        return cls(plain, held, step * BLOCK / steps, steps)
 
-    def bristles(self, kind: BristlesPart | None, c0: float, start: float) -> tuple[Array, Array]:
-        """Return spectra of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s.
+    @property
+    def position(self) -> Array:
+        """Return the position from where the motion begins, rad, block means, shape (b,)."""
+        return self._blocks(np.cumsum(self.speed) * self.step)
+
+    def spectra(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
+        """Return spectra of the bristles' torque, Nm, and of the rate that c1 multiplies, rad/s; some are kept.
 
         Args:
             kind: of the bristles.
             c0: Nm/rad.
             start: deflection at the beginning over that of steady sliding.
+
+        Returns:
+            A column each, shape (r, 2).
         """
         key = (kind, c0, start)
         if key not in self._known:
-            self._known.clear()
-            result = np.empty((self.speed.size, 2))
-            element = replace(self.element, c0=c0, bristles=kind)
-            constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, _STATE)
-            fill_bristles(constants[0], [kind])
-            state["z"] = start * element.tau_c_positive / c0
-            state["bristles"]["blocks"][0, 0, 0] = state["z"][0] * constants["blocks"]["reach"][0, 0]
-            fading = replace(element, c1=1.0).damping(self.speed)
-            _follow(element_arrays((element,)), constants, state, self.speed, self.step, result)
-            result[:, 1] *= fading
-            spectrum = band_spectrum(block_means(result), self.step)[0]
-            self._known[key] = spectrum[:, 0], spectrum[:, 1]
+            if len(self._known) >= _KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[key] = band_spectrum(self.bristles(*key), self.step * self.steps / BLOCK)[0]
         return self._known[key]
 
+    def bristles(self, kind: BristlesPart | None, c0: float, start: float) -> Array:
+        """Return what `spectra` does as block means, a column each, shape (b, 2)."""
+        constants, state = np.zeros(1, bristles_dtype(1)), np.zeros(1, BRISTLE_STATE_DTYPE)
+        fill_bristles(constants[0], [kind])
+        first = start * self.element.tau_c_positive / c0
+        state["z"] = first
+        state["bristles"]["blocks"][0, 0, 0] = first * constants["blocks"]["reach"][0, 0]
+        element = self._constants.copy()
+        element["c0"] = c0
+        torque, deflection = np.empty_like(self.speed), np.empty_like(self.speed)
+        follow_bristles(element, constants, state, self.speed, self._durations, torque, deflection)
+        rate = np.diff(deflection, prepend=first) / self.step
+        return self._blocks(np.column_stack([torque, rate * self._fading]))
 
-@kernel
-def _follow(elements: Any, constants: Any, states: Any, speed: Array, step: float, result: Array) -> None:
-    element, kinds, state = load_elements(elements[0], 1), constants[0], states[0].bristles
-    z = load(states[0].z, 1)
-    nothing = 0.0 * z
-    for row in range(speed.size):
-        new, torque = bristles_step(element, kinds, state, z, nothing + speed[row], step, 1)
-        result[row, 0] = lane(torque, 0)
-        result[row, 1] = (lane(new, 0) - lane(z, 0)) / step
-        z = new
+    def _blocks(self, values: Array) -> Array:
+        return np.asarray(values.reshape(-1, self.steps, *values.shape[1:]).mean(axis=1))
+
+    @cached_property
+    def _constants(self) -> NDArray[Any]:
+        return element_arrays((replace(self.element, c1=0.0),))
+
+    @cached_property
+    def _durations(self) -> Array:
+        return np.full_like(self.speed, self.step)
+
+    @cached_property
+    def _fading(self) -> Array:
+        return self.element.damping(self.speed)
+
+
+@dataclass(frozen=True, eq=False)
+class KindMotion:
+    """A micro-motion of k joints with e friction elements, in the band.
+
+    Attributes:
+        inputs: joint velocities to input velocities of the elements, shape (e, k).
+        traces: of the elements.
+        measured: what the bristles give at the joints, drive less weight, inertia and viscous torque, and what errors
+            of the inertia would add, one for each pair of joints, as parts of sqrt(M_jj M_ii); Nm, block means,
+            shape (b, k, 1 + p).
+        target: the first of them as a spectrum, Nm, shape (r, k).
+        inertial: the others, Nm, shape (r, k, p).
+        line: Hz, rounded, of each of the r rows.
+    """
+
+    inputs: Array
+    traces: tuple[ElementTrace, ...]
+    measured: Array
+    target: Array
+    inertial: Array
+    line: Array
+
+    @classmethod
+    def of(cls, motion: MicroMotion, inputs: Array, sliding: Sequence[FrictionElement]) -> KindMotion:
+        """Return the beginning of a micro-motion of a group.
+
+        Args:
+            motion: of the group's joints.
+            inputs: as the attribute.
+            sliding: the elements' sliding regime; c0 and c1 are not used.
+        """
+        used = slice(round(LONGEST / motion.step))
+        speed, acceleration = motion.velocity[used] @ inputs.T, motion.acceleration[used]
+        viscous = np.column_stack([one.viscous_torque(speed[:, n]) for n, one in enumerate(sliding)])
+        torque = motion.drive[used] - acceleration @ motion.mass.T - viscous @ inputs
+        parts = np.stack([torque, *_inertia_errors(motion, acceleration)], axis=2)
+        measured = block_means(parts)
+        spectrum, frequency = band_spectrum(measured.reshape(len(measured), -1), motion.step)
+        spectrum = spectrum.reshape(-1, *parts.shape[1:])
+        traces = tuple(ElementTrace.of(one, speed[:, n], motion.step) for n, one in enumerate(sliding))
+        return cls(inputs, traces, measured, spectrum[:, :, 0], spectrum[:, :, 1:], np.round(frequency))
+
+
+def _inertia_errors(motion: MicroMotion, acceleration: Array) -> list[Array]:
+    """Return the torques of errors of the inertia of each pair of the joints, each (m, k)."""
+    joints, found = motion.joints, []
+    for j, first in enumerate(joints):
+        for i, second in enumerate(joints[j:], j):
+            torque = np.zeros((len(acceleration), len(joints)))
+            scale = np.sqrt(motion.inertia[first] * motion.inertia[second])
+            torque[:, j] = scale * acceleration[:, second]
+            torque[:, i] = scale * acceleration[:, first]
+            found.append(torque)
+    return found
+
+
+def largest_motions(motions: Sequence[MicroMotion], break_away: Array, most: int) -> list[MicroMotion]:
+    """Return the motions with most friction torque, the largest first, but those shorter than LONGEST at the end.
+
+    Args:
+        motions: of one group of k joints.
+        break_away: friction torque at which each joint slides, Nm, shape (k,).
+        most: of them.
+    """
+
+    def rank(motion: MicroMotion) -> tuple[bool, float]:
+        return len(motion.velocity) * motion.step < LONGEST, -load_of(motion, break_away)
+
+    return sorted(motions, key=rank)[:most]

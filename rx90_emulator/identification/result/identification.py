@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rx90_common.base.errors import IdentificationError
@@ -18,6 +18,7 @@ from rx90_emulator.identification.model.estimates import (
 )
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.model.robot import RecordedRobot
+from rx90_emulator.identification.presliding.element_kinds import ElementKind, choose_kinds
 from rx90_emulator.identification.presliding.fit import PreslidingFit, identify_presliding
 from rx90_emulator.identification.records.record import BagSource, JointRecord
 from rx90_emulator.identification.result.validation import Validation
@@ -32,13 +33,44 @@ class IdentifiedElement:
 
     Attributes:
         element: values to simulate with.
-        estimates: by the names in PARAMETERS; without the viscous exponent where it is 1.
+        estimates: by the names in PARAMETERS, without the viscous exponent where it is 1; those of a part by names
+            such as bristles.break_away.
         sources: the bags each parameter rests on.
+        given_bristles: whether its bristles are those of the fallback, of another kind than LuGre's, as its c0 is.
     """
 
     element: FrictionElement
     estimates: dict[str, ParameterEstimate]
     sources: dict[str, tuple[BagSource, ...]]
+    given_bristles: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        element: FrictionElement,
+        estimates: Mapping[str, ParameterEstimate],
+        sources: dict[str, tuple[BagSource, ...]],
+        fallback: FrictionElement | None,
+    ) -> IdentifiedElement:
+        """Return an element with the fallback's bristles where its c0 is the fallback's: they belong together.
+
+        Args:
+            element: its own bristles, if it has any, were identified, and stay.
+            estimates: of it.
+            sources: of the estimates.
+            fallback: where values that are not identifiable come from; None without one, or where LuGre's are told.
+        """
+        part = None if fallback is None else fallback.bristles
+        if part is None or element.bristles is not None or _identified(estimates, "c0"):
+            return cls(element, dict(estimates), sources)
+        unknown = ParameterEstimate.unknown("it goes with c0, which is not identified")
+        numbers = {f"{part.name}.{name}": unknown for name in part.numbers()}
+        return cls(replace(element, bristles=part), {**estimates, **numbers}, sources, given_bristles=True)
+
+    def value(self, name: str) -> float:
+        """Return what the element has under the name of an estimate."""
+        part, _, key = name.rpartition(".")
+        return float(self.element.parts[part].numbers()[key] if part else getattr(self.element, name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +85,7 @@ class FrictionIdentification:
         fallback_name: file of the values that stand in for parameters that are not identifiable, if any.
         bags: what was read, by use: sliding, presliding, validation.
         validations: comparisons with bags that were not used.
+        kinds: of the elements' bristles; empty where it was not asked for.
     """
 
     arm: RigidArm
@@ -62,6 +95,7 @@ class FrictionIdentification:
     fallback_name: str | None = None
     bags: tuple[tuple[str, BagSource], ...] = ()
     validations: tuple[Validation, ...] = ()
+    kinds: tuple[ElementKind, ...] = ()
 
     @property
     def lugre(self) -> tuple[FrictionElement, ...]:
@@ -76,6 +110,12 @@ class FrictionIdentification:
             ConfigError: for another robot's number of elements.
         """
         return FrictionSet(self.arm.element_names, self.lugre)
+
+    @property
+    def with_given_bristles(self) -> tuple[str, ...]:
+        """Return the elements whose bristles are those of the fallback, of another kind than LuGre's."""
+        named = zip(self.arm.element_names, self.elements, strict=True)
+        return tuple(name for name, one in named if one.given_bristles)
 
     @property
     def confirmed(self) -> bool:
@@ -93,6 +133,8 @@ def identify_records(
     presliding: Sequence[JointRecord],
     robot: RecordedRobot,
     progress: Callable[[str], None] = lambda _: None,
+    *,
+    bristle_kinds: bool = False,
 ) -> FrictionIdentification:
     """Identify the friction of all elements of an arm from records.
 
@@ -101,6 +143,7 @@ def identify_records(
         presliding: micro-oscillations; without any, c0 and c1 are not identifiable.
         robot: rigid-body model, fallback values and the torques' delay.
         progress: called with the name of each step before it.
+        bristle_kinds: whether the kind of each element's bristles is found, too; without, they are LuGre's.
 
     Returns:
         The result, without bags and validations.
@@ -122,12 +165,31 @@ def identify_records(
     else:
         reason = "no bag with micro-oscillations was given"
         cycles = PreslidingFit(tuple(ElementEstimate.unknown(n, PRESLIDING, reason) for n in arm.element_names), (), 0)
+    kinds = choose_kinds(cycles, arm, progress) if bristle_kinds else ()
     elements = []
-    for first, second, other in zip(slides.estimates, cycles.estimates, fallback, strict=True):
-        sources = dict.fromkeys(first.parameters, first.sources) | dict.fromkeys(second.parameters, second.sources)
-        estimates = {**first.parameters, **second.parameters}
-        elements.append(IdentifiedElement(_merged(first, second.parameters, other, {}), estimates, sources))
-    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name)
+    for e, (first, second, other) in enumerate(zip(slides.estimates, cycles.estimates, fallback, strict=True)):
+        own, sources = _presliding(second, kinds[e] if kinds else None)
+        sources |= dict.fromkeys(first.parameters, first.sources)
+        element = replace(_merged(first, own, other, {}), bristles=kinds[e].bristles if kinds else None)
+        given = None if kinds and kinds[e].told else other
+        elements.append(IdentifiedElement.of(element, {**first.parameters, **own}, sources, given))
+    return FrictionIdentification(arm, tuple(elements), slides, cycles, robot.fallback_name, kinds=kinds)
+
+
+def _identified(estimates: Mapping[str, ParameterEstimate], name: str) -> bool:
+    return name in estimates and estimates[name].identifiable
+
+
+def _presliding(
+    lugre: ElementEstimate, kind: ElementKind | None
+) -> tuple[dict[str, ParameterEstimate], dict[str, tuple[BagSource, ...]]]:
+    """Return the estimates of the presliding regime, and the bags of each: those of other bristles where they are told.
+
+    c0 and c1 belong to the bristles: a stiffness that goes with LuGre's is not that of others.
+    """
+    if kind is None or kind.trial is None:
+        return dict(lugre.parameters), dict.fromkeys(lugre.parameters, lugre.sources)
+    return kind.trial.estimates, dict.fromkeys(kind.trial.estimates, kind.sources)
 
 
 def _merged(

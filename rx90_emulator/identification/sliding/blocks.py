@@ -262,15 +262,14 @@ def _around(record: JointRecord, elements: Array, kept: slice, size: int) -> sli
     Noise cuts a wave into stretches too short to show its curvature; a stretch between two changes of velocity stays
     as it is.
     """
-    inputs = record.velocity @ elements.T
-    usual = inputs[kept].mean(axis=0)
+    usual = (record.velocity[kept] @ elements.T).mean(axis=0)
     period = float(record.time[kept.stop - 1] - record.time[kept.start]) / (kept.stop - 1 - kept.start)
     least, most = (round(seconds / period / size) for seconds in _AROUND)
     bins = [0, 0]
     for side, (begin, step) in enumerate(((kept.start - size, -size), (kept.stop, size))):
         for k in range(most):
             at = begin + k * step
-            part = inputs[max(at, 0) : at + size]
+            part = record.velocity[max(at, 0) : at + size] @ elements.T
             if at < 0 or len(part) < size or (np.abs(part.mean(axis=0) - usual) > _NEARLY * np.abs(usual)).any():
                 break
             bins[side] += 1

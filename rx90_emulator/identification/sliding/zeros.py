@@ -19,7 +19,7 @@ from scipy.linalg import pinvh
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, STEP, ZeroCheck, encoder_error
+from rx90_emulator.identification.model.zeros import QUARTERS, SMALLEST, ZeroCheck, encoder_error
 from rx90_emulator.identification.records.record import JointRecord
 
 _KNOWN = 0.2  # of a link's mass, first moment and inertia: standard deviation of the URDF's values
@@ -31,6 +31,7 @@ _PRIOR = 1.0  # rad, standard deviation of a zero of which nothing is known
 _UNKNOWN = 0.5  # of it, from which the torques tell nothing of a zero
 _ROUNDS = 3  # of weights, and of Gauss and Newton
 _INSTANTS = 400  # that are looked at, at most, evenly taken from all
+_EVERY = 5  # of them is enough to rule out most turns
 _MEAN_TIME = 0.05  # s over which a run is averaged
 _TOGETHER = 1.0  # s within which the errors of a run are taken as one
 _SLIDES = 0.02  # rad/s from which an element slides
@@ -134,12 +135,13 @@ class _Search:
 
     def __init__(self, instants: Instants, arm: RigidArm) -> None:
         self._at, self._arm = instants, arm
-        self._seen: dict[bytes, tuple[Array, Array]] = {}
+        self._seen: dict[tuple[bytes, int], tuple[Array, Array]] = {}
+        self._weights: dict[bytes, Array] = {}
         self._rows = np.nonzero(instants.known)
         self._joint = self._rows[1]
         self._cluster = np.unique(instants.block[self._rows[0]] * len(arm.names) + self._joint, return_inverse=True)[1]
         self._friction = _friction(instants.velocity, arm.element_matrix)[self._rows]
-        self._known = _uncertainty(arm)
+        self._inertial, self._known = arm.inertial, _uncertainty(arm)
         torque = instants.torque[self._rows]
         self.power = float(np.mean(torque**2)) if len(torque) else 0.0
 
@@ -158,12 +160,28 @@ class _Search:
             start + a * first + b * second for first, second in pairwise(one) for a, b in product(QUARTERS, repeat=2)
         ]
         for trials in (single, double):
-            best = min(trials, key=lambda shift: self._fit(shift, weight)[2], default=start)
+            best = self._best(trials, weight) if trials else start
             # By the scatter that the better one leaves: with wrong angles all of it passes for noise.
             sharp = self._weight(best)
             if self._fit(start, sharp)[2] - self._fit(best, sharp)[2] > _BETTER:
                 return best
         return None
+
+    def _best(self, trials: Sequence[Array], weight: Array) -> Array:
+        """Return the angles with the least chi squared.
+
+        Fitted to all instants are only those that some of them do not rule out: the least squares of some equations are
+        never more than those of all.
+        """
+        at_least = [self._fit(shift, weight, every=_EVERY)[2] for shift in trials]
+        best, least = trials[0], math.inf
+        for k in np.argsort(at_least).tolist():
+            if at_least[k] >= least:
+                break
+            squares = self._fit(trials[k], weight)[2]
+            if squares < least:
+                best, least = trials[k], squares
+        return best
 
     def small(self, start: Array) -> tuple[Array, Array]:
         """Return small errors beside quarter turns and their standard deviations, rad, each shape (n,)."""
@@ -175,32 +193,44 @@ class _Search:
             step = values[-len(start) :]
             shift = np.clip(shift + step, -1.0, 1.0)
             deviation = np.sqrt(np.diag(covariance)[-len(start) :])
-            weight = self._weight(start + shift, residual)
+            weight = self._weight_of(residual)
         return shift, deviation
 
-    def _weight(self, shift: Array, residual: Array | None = None) -> Array:
+    def _weight(self, shift: Array) -> Array:
+        """Return the weight of each row with these angles, by the residuals of a fit and these by the weights."""
+        key = (shift + 0.0).tobytes()
+        if key not in self._weights:
+            weight = np.ones(len(self._joint))
+            for _ in range(_ROUNDS):
+                weight = self._weight_of(self._fit(shift, weight)[1])
+            self._weights[key] = weight
+        return self._weights[key]
+
+    def _weight_of(self, left: Array) -> Array:
         """Return the weight of each row by the residuals' scatter and Kish's factor for stretches that err together."""
-        weight = np.ones(len(self._joint))
-        for _ in range(1 if residual is not None else _ROUNDS):
-            left = self._fit(shift, weight)[1] if residual is None else residual
-            sums = np.bincount(self._cluster, left)
-            owner = np.zeros(len(sums), dtype=np.int64)
-            owner[self._cluster] = self._joint
-            squares = np.bincount(self._joint, left**2, len(shift))
-            together = np.bincount(owner, sums**2, len(shift))
-            count = np.bincount(self._joint, minlength=len(shift))
-            power = np.maximum(squares, together) / np.maximum(count, 1)
-            weight = 1.0 / np.sqrt(np.maximum(power, _FLOOR**2 * self.power + 1e-18))[self._joint]
-        return weight
+        sums, joints = np.bincount(self._cluster, left), len(self._arm.names)
+        owner = np.zeros(len(sums), dtype=np.int64)
+        owner[self._cluster] = self._joint
+        squares = np.bincount(self._joint, left**2, joints)
+        together = np.bincount(owner, sums**2, joints)
+        count = np.bincount(self._joint, minlength=joints)
+        power = np.maximum(squares, together) / np.maximum(count, 1)
+        return np.asarray(1.0 / np.sqrt(np.maximum(power, _FLOOR**2 * self.power + 1e-18))[self._joint])
 
     def _fit(
-        self, shift: Array, weight: Array | None = None, slopes: Array | None = None, error: Array | None = None
+        self,
+        shift: Array,
+        weight: Array | None = None,
+        slopes: Array | None = None,
+        error: Array | None = None,
+        every: int = 1,
     ) -> tuple[Array, Array, float, Array]:
-        """Return values, residual in Nm, chi squared with the prior's, and covariance."""
-        weight = self._weight(shift) if weight is None else weight
-        target, regressor = self._rigid(shift)
+        """Return values, residual in Nm, chi squared with the prior's, and covariance; from all instants or fewer."""
+        kept = self._rows[0] % every == 0
+        weight = (self._weight(shift) if weight is None else weight)[kept]
+        target, regressor = self._rigid(shift, every)
         zeros = np.zeros((len(target), 0)) if slopes is None else slopes
-        columns = np.hstack([self._friction, regressor, zeros])
+        columns = np.hstack([self._friction[kept], regressor, zeros])
         first, size = self._friction.shape[1], columns.shape[1]
         prior = np.r_[np.full(first, 1e-6), np.ones(regressor.shape[1]), np.full(zeros.shape[1], 1.0 / _PRIOR)]
         wanted = np.zeros(size)
@@ -208,36 +238,38 @@ class _Search:
             wanted[-len(error) :] = -error / _PRIOR
         matrix = np.vstack([columns * weight[:, None], np.diag(prior)])
         right = np.concatenate([target * weight, wanted])
-        normal = matrix.T @ matrix
-        scale = 1.0 / np.sqrt(np.diag(normal))
-        covariance = scale[:, None] * pinvh(scale[:, None] * normal * scale, rtol=1e-13) * scale
+        covariance = _inverse(matrix.T @ matrix)
         values = covariance @ (matrix.T @ right)
         left = right - matrix @ values
         return values, target - columns @ values, float(left @ left), covariance
 
-    def _rigid(self, shift: Array) -> tuple[Array, Array]:
+    def _rigid(self, shift: Array, every: int) -> tuple[Array, Array]:
         """Return the torque less the rigid arm's, Nm, and its derivatives by errors of the inertials in their units."""
-        key = (shift + 0.0).tobytes()
+        key = (shift + 0.0).tobytes(), every
         if key not in self._seen:
-            at = self._at
-            motion = at.position + shift, at.velocity, at.acceleration
-            target = (at.torque - self._arm.torque(*motion))[self._rows]
-            self._seen[key] = target, (self._arm.regressor(*motion) * self._known)[self._rows]
+            known = self._at.known[::every]
+            motion = self._at.position + shift, self._at.velocity, self._at.acceleration
+            position, velocity, acceleration = (values[::every] for values in motion)
+            regressor = self._arm.regressor(position, velocity, acceleration)
+            torque = self._arm.torque_of(regressor, self._inertial, position, acceleration)
+            self._seen[key] = (self._at.torque[::every] - torque)[known], regressor[known] * self._known
         return self._seen[key]
 
     def _slopes(self, shift: Array, weight: Array) -> Array:
         """Return the torque's derivatives by the angles, with the inertials that fit, shape (r, n)."""
-        at, first = self._at, self._friction.shape[1]
-        inertial = self._known * self._fit(shift, weight)[0][first:]
+        inertial = self._inertial + self._known * self._fit(shift, weight)[0][self._friction.shape[1] :]
+        at = self._at
+        return self._arm.stiffness_of(inertial, at.position + shift, at.velocity, at.acceleration)[self._rows]
 
-        def torque(position: Array) -> Array:
-            motion = position, at.velocity, at.acceleration
-            return np.asarray((self._arm.torque(*motion) + self._arm.regressor(*motion) @ inertial)[self._rows])
 
-        near = at.position + shift
-        return np.column_stack(
-            [(torque(near + step) - torque(near - step)) / (2.0 * STEP) for step in np.eye(len(shift)) * STEP]
-        )
+def _inverse(normal: Array) -> Array:
+    """Return the pseudo-inverse; in sweeps of one joint many columns are 0, and their prior stands alone."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    inverse, scaled = np.eye(len(normal)), scale[:, None] * normal * scale
+    joined = np.flatnonzero(np.count_nonzero(normal, axis=1) > 1)
+    if len(joined):
+        inverse[np.ix_(joined, joined)] = pinvh(scaled[np.ix_(joined, joined)], rtol=1e-13)
+    return np.asarray(scale[:, None] * inverse * scale)
 
 
 def _friction(velocity: Array, elements: Array) -> Array:

@@ -7,15 +7,35 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
+from foreign_arms import urdf_text
+from numpy.typing import NDArray
+from scipy import stats
 
 from benchmarks.friction_mass import led
 from rx90_common.base.errors import IdentificationError
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
-from rx90_emulator.identification.presliding.kind_model import KindFamily
-from rx90_emulator.identification.presliding.kinds import KindChoice, choose_kind
+from rx90_emulator.identification.model.estimates import PARAMETERS, ParameterEstimate
+from rx90_emulator.identification.model.rigid_arm import RigidArm
+from rx90_emulator.identification.output.friction_file import friction_text
+from rx90_emulator.identification.presliding import element_kinds
+from rx90_emulator.identification.presliding.element_kinds import choose_kinds, kind_steps
+from rx90_emulator.identification.presliding.fit import MovedGroup, PreslidingFit
+from rx90_emulator.identification.presliding.group_model import JointGroup
+from rx90_emulator.identification.presliding.kind_fit import KindFit
+from rx90_emulator.identification.presliding.kind_model import KindFamily, KindMotion
+from rx90_emulator.identification.presliding.kinds import (
+    KindChoice,
+    KindTrial,
+    choose_kinds_of,
+    jackknife_estimates,
+    steps_of,
+)
 from rx90_emulator.identification.presliding.micro_motion import MicroMotion
 from rx90_emulator.identification.records.record import JointRecord
+from rx90_emulator.identification.result.identification import FrictionIdentification, IdentifiedElement
+from rx90_emulator.identification.sliding.fit import SlidingFit
 
 ELEMENT = FrictionElement(25.0, 25.0, 28.0, 28.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 STEP, COUNT, INERTIA = 1e-3, 1600, 4.0
@@ -51,9 +71,16 @@ def micro_motions(bristles: BristlesPart | None, sizes: tuple[float, ...], noise
     return found
 
 
+def numbers_of(bristles: BristlesPart) -> dict[str, float]:
+    """Return the numbers of bristles by the names that estimates have."""
+    return {f"bristles.{name}": value for name, value in bristles.numbers().items()}
+
+
 def chosen(bristles: BristlesPart | None, sizes: tuple[float, ...] = (1.1, 0.8, 0.5), noise: float = 0.2) -> KindChoice:
     """Return what is found with these bristles."""
-    return choose_kind(micro_motions(bristles, sizes, noise), ELEMENT, 0.9e5, FAMILIES)
+    motions = [KindMotion.of(motion, np.eye(1), [ELEMENT]) for motion in micro_motions(bristles, sizes, noise)]
+    (choice,) = choose_kinds_of(motions, np.array([0.9e5]), FAMILIES)
+    return choice
 
 
 @pytest.mark.parametrize(
@@ -67,10 +94,18 @@ def chosen(bristles: BristlesPart | None, sizes: tuple[float, ...] = (1.1, 0.8, 
 def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: str) -> None:
     """Motions up to break-away tell each kind, with its stiffness, damping and own numbers."""
     choice = chosen(bristles)
-    assert choice.kind == kind, choice.table()
+    assert choice.kind == kind, [(trial.family.name, trial.missed, trial.behind) for trial in choice.trials]
     (best,) = choice.possible
-    assert best.c0 == pytest.approx(1e5, rel=0.05)
-    assert best.c1 == pytest.approx(100.0, rel=0.2)
+    assert choice.best is best
+    assert choice.margin == min(trial.behind for trial in choice.trials if trial is not best) > 3.0
+    assert best.fit.c0 == pytest.approx(1e5, rel=0.05)
+    assert best.fit.c1 == pytest.approx(100.0, rel=0.2)
+    truth = {"c0": 1e5, "c1": 100.0} | ({} if bristles is None else numbers_of(bristles))
+    for name, estimate in best.estimates.items():
+        if name == "bristles.attraction":
+            assert not estimate.identifiable
+        else:
+            assert abs(estimate.value - truth[name]) < 5.0 * estimate.deviation, name
     if isinstance(bristles, ElastoPlastic):
         assert isinstance(best.bristles, ElastoPlastic)
         assert best.bristles.break_away == pytest.approx(0.45, abs=0.1)
@@ -79,15 +114,164 @@ def test_each_kind_is_told_from_the_others(bristles: BristlesPart | None, kind: 
         assert best.bristles.stiffness == pytest.approx(bristles.stiffness, abs=0.05)
 
 
-def test_motions_far_below_break_away_tell_nothing() -> None:
-    """Where every kind is a spring the data cannot tell, and it is said."""
-    choice = chosen(None, (0.06, 0.05, 0.04), 0.5)
-    assert choice.kind is None
-    assert len(choice.possible) > 1
-    assert all(len(row) == 5 for row in choice.table())
+@pytest.fixture
+def hinge(tmp_path: Path) -> RigidArm:
+    """Return an arm of one joint."""
+    urdf = tmp_path / "hinge.urdf"
+    urdf.write_text(urdf_text(["joint_1"], ["0 0 1"], [4.0], "continuous"), encoding="utf-8")
+    return RigidArm.from_urdf(urdf)
+
+
+def presliding(sizes: tuple[float, ...], noise: float) -> PreslidingFit:
+    """Return what the fit with LuGre's bristles hands on of micro-motions of one joint."""
+    motions = micro_motions(None, sizes, noise)
+    group = JointGroup((0,), (0,), np.ones((1, 1)))
+    return PreslidingFit((), (), 0, (MovedGroup.of(group, motions, [ELEMENT], np.array([0.9e5])),))
+
+
+def test_where_the_data_cannot_tell_the_file_has_lugre_and_says_so(
+    hinge: RigidArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Motions far below break-away, where every kind is a spring, leave LuGre's bristles and name what is left."""
+    monkeypatch.setattr(element_kinds, "FAMILIES", FAMILIES)
+    seen: list[str] = []
+    kinds = choose_kinds(presliding((0.06, 0.05, 0.04), 0.5), hinge, seen.append)
+    assert len(seen) == kind_steps(hinge) == len(FAMILIES)
+    (kind,) = kinds
+    assert kind.decision == "cannot tell"
+    assert kind.bristles is None
+    assert kind.choice is not None
+    left = [trial.family.name for trial in kind.choice.possible]
+    assert len(left) > 1
+    estimates = dict.fromkeys(PARAMETERS, ParameterEstimate(1.0, 0.1))
+    one = IdentifiedElement(ELEMENT, estimates, dict.fromkeys(PARAMETERS, ()))
+    sliding = SlidingFit((), (), np.zeros(0), np.zeros((0, 0)), 0, quality=(None,))
+    result = FrictionIdentification(hinge, (one,), sliding, PreslidingFit((), (), 0), kinds=kinds)
+    content = yaml.safe_load(friction_text(result))
+    element, found = content["elements"]["joint_1"], content["identification"]["bristles"]["joint_1"]
+    assert "bristles" not in element
+    assert element["note"] == f"bristles: cannot tell: the data do not tell {', '.join(left)} apart"
+    assert found["decision"] == "cannot tell"
+    assert list(found["tried"]) == [family.name for family in FAMILIES]
+    assert found["bags"] == ["bag_1"]
+    assert content["identification"]["bags"]["bag_1"]["path"] == "bag"
+
+
+@pytest.mark.parametrize(("softer", "told"), [(1.0, True), (5.0, False)])
+def test_blocks_that_slip_beyond_the_motion_are_not_told(
+    hinge: RigidArm, monkeypatch: pytest.MonkeyPatch, softer: float, told: bool
+) -> None:
+    """A block that slips after several times the travel leaves LuGre's bristles: what it gives there is a guess."""
+    fit = KindFit(FAMILIES[2], 1e5, np.array([-softer, 0.0]), 100.0, 0.0, 25.0)
+    seen = (np.zeros(2), np.zeros(2))
+    others = KindTrial(replace(fit, family=FAMILIES[0]), seen, {}, 0.1, 9.0)
+    choice = KindChoice((KindTrial(fit, seen, {}, 0.01, 0.0), others), np.array([0.0, 4e-4]))
+    monkeypatch.setattr(element_kinds, "choose_kinds_of", lambda *_: [choice])
+    (kind,) = choose_kinds(presliding((1.1, 0.8, 0.5), 0.2), hinge)
+    reach = 0.5 * (1.0 + np.exp(softer)) * 25.0 / 1e5
+    assert fit.reach == pytest.approx(reach)
+    assert (kind.decision, kind.bristles is None) == (("Maxwell slip", False) if told else ("cannot tell", True))
+    if not told:
+        assert f"a block would slip only after {1e3 * reach:.2g} mrad" in kind.text
+
+
+def test_two_motions_are_not_compared(hinge: RigidArm) -> None:
+    """A joint with two micro-oscillations, and one without any, keep LuGre's bristles, with the reason."""
+    for fit, count in ((presliding((0.5, 0.4), 0.2), 2), (PreslidingFit((), (), 0), 0)):
+        seen: list[str] = []
+        (kind,) = choose_kinds(fit, hinge, seen.append)
+        assert kind.text == f"not compared: {count} micro-oscillations; 3 or more tell kinds apart"
+        assert len(seen) == kind_steps(hinge)
 
 
 def test_too_few_motions_are_refused() -> None:
     """Two motions leave nothing to predict."""
-    with pytest.raises(IdentificationError, match="2 micro-motions of a joint; accepted: 3 or more"):
+    with pytest.raises(IdentificationError, match="2 micro-motions of 1 element; accepted: 3 or more"):
         chosen(None, (0.5, 0.4))
+
+
+WRIST = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+"""Velocities of two joints to those of three elements, the third turning with both."""
+BLOCKS = MaxwellSlip((0.6, 0.4), (0.25, 0.75), 5000.0)
+
+
+def wrist_motions(
+    coupling: NDArray[np.float64], kinds: tuple[BristlesPart | None, ...], scale: float
+) -> list[KindMotion]:
+    """Return motions of two joints, in three directions, with elements of such kinds.
+
+    Args:
+        coupling: velocities of the joints to those of the elements.
+        kinds: of the bristles.
+        scale: of the amplitudes; at 1 the elements come near to break-away.
+    """
+    rng, found = np.random.default_rng(7), []
+    time, mass = np.arange(COUNT) * STEP, np.array([[4.0, 1.0], [1.0, 3.0]])
+    elements = [replace(ELEMENT, bristles=kind) for kind in kinds]
+    for direction in ((1.0, 0.2), (0.2, 1.0), (1.0, -0.8)):
+        for size in (1.1, 0.6):
+            position: NDArray[np.float64] = np.zeros((COUNT, 2))
+            for hz in (3.0, 9.0, 19.0):
+                phase = rng.uniform(0.0, 2.0 * np.pi) + np.array([0.0, 0.3])
+                wave = np.sin(2.0 * np.pi * hz * time[:, None] + phase)
+                position += scale * size * 2.5e-4 / 3.0 * wave * direction
+            velocity = np.diff(position, axis=0, prepend=position[:1]) / STEP
+            acceleration = np.gradient(velocity, STEP, axis=0)
+            inputs = velocity @ coupling.T
+            torques = [led(one, np.ascontiguousarray(inputs[:, n]), STEP)[0] for n, one in enumerate(elements)]
+            drive = np.column_stack(torques) @ coupling + acceleration @ mass.T
+            record = JointRecord(("a", "b"), time, *np.zeros((3, COUNT, 2)), Path("bag"), "digest")
+            found.append(
+                MicroMotion((0, 1), STEP, position, velocity, acceleration,
+                            drive + 0.2 * rng.standard_normal(drive.shape), mass, np.diag(mass), record,
+                            (0.0, COUNT * STEP))
+            )  # fmt: skip
+    return [KindMotion.of(motion, coupling, [ELEMENT] * len(kinds)) for motion in found]
+
+
+def test_elements_that_share_joints_are_told_each() -> None:
+    """Two elements that turn with the same joint are told with their kinds, stiffness and numbers."""
+    kinds = (BLOCKS, ElastoPlastic(0.45))
+    motions = wrist_motions(WRIST[[0, 2]], kinds, 1.0)
+    seen: list[int] = []
+    choices = choose_kinds_of(motions, np.full(2, 0.9e5), FAMILIES, lambda place, _: seen.append(place))
+    assert len(seen) == steps_of(2, FAMILIES) == 9 + 6
+    assert [one.kind for one in choices] == ["Maxwell slip", "elasto-plastic"]
+    for choice, kind in zip(choices, kinds, strict=True):
+        fit = choice.best.fit
+        assert fit.c0 == pytest.approx(1e5, rel=0.1)
+        assert fit.c1 == pytest.approx(100.0, rel=0.3)
+        for name, value in ({} if kind is None else numbers_of(kind)).items():
+            if name != "bristles.attraction":
+                assert choice.best.estimates[name].value == pytest.approx(value, abs=0.12), name
+        measured, fitted = choice.best.seen
+        assert np.std(measured - fitted) < 0.1 * np.std(measured)
+
+
+def test_elements_of_a_wrist_that_hardly_moves_are_not_told() -> None:
+    """Motions of a twentieth of break-away, where every kind is a spring, tell no element."""
+    motions = wrist_motions(WRIST, (None, ElastoPlastic(0.45), BLOCKS), 0.05)
+    assert [one.kind for one in choose_kinds_of(motions, np.full(3, 0.9e5), FAMILIES[:2])] == [None] * 3
+
+
+def test_deviations_of_few_motions_hold_what_they_say() -> None:
+    """For a mean of four values, whose jackknife is its standard error, 1.96 deviations are Student's interval."""
+    values = 1e5 + 1e4 * np.array([0.3, -0.9, 1.4, 0.1])
+    whole = KindFit(FAMILIES[0], float(values.mean()), np.zeros(0), 100.0, 0.0, 25.0)
+    without = [replace(whole, c0=float(np.delete(values, k).mean())) for k in range(4)]
+    half = stats.t.interval(0.95, 3, scale=stats.sem(values))[1]
+    low, high = jackknife_estimates(whole, without, {"c0": 0.0, "c1": 0.01})["c0"].bounds
+    assert (high - low) / 2.0 == pytest.approx(half, rel=1e-3)
+
+
+def test_blocks_stand_in_the_order_in_which_they_slip() -> None:
+    """Bristles of the same blocks in another order are the same, so that fits without one motion each compare."""
+    family, shape = KindFamily(blocks=3), np.array([0.7, -0.4, 0.5, -1.1])
+    stiffness, share = np.exp([0.0, 0.7, -0.4]), np.exp([0.0, 0.5, -1.1])
+    other = np.concatenate([np.log(stiffness[[2, 1, 0]] / stiffness[2])[1:], np.log(share[[2, 1, 0]] / share[2])[1:]])
+    one, same = (family.bristles(each, 25.0) for each in (shape, other))
+    assert isinstance(one, MaxwellSlip)
+    assert isinstance(same, MaxwellSlip)
+    assert one.stiffness == pytest.approx(same.stiffness)
+    assert one.share == pytest.approx(same.share)
+    assert np.all(np.diff(np.divide(one.share, one.stiffness)) > 0.0)

@@ -166,8 +166,11 @@ def test_experiments_run_on_the_real_nodes(
     planned, cut = tmp_path / "planned", tmp_path / "cut"
     # The run for the validation, which the command always adds, is recorded like the one before it.
     plan = excitation_job.plan_with_progress
-    one_run = lambda setup, options: plan(setup, replace(options, validation=False))  # noqa: E731
-    monkeypatch.setattr(excitation_job, "plan_with_progress", one_run)
+    monkeypatch.setattr(
+        excitation_job,
+        "plan_with_progress",
+        lambda setup, options: plan(setup, replace(options, validation=False)),
+    )
     words = ["--excitation", "--output", str(planned)]
     for name in ("runs", "harmonics", "period", "periods", "steps"):
         words += [f"--{name}", str(getattr(EXCITATION, name))]

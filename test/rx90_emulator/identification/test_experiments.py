@@ -24,9 +24,15 @@ from rx90_emulator.loop.setup import Setup
 HOME = (0.0,) * 6
 
 
-def test_the_plan_keeps_every_limit(shipped: Setup) -> None:
+@pytest.fixture(scope="module")
+def default_plan(shipped: Setup) -> tuple[Experiment, ...]:
+    """Return the plan without options."""
+    return make_plan(shipped.robot, shipped.drives)
+
+
+def test_the_plan_keeps_every_limit(shipped: Setup, default_plan: tuple[Experiment, ...]) -> None:
     """Each experiment of the default plan stays within ranges, speeds and torques, by the controller's own check."""
-    for experiment in make_plan(shipped.robot, shipped.drives):
+    for experiment in default_plan:
         load = check_load(experiment, shipped.robot, shipped.drives, shipped.controller)
         assert load.speed.max() <= 1.0
         assert load.torque.max() <= 1.0
@@ -41,9 +47,9 @@ def test_a_robot_brings_its_own_poses_and_its_ranges_bound_the_sweeps(tx40: Setu
         plan_experiments(replace(tx40, files=replace(tx40.files or RobotFiles(), poses=None)))
 
 
-def test_every_experiment_begins_and_ends_at_home(shipped: Setup) -> None:
+def test_every_experiment_begins_and_ends_at_home(default_plan: tuple[Experiment, ...]) -> None:
     """Experiments can be run in any order, because each begins and ends at the home pose."""
-    for experiment in make_plan(shipped.robot, shipped.drives):
+    for experiment in default_plan:
         assert np.allclose(experiment.points.position[[0, -1]], Poses.shipped().home, atol=1e-12)
 
 

@@ -96,6 +96,7 @@ def test_the_report_is_written_where_it_is_asked_for(hinge: Hinge, capsys: pytes
         (["--friction", "good", "--validation", "bag", "bag"], "given twice for --validation"),
         (["--friction", "good", "--validation", "bag", "--output", "x.yaml"], "x.yaml with --friction; accepted"),
         (["--friction", "good", "--validation", "bag", "--sliding", "bag"], "run with --friction; accepted"),
+        (["--friction", "good", "--validation", "bag", "--bristle-kinds"], "--bristle-kinds with --friction; accepted"),
         (["--friction", "other", "--validation", "bag"], "elements.hinge is missing; accepted"),
         (["--friction", "nowhere.yaml", "--validation", "bag"], "nowhere.yaml"),
         (["--validation", "bag"], "no --output; accepted: --output FILE"),

@@ -188,6 +188,7 @@ REFUSED = [
         sliding(lambda b: b.write("motor", position=1e3 * b.position, velocity=1e3 * b.velocity)),
         r"hinge moves through \d+ rad, in its URDF through 6 rad at most; accepted: .*--gear",
     ),
+    ("kinds", options("--bristle-kinds"), "--bristle-kinds without micro-oscillations; accepted: with --presliding"),
     # the robot
     ("no_urdf", options("--urdf", "nowhere.urdf"), r"nowhere.urdf: cannot be read \(No such file"),
     ("xml", urdf(lambda text: text[:-20]), "bad.urdf: no URDF that Pinocchio can read"),

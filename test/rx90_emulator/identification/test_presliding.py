@@ -44,7 +44,7 @@ def micro_records(setup: Setup, groups: Sequence[str], noise: float, *seeds: int
     heavy = not set(groups) <= set(WRIST)
     options = PlanOptions(
         groups=tuple(groups),
-        burst=4.0,  # half of the plan's
+        burst=3.0,  # the plan's is 8
         presliding_cycles=(2e-3,) * 3,
         tone_amplitudes=(2.4e-4, 1.2e-4, 5e-5) if heavy else (5e-5, 1.6e-5, 6e-6),
     )

@@ -20,6 +20,7 @@ from schema_faults import schema_faults
 from rx90_common.base.errors import IdentificationError
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.parts.bristles import MaxwellSlip
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.excitation.base_groups import BaseGroups
@@ -104,7 +105,10 @@ def case(tmp_path_factory: pytest.TempPathFactory, source: BagSource) -> Case:
     drives["transmission"]["rotor_inertia"] = [2.0, 4.0, 0.8, 0.3, 0.1, 0.0]
     drives["spring"]["torque"] = [0.0, 90.0, 0.0, 0.0, 0.0, 0.0]
     (place / "drives.yaml").write_text(yaml.dump(drives))
-    base = replace(shipped, urdf=place / "wrong.urdf", drives=place / "drives.yaml")
+    law = yaml.safe_load(shipped.controller.read_text())
+    law["model"] = {"urdf": "wrong.urdf", "drives": "drives.yaml", "friction": str(shipped.friction)}
+    (place / "base.yaml").write_text(yaml.dump(law))
+    base = replace(shipped, urdf=place / "wrong.urdf", drives=place / "drives.yaml", controller=place / "base.yaml")
     true, before = Setup.load(), Setup.load(base)
     arm = RigidArm.from_setup(before)
     columns = StandardColumns(arm, (1,))
@@ -149,6 +153,7 @@ def test_folder_says_where_its_values_come_from(case: Case) -> None:
     assert law["feed_forward"]["provenance"]["coulomb_torque"] == "derived"
     assert law["feed_forward"]["provenance"]["others"] == "assumed"
     assert law["servo"] == yaml.safe_load(shipped.controller.read_text())["servo"]
+    assert "model" not in law, "the controller's model is the arm of the folder, not the base's"
     assert friction["provenance"] == "identified"
     bristle = friction["identification"]["parameters"]["joint_5_6"]["c0"]
     assert (bristle["provenance"], bristle["taken_from"]) == ("assumed", "other.yaml")
@@ -300,6 +305,15 @@ def test_compensation_of_two_viscous_parts_meets_their_sum(case: Case) -> None:
     c2, alpha = viscous_sum([bent, straight], 8.0)
     speed = np.linspace(1.5, 9.0, 20)
     np.testing.assert_allclose(c2 * speed**alpha, 2.0 * speed**0.6 + speed, rtol=0.02)
+
+
+def test_a_block_with_hardly_any_stiffness_is_written(source: BagSource) -> None:
+    """Parts of blocks that six digits cannot tell from all and nothing still sum to 1, and none of them is 0."""
+    blocks = MaxwellSlip((1.0 - 4.9e-7, 4.9e-7), (4.9e-7, 1.0 - 4.9e-7), attraction=200.0)
+    good = element_of(FrictionElement(1.0, 1.0, 1.5, 1.5, 0.05, 1.0, 1e4, 1.0, 0.5, bristles=blocks), source)
+    written = yaml.safe_load(elements_text(["a"], [good], None))["elements"]["a"]["bristles"]
+    assert written["stiffness"] == pytest.approx(blocks.stiffness, rel=1e-9)
+    assert written["share"] == pytest.approx(blocks.share, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -99,7 +99,7 @@ def test_intervals_cover_the_truth(sweeps: Any, arm: RigidArm, common: float) ->
     """95 % intervals hold the truth in 90 % of 140 cases or more, and errors are as large as the deviations say."""
     inside, scores = [], []
     for seed in range(5):
-        record, friction = sweeps([0, 1, 2, 3], 100 + seed, Noise(common=common))
+        record, friction = sweeps([0, 1, 2, 3], 100 + seed, Noise(common=common), longest=1.2)
         estimates = identify_sliding([record], arm).estimates
         for joint in range(4):
             for name, found in estimates[joint].parameters.items():

@@ -103,21 +103,24 @@ class Scored:
     def of(cls, weighted: WeightedProblem, fit: SeparableFit, time: TimeBlocks) -> Scored:
         """Score a fit."""
         around, problem = Linearised.of(weighted, fit), weighted.problem
-        block = time.block
-        rows = np.bincount(block).astype(np.float64)
-        left = around.left_out(time.folds)
-        relative = _relative(problem, left / weighted.weight)
-        by_runs: Array | None = None
-        of_runs = relative
+
+        def scored(folds: Folds) -> tuple[Array, float]:
+            left = around.left_out(folds)
+            sums = np.bincount(time.block, left**2).astype(np.float64)
+            return sums, _relative(problem, left / weighted.weight)
+
+        by_blocks, relative = scored(time.folds)
+        by_runs, of_runs = None, relative
         if len(problem.runs) > 1:
-            other = around.left_out([(rows, rows) for rows in _members(problem.run)])
-            by_runs, of_runs = (
-                np.bincount(block, other**2).astype(np.float64),
-                _relative(problem, other / weighted.weight),
-            )
-        residual, error = around.residual / weighted.weight, float(np.sqrt(np.mean(around.residual**2)))
+            by_runs, of_runs = scored([(rows, rows) for rows in _members(problem.run)])
         return cls(
-            fit, residual, error, np.bincount(block, left**2).astype(np.float64), by_runs, (relative, of_runs), rows
+            fit=fit,
+            residual=around.residual / weighted.weight,
+            error=float(np.sqrt(np.mean(around.residual**2))),
+            by_blocks=by_blocks,
+            by_runs=by_runs,
+            relative=(relative, of_runs),
+            rows=np.bincount(time.block).astype(np.float64),
         )
 
     def validations(self, against: Scored | None = None) -> tuple[CrossValidation, CrossValidation | None]:
@@ -185,13 +188,8 @@ class TimeBlocks:
         correlation = _correlation_time(problem, residual)
         motion, time = _phase_times(problem)
         durations = np.array([time[motion == k].max() for k in range(int(motion.max()) + 1)])
-        wanted, whole = _CORRELATION_TIMES * correlation, float(durations.sum())
-        length = min(max(wanted, whole / _MOST), whole / _LEAST)
-        reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
-        if length > wanted:
-            reason = f"a {_MOST}th of the motions, more than {reason}"
-        elif length < wanted:
-            reason = f"an {_LEAST}th of the motions, less than {reason}: the motions are short"
+        whole = float(durations.sum())
+        length, reason = _block_length(correlation, whole)
         counts = np.maximum(1, np.round(durations / length)).astype(np.intp)
         place = (time / durations[motion] * counts[motion]).astype(np.intp)
         first = np.cumsum(counts) - counts
@@ -201,6 +199,18 @@ class TimeBlocks:
             near = (time > time[rows].min() - correlation) & (time < time[rows].max() + correlation)
             folds.append((rows, np.flatnonzero(near & (motion == motion[rows[0]]))))
         return cls(BlockDivision(whole / float(counts.sum()), len(folds), correlation, reason), block, folds)
+
+
+def _block_length(correlation: float, whole: float) -> tuple[float, str]:
+    """Return how long blocks are to be, s, and why, for a correlation time and motions of so many seconds in all."""
+    wanted = _CORRELATION_TIMES * correlation
+    length = min(max(wanted, whole / _MOST), whole / _LEAST)
+    reason = f"{_CORRELATION_TIMES:g} correlation times of the residuals, {correlation:.3g} s"
+    if length > wanted:
+        return length, f"a {_MOST}th of the motions, more than {reason}"
+    if length < wanted:
+        return length, f"an {_LEAST}th of the motions, less than {reason}: the motions are short"
+    return length, reason
 
 
 def _phase_times(problem: ExcitationProblem) -> tuple[Rows, Array]:
@@ -224,8 +234,9 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
     It is summed up to the first lag at which the autocorrelation is not positive.
     """
     times = [0.0]
+    lags = max(int(_LARGEST_LAG * len(run.rows)) for run in problem.runs)
     for joint in range(int(problem.joint.max()) + 1):
-        products: dict[int, tuple[float, int]] = {}
+        products = np.zeros(lags)  # of residuals so many samples apart, summed over the runs
         period = 0.0
         for number, run in enumerate(problem.runs):
             rows = (problem.run == number) & (problem.joint == joint)
@@ -234,12 +245,9 @@ def _correlation_time(problem: ExcitationProblem, residual: Array) -> float:
             series[problem.place[rows]] = residual[rows]
             size = 2 * len(series)
             lagged = np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: int(_LARGEST_LAG * len(series))]
-            for lag, value in enumerate(lagged.tolist()):
-                old = products.get(lag, (0.0, 0))
-                products[lag] = (old[0] + value, old[1] + 1)
-        values = np.array([value for value, _ in products.values()])
-        if len(values) and values[0] > 0.0:
-            fading = values / values[0]
+            products[: len(lagged)] += lagged
+        if lags and products[0] > 0.0:
+            fading = products / products[0]
             end = int(np.argmax(fading <= 0.0)) if (fading <= 0.0).any() else len(fading)
             times.append(period * (2.0 * float(fading[:end].sum()) - 1.0))
     return max(times)

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
@@ -161,12 +162,7 @@ def with_linear(
         fit: for the selection's shapes. What is not known of these is added to its covariance.
     """
     places = np.array([selection.names.index(name) for name in names], dtype=np.intp)
-    shapes = np.setdiff1d(np.arange(len(selection.names)), places)
-    known = selection.fit.covariance
-    between = known[np.ix_(shapes, shapes)]
-    slope = known[np.ix_(places, shapes)] @ np.linalg.pinv(between)
-    covariance = known.copy()
-    covariance[np.ix_(places, places)] = fit.covariance + slope @ between @ slope.T
+    covariance = _with_shapes_unknown(selection.fit.covariance, places, fit.covariance)
     value = np.zeros(len(selection.names))
     value[places] = fit.value
     pairs = [name.rpartition(".") for name in selection.names[len(problem.names) :]]
@@ -187,6 +183,22 @@ def with_linear(
     predicted = predicted_torque(other, problem)
     whole = replace(other.fit, covariance=covariance, residual=problem.torque - predicted)
     return replace(other, fit=whole, predicted=predicted)
+
+
+def _with_shapes_unknown(covariance: Array, places: NDArray[np.intp], linear: Array) -> Array:
+    """Return a covariance with that of a fit of its linear parameters for given shapes, and what is not known of these.
+
+    Args:
+        covariance: of all parameters, shape (q, q).
+        places: of the linear ones, shape (k,).
+        linear: their covariance for given shapes, shape (k, k).
+    """
+    shapes = np.setdiff1d(np.arange(len(covariance)), places)
+    between = covariance[np.ix_(shapes, shapes)]
+    slope = covariance[np.ix_(places, shapes)] @ np.linalg.pinv(between)
+    whole = covariance.copy()
+    whole[np.ix_(places, places)] = linear + slope @ between @ slope.T
+    return whole
 
 
 def _as_before(estimate: ElementEstimate) -> Callable[[Part], str]:

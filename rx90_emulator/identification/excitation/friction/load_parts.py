@@ -21,7 +21,7 @@ from scipy.stats import chi2
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.friction.parts.load import DIRECTIONS
+from rx90_common.friction.parts.load import DIRECTIONS, LARGEST_COEFFICIENT
 from rx90_emulator.identification.excitation.coulomb_viscous import coulomb_viscous
 from rx90_emulator.identification.excitation.friction.cross_validation import Linearised, Scored, TimeBlocks
 from rx90_emulator.identification.excitation.friction.law import Part
@@ -40,7 +40,6 @@ from rx90_emulator.identification.excitation.problem import ExcitationProblem
 _ROUNDS, _FIRST_ROUNDS = 12, 3
 _CONVERGED = 1e-5  # change of a coefficient
 _LEVEL = 0.01  # of finding a part on any element of an arm that has none
-_LARGEST = 0.95  # that a friction file may hold
 _UNTOLD = 0.05  # deviation of a coefficient from which on the runs do not tell it
 _CERTAIN = 3.0  # deviations below 0: no friction falls with the load
 _WIDTH = len(DIRECTIONS)
@@ -165,7 +164,7 @@ def _beyond_chance(elements: Sequence[int], model: _Model) -> dict[int, str]:
         )
         if not (deviation < _UNTOLD).all():
             reasons[e] = f"the runs do not tell it: {texts} of the load"
-        elif (value < -_CERTAIN * deviation).any() or value.max() > _LARGEST:
+        elif (value < -_CERTAIN * deviation).any() or value.max() > LARGEST_COEFFICIENT:
             reasons[e] = f"no load part has these coefficients: {texts} of the load"
         elif value @ np.linalg.solve(covariance, value) < chi2.ppf(1.0 - _LEVEL / len(elements), _WIDTH):
             reasons[e] = f"no more than chance: {texts} of the load"

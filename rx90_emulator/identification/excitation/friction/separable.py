@@ -14,7 +14,15 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from rx90_common.base.arrays import Array
-from rx90_emulator.identification.excitation.friction.law import FITTED, LINEAR, ElementShape, Part
+from rx90_emulator.identification.excitation.friction.law import (
+    COULOMB,
+    DAMPING,
+    FITTED,
+    LINEAR,
+    VISCOUS,
+    ElementShape,
+    Part,
+)
 from rx90_emulator.identification.excitation.friction.weighted import WeightedProblem
 
 _EVALUATIONS = 40
@@ -50,7 +58,8 @@ class SeparableFit:
         return tuple(found)
 
 
-_SHAPED = {"alpha": 1, "rise": 0, "omega_s": 0, "delta": 0, "stiffness": 0}
+_SHAPED = {"alpha": VISCOUS, "rise": COULOMB, "omega_s": COULOMB, "delta": COULOMB, "stiffness": COULOMB}
+"""Which linear parameter's torque each of the others shapes."""
 
 
 def fit_shapes(
@@ -139,7 +148,8 @@ class _Search:
     def _solve(self) -> None:
         gram, product = self._weighted.gram(self.shapes)
         linear = [(e, place) for e, shape in enumerate(self.shapes) for place in _places(shape)]
-        offsets = np.cumsum([0, *(3 * (1 + len(shape.free)) for shape in self.shapes)])
+        width = len(LINEAR)
+        offsets = np.cumsum([0, *(width * (1 + len(shape.free)) for shape in self.shapes)])
         columns = np.array([offsets[e] + place for e, place in linear])
         values = _nonnegative(gram[np.ix_(columns, columns)], product[columns])
         self.linear = np.zeros((len(self.shapes), len(LINEAR)))
@@ -149,7 +159,7 @@ class _Search:
         for e in self._only:
             for k in range(len(self.shapes[e].free)):
                 slope = np.zeros(len(gram))
-                slope[offsets[e] + 3 * (1 + k) : offsets[e] + 3 * (2 + k)] = self.linear[e]
+                slope[offsets[e] + width * (1 + k) : offsets[e] + width * (2 + k)] = self.linear[e]
                 slopes.append(slope)
         active = columns[values > 0.0]
         self._reduce(gram, product, active, values[values > 0.0], np.array(slopes).reshape(-1, len(gram)).T)
@@ -169,7 +179,8 @@ class _Search:
 
 
 def _places(shape: ElementShape) -> tuple[int, ...]:
-    return (0, 1, 2) if Part.DAMPING in shape.parts else (0, 1)
+    """Return which linear parameters a shape has."""
+    return (COULOMB, VISCOUS, DAMPING) if Part.DAMPING in shape.parts else (COULOMB, VISCOUS)
 
 
 def _nonnegative(gram: Array, product: Array) -> Array:

@@ -121,8 +121,8 @@ class WeightedProblem:
         if name in LINEAR:
             own = values[:, LINEAR.index(name)]
         else:
-            place = 3 * (1 + shape.free.index(name))
-            own = values[:, place : place + 3] @ linear[element]
+            place = len(LINEAR) * (1 + shape.free.index(name))
+            own = values[:, place : place + len(LINEAR)] @ linear[element]
         result[self.elements[element].rows] = own
         return result
 

@@ -132,7 +132,7 @@ def _torques(run: RunTorques) -> dict[str, Any]:
         | ({} if math.isnan(chi) else {"chi_square": _rounded(chi)})
         for name, rms, share, chi in zip(run.names, run.rms, run.share, run.chi_square, strict=True)
         if math.isfinite(rms)
-    }  # fmt: skip
+    }
     return {"relative": _rounded(run.total_share), "joints": joints}
 
 

@@ -179,7 +179,8 @@ def _controller(robot: IdentifiedRobot, path: Path, speed: Array) -> dict[str, A
         "viscous_friction": Identified(_list([c2 for c2, _ in viscous]), "derived", source),
         "viscous_exponent": Identified(_list([alpha for _, alpha in viscous]), "derived", source),
     }
-    content = dict(load_yaml(path).content)
+    # Its model, for the feed-forward by one, is the folder's own arm: not the one that the base names.
+    content = {key: value for key, value in load_yaml(path).content.items() if key != "model"}
     return content | {"feed_forward": marked(content["feed_forward"], new)}
 
 

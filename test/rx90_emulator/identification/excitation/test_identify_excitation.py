@@ -228,6 +228,7 @@ def test_an_interrupt_leaves_nothing(
         (["run", "--validation", "run"], "run: also used for the identification, as .*run; accepted: another bag"),
         (["run", "--sliding", "run"], "run with --excitation; accepted: --validation BAG"),
         (["run", "--friction", "f.yaml"], "f.yaml with --excitation; accepted"),
+        (["run", "--bristle-kinds"], "--bristle-kinds with excitation runs; accepted"),
         (["run", "--output", "identified"], "identified/report.html exists; accepted: another name, or --force"),
         (["run", "--output", "arm.urdf"], "arm.urdf is no folder; accepted"),
         (["run", "--output", "nowhere/deep"], "nowhere does not exist"),

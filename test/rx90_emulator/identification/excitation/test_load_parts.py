@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import yaml
 from foreign_arms import write
+from sine_motions import motion_of
 
-from benchmarks.load_parts import MASS, coefficients_of, motion_of, outcome, payload_of, torque_of
+from benchmarks.load_parts import MASS, Experiment, coefficients_of, payload_of, torque_of
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import DONE, REFUSED
 from rx90_common.friction.friction_file import FrictionFile
@@ -83,9 +84,10 @@ def test_two_payloads_tell_the_load_part(
     assert "load parts of joint_" in told
 
 
-def test_no_load_part_is_found_where_there_is_none() -> None:
+def test_no_load_part_is_found_where_there_is_none(tx40: Setup) -> None:
     """Of an arm whose friction does not depend on the load no element gets a part."""
-    assert outcome("tx40", 3, there=False).found.kept == ()
+    arm = Experiment(tx40, [motion_of(number, 20.0, 200.0) for number in (3, 4)], MASS["tx40"])
+    assert arm.outcome(3, there=False).found.kept == ()
 
 
 @pytest.mark.parametrize(
