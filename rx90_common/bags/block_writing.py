@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, absolute
-from rx90_common.bags.whole import SeriesEncoder, encoded, named_at_the_end
+from rx90_common.bags.topics import absolute
+from rx90_common.bags.whole import encoded, named_at_the_end, series_encoder
 from rx90_common.bags.writing import BagWriter, offered_qos
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
@@ -17,7 +17,7 @@ from rx90_common.base.quoting import listed, plain
 
 def write_blocks(
     path: Path, topics: Sequence[str], blocks: Sequence[Iterator[JointSeries]], storage: str = "mcap"
-) -> None:
+) -> list[int]:
     """Write the bag that `write_joint_states` would of the same series, block by block.
 
     Args:
@@ -25,6 +25,9 @@ def write_blocks(
         topics: names, each once.
         blocks: of each topic, in the order of stamps.
         storage: "mcap" or "sqlite3".
+
+    Returns:
+        The number of messages of each topic.
 
     Raises:
         BagError: if the bag cannot be made, or two topics have one name.
@@ -35,15 +38,22 @@ def write_blocks(
     if len(set(names)) != len(names):
         raise BagError(f"{plain(path)}: topics {listed(names)}; accepted: each topic once")
     with named_at_the_end(path) as beside, BagWriter(beside, storage, named=path) as bag:
-        numbers = np.array([bag.add_topic(name, JOINT_STATE, [offered_qos()]).id for name in names], dtype=np.int64)
-        for parts in _merged([_Source(each) for each in blocks]):
+        sources = [_Source(each) for each in blocks]
+        kinds = zip(names, (source.msgtype for source in sources), strict=True)
+        numbers = np.array([bag.add_topic(name, kind, [offered_qos()]).id for name, kind in kinds], dtype=np.int64)
+        written = np.zeros(len(names), dtype=np.int64)
+        for series in _merged(sources):
+            parts = [series_encoder(one) for one in series]
             log_ns = np.concatenate([part.stamp_ns for part in parts])
+            if not len(log_ns):  # rows of temperatures without any
+                continue
             order = np.argsort(log_ns, kind="stable")
             counts = [len(part.stamp_ns) for part in parts]
             source = np.repeat(np.arange(len(parts)), counts)[order]
             row = np.concatenate([np.arange(count) for count in counts])[order]
-            encoders = [SeriesEncoder(part).encode for part in parts]
-            bag.write_many(numbers[source], log_ns[order], encoded(encoders, source, row))
+            bag.write_many(numbers[source], log_ns[order], encoded([part.encode for part in parts], source, row))
+            written += counts
+        return written.tolist()
 
 
 class _Source:
@@ -53,6 +63,11 @@ class _Source:
         self._blocks = blocks
         self._waiting = next(blocks)
         self.following = next(blocks, None)
+
+    @property
+    def msgtype(self) -> str:
+        """Return the type of the topic's messages."""
+        return self._waiting.msgtype
 
     def take(self, before_ns: int | None) -> JointSeries:
         """Return what has an earlier stamp, or all, and keep the rest."""

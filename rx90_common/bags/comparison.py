@@ -11,10 +11,10 @@ import numpy as np
 
 from rx90_common.bags.alignment import Alignment, Side, align
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.reading import JointBag, read_joint_bag
+from rx90_common.bags.reading import JointBag, read_joint_bag, series_topics
 from rx90_common.bags.time_shift import START, TRAJECTORY, moved, time_shift
 from rx90_common.bags.tolerance import Tolerances
-from rx90_common.bags.topics import FIELDS, absolute
+from rx90_common.bags.topics import SERIES_FIELDS, absolute
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError, check_type
 from rx90_common.base.quoting import listed, plain, quoted
@@ -35,7 +35,7 @@ class ValueDifference:
 
     Attributes:
         joint: joint name.
-        field: position, velocity or effort (rad, rad/s, Nm).
+        field: position, velocity, effort or temperature (rad, rad/s, Nm, °C).
         maximum: largest absolute difference of finite values.
         at_ns: stamp of that difference; None when it is 0.
         rms: root mean square of the differences of finite values.
@@ -90,7 +90,7 @@ class BagComparison:
         path_a: the first one.
         path_b: the second one.
         topics: the comparison of each topic.
-        skipped: names of the topics that are no JointState.
+        skipped: names of the topics that are no JointState or Temperature.
         notes: what was read otherwise than a bag says.
         shift_ns: what the stamps of the second one were moved by.
     """
@@ -113,8 +113,8 @@ class Scope:
     """What is compared.
 
     Attributes:
-        topics: only these; by default all JointState topics, each of which must then be in both bags.
-        fields: which of position, velocity, effort.
+        topics: only these; by default all JointState and Temperature topics, each of which must then be in both bags.
+        fields: which of position, velocity, effort, temperature.
         start_ns: messages before this stamp are left out.
         end_ns: messages after this stamp are left out.
         common_range: stamps outside the common range make no difference.
@@ -123,7 +123,7 @@ class Scope:
     """
 
     topics: tuple[str, ...] | None = None
-    fields: tuple[str, ...] = FIELDS
+    fields: tuple[str, ...] = SERIES_FIELDS
     start_ns: int | None = None
     end_ns: int | None = None
     common_range: bool = False
@@ -131,10 +131,10 @@ class Scope:
 
     def __post_init__(self) -> None:
         for field in self.fields:
-            if field not in FIELDS:
-                raise BagError(f"field {quoted(field)}; accepted: {', '.join(FIELDS)}")
+            if field not in SERIES_FIELDS:
+                raise BagError(f"field {quoted(field)}; accepted: {', '.join(SERIES_FIELDS)}")
         if not self.fields:
-            raise BagError(f"no fields to compare; accepted: {', '.join(FIELDS)}")
+            raise BagError(f"no fields to compare; accepted: {', '.join(SERIES_FIELDS)}")
         if self.start_ns is not None and self.end_ns is not None and self.start_ns > self.end_ns:
             window = f"{self.start_ns / NANOSECONDS:g} s to {self.end_ns / NANOSECONDS:g} s"
             raise BagError(f"time window from {window}; accepted: a start before the end")
@@ -156,7 +156,7 @@ class Scope:
 def compare_bags(
     path_a: Path | str, path_b: Path | str, tolerances: Tolerances | None = None, scope: Scope | None = None
 ) -> BagComparison:
-    """Compare the JointState topics of two bags.
+    """Compare the JointState and Temperature topics of two bags.
 
     Args:
         path_a: a bag.
@@ -172,11 +172,11 @@ def compare_bags(
     paths = (Path(path_a), Path(path_b))
     chosen = None if scope.topics is None else [absolute(topic) for topic in scope.topics]
     bag_a, bag_b = (read_joint_bag(path, chosen) for path in paths)
-    both = _joint_state_topics(bag_a) | _joint_state_topics(bag_b)
+    both = _series_topics(bag_a) | _series_topics(bag_b)
     wanted = sorted(both) if chosen is None else chosen
     for topic in wanted:
         if topic not in both:
-            raise BagError(f"topic {plain(topic)} is in neither bag; JointState topics: {listed(sorted(both))}")
+            raise BagError(f"topic {plain(topic)} is in neither bag; {series_topics([*bag_a.topics, *bag_b.topics])}")
     shift = time_shift(scope.align, bag_a, bag_b)
     series_a, series_b = bag_a.series, moved(bag_b.series, shift)
     joints = {
@@ -189,20 +189,30 @@ def compare_bags(
         results += _compare_topic(topic, series_a.get(topic), series_b.get(topic), tolerances, scope)
     if not results:
         there = " nor ".join(plain(path) for path in paths)
-        raise BagError(f"neither {there} has a JointState message in the time window")
-    skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.is_joint_state}
+        raise BagError(f"neither {there} has a JointState or Temperature message in the time window")
+    _check_compared(results, scope, [*series_a.values(), *series_b.values()])
+    skipped = {topic.name for bag in (bag_a, bag_b) for topic in bag.topics if not topic.holds_series}
     notes = tuple(f"{plain(bag.path)}: {note}" for bag in (bag_a, bag_b) for note in bag.notes)
     return BagComparison(*paths, tuple(results), tuple(sorted(skipped)), notes, shift)
 
 
-def _joint_state_topics(bag: JointBag) -> set[str]:
-    """Return the names of a bag's JointState topics."""
-    ours = {topic.name for topic in bag.topics if topic.is_joint_state}
+def _check_compared(results: Sequence[TopicComparison], scope: Scope, series: Sequence[list[JointSeries]]) -> None:
+    """Refuse fields of which no topic has any: bags would be the same by stamps alone."""
+    found = any(one.values or one.verdict is not Verdict.SAME for one in results)
+    if not found and set(scope.fields) < set(SERIES_FIELDS):
+        there = dict.fromkeys(field for some in series for one in some for field in one.fields)
+        fields = ", ".join(scope.fields)
+        raise BagError(f"fields {fields}: no message has any of them; accepted: some of {', '.join(there) or 'none'}")
+
+
+def _series_topics(bag: JointBag) -> set[str]:
+    """Return the names of a bag's topics of joint states and temperatures."""
+    ours = {topic.name for topic in bag.topics if topic.holds_series}
     if not any(topic.count for topic in bag.topics):
         raise BagError(f"{plain(bag.path)}: holds no messages")
     if not ours:
         others = listed(sorted({topic.name for topic in bag.topics}))
-        raise BagError(f"{plain(bag.path)}: holds no JointState topic, only {others}")
+        raise BagError(f"{plain(bag.path)}: holds no JointState or Temperature topic, only {others}")
     return ours
 
 
@@ -272,7 +282,7 @@ def compare_series(
         return _incomparable(a.topic, f"no stamp in common: {spans}; bags that began at other times can be aligned")
     reasons = [*_other_reasons(a, b), *_stamp_reasons(alignment, scope)]
     values: list[ValueDifference] = []
-    for field in FIELDS:
+    for field in SERIES_FIELDS:
         if field in a.fields and field in b.fields:
             columns_a = a.fields[field][alignment.rows_a]
             columns_b = b.fields[field][alignment.rows_b]

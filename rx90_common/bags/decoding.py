@@ -93,6 +93,11 @@ class SeriesBuilder:
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
 
+    @property
+    def whole(self) -> bool:
+        """Return whether the last row is whole: always, as it is one message."""
+        return True
+
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
 
@@ -130,22 +135,15 @@ class SeriesBuilder:
                     f"{self._topic}: carries {_arrays(present)} in some messages "
                     f"and {_arrays(other[1])} in others (from t = {start / NANOSECONDS:.9f} s)"
                 )
-        index, stamps, values = [], [], []
-        for key in keys:
-            order = [key[0].index(name) for name in names]
-            for rows in self._rows[key]:
-                index.append(rows.index)
-                stamps.append(rows.stamp_ns)
-                values.append(rows.values[:, :, order])
-        place = np.concatenate(index)
+        parts = [(rows, [key[0].index(name) for name in names]) for key in keys for rows in self._rows[key]]
+        place = np.concatenate([rows.index for rows, _ in parts])
         order_of_bag = np.argsort(place)
+        stamps = [rows.stamp_ns for rows, _ in parts]
         stamp = np.array(self._times, dtype=np.int64)[place] if self._times else np.concatenate(stamps)
-        data = np.concatenate(values)[order_of_bag]
-        columns = iter(range(sum(present)))
-        fields = {
-            field: np.ascontiguousarray(data[:, next(columns)])
-            for field, there in zip(FIELDS, present, strict=True)
-            if there
+        there = [field for field, carried in zip(FIELDS, present, strict=True) if carried]
+        fields = {  # one after the other: of a long bag all of them twice would be a lot of memory
+            field: np.concatenate([rows.values[:, column][:, order] for rows, order in parts])[order_of_bag]
+            for column, field in enumerate(there)
         }
         return JointSeries(self._topic, names, stamp[order_of_bag], **fields)
 

@@ -1,4 +1,4 @@
-"""A recorded JointState topic as arrays."""
+"""A recorded topic of joint states or temperatures as arrays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rx90_common.bags.topics import FIELDS, quantities
+from rx90_common.bags.topics import JOINT_STATE, SERIES_FIELDS, TEMPERATURE, quantities
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -28,9 +28,11 @@ class JointSeries:
         position: rad, float64 of shape (n, k); None when the messages carry none.
         velocity: rad/s, as position.
         effort: Nm, as position.
+        temperature: degrees Celsius, as position, in a series of Temperature messages, which has no other array: NaN
+            where a name has no message of that stamp.
 
     Raises:
-        BagError: if names repeat or an array has another shape or type.
+        BagError: if names repeat, an array has another shape or type, or temperatures stand beside other arrays.
     """
 
     topic: str
@@ -39,6 +41,7 @@ class JointSeries:
     position: Array | None = None
     velocity: Array | None = None
     effort: Array | None = None
+    temperature: Array | None = None
 
     def __post_init__(self) -> None:
         if len(set(self.names)) != len(self.names):
@@ -51,11 +54,23 @@ class JointSeries:
             if values.shape != shape or values.dtype != np.float64:
                 found = f"{values.dtype} of shape {values.shape}"
                 raise BagError(f"{self.topic}: {field} is {found}; accepted: float64 {shape}")
+        if self.temperature is not None and len(self.fields) > 1:
+            raise BagError(f"{self.topic}: {', '.join(self.fields)}; accepted: temperature alone, or none")
 
     @property
     def fields(self) -> dict[str, Array]:
         """Return the arrays that are there, by field name."""
-        return {field: values for field in FIELDS if (values := getattr(self, field)) is not None}
+        return {field: values for field in SERIES_FIELDS if (values := getattr(self, field)) is not None}
+
+    @property
+    def msgtype(self) -> str:
+        """Return the type of its messages."""
+        return JOINT_STATE if self.temperature is None else TEMPERATURE
+
+    @property
+    def messages(self) -> int:
+        """Return how many messages it stands for: one for each row, or for each temperature that is there."""
+        return len(self.stamp_ns) if self.temperature is None else int((~np.isnan(self.temperature)).sum())
 
     @property
     def quantities(self) -> dict[str, str]:

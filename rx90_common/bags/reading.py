@@ -1,4 +1,4 @@
-"""Read recorded joint states as arrays; needs no ROS.
+"""Read recorded joint states and temperatures as arrays; needs no ROS.
 
 series = read_bag("bag")["joint_states"]
 series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
@@ -6,7 +6,7 @@ series.stamp_ns, series.names, series.position  # (n,), k names, (n, k)
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,11 +14,18 @@ from pathlib import Path
 from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.storage import BagReader, BagTopic
+from rx90_common.bags.temperatures import TemperatureBuilder
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 
 __all__ = ["BagReader", "BagTopic", "JointSeries", "read_bag", "read_joint_series", "read_joint_states"]
+
+_STEP = 8192  # messages between two reports of progress
+
+
+def _silent(_done: int, _total: int) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +49,13 @@ class JointBag:
         """Return the first stamp, ns.
 
         Raises:
-            BagError: if it holds no message of joint states.
+            BagError: if it holds no message of joint states or temperatures.
         """
         stamps = [int(one.stamp_ns.min()) for found in self.series.values() for one in found if len(one.stamp_ns)]
         if not stamps:
-            raise BagError(f"{plain(self.path)}: holds no JointState message, so it has no start to be aligned")
+            raise BagError(
+                f"{plain(self.path)}: holds no JointState or Temperature message, so it has no start to be aligned"
+            )
         return min(stamps)
 
 
@@ -80,19 +89,19 @@ def read_joint_states(
 def read_bag(
     path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
 ) -> dict[str, JointSeries]:
-    """Read the JointState topics of a bag in one pass.
+    """Read the JointState and Temperature topics of a bag in one pass.
 
     Args:
         path: as `read_joint_states`.
-        topics: topic names; by default all JointState topics of the bag that hold messages.
+        topics: topic names; by default all JointState and Temperature topics of the bag that hold messages.
         record_time: as `read_joint_states`.
 
     Returns:
-        A series by topic, without the leading slash: `joint_states`, `rx90_controller/reference`, ...
+        A series by topic, without the leading slash: `joint_states`, `temperatures`, `rx90_controller/reference`, ...
 
     Raises:
-        BagError: if the bag cannot be read, or a topic is not there as JointState, has no messages, or carries several
-            sets of joints (`read_joint_states` picks from these).
+        BagError: if the bag cannot be read, or a topic is not there as JointState or Temperature, has no messages, or
+            carries several sets of joints (`read_joint_states` picks from these).
     """
     found = read_joint_series(path, topics, record_time=record_time)
     for topic, series in found.items():
@@ -111,11 +120,11 @@ def _single(path: Path | str, found: Sequence[JointSeries]) -> JointSeries:
 def read_joint_series(
     path: Path | str, topics: Sequence[str] | None = None, *, record_time: bool = False
 ) -> dict[str, list[JointSeries]]:
-    """Read JointState topics of a bag in one pass.
+    """Read JointState and Temperature topics of a bag in one pass.
 
     Args:
         path: as `read_joint_states`.
-        topics: topic names; by default all JointState topics of the bag.
+        topics: topic names; by default all JointState and Temperature topics of the bag.
         record_time: as `read_joint_states`.
 
     Returns:
@@ -123,54 +132,79 @@ def read_joint_series(
         first messages; an empty list for a topic without messages.
 
     Raises:
-        BagError: if the bag cannot be read or a topic is not there as JointState.
+        BagError: if the bag cannot be read or a topic is not there as JointState or Temperature.
     """
     with BagReader(path) as bag:
-        wanted = [topic for topic in bag.topics if topic.is_joint_state]
+        wanted = [topic for topic in bag.topics if topic.holds_series]
         if topics is not None:
             wanted = picked(Path(path), bag.topics, topics)
         return _read(bag, wanted, record_time)
 
 
-def read_joint_bag(path: Path | str, topics: Collection[str] | None = None) -> JointBag:
+def read_joint_bag(
+    path: Path | str, topics: Collection[str] | None = None, progress: Callable[[int, int], None] = _silent
+) -> JointBag:
     """Read those of the topics that a bag holds, with a list of all it holds.
 
     Args:
         path: as `read_joint_states`.
-        topics: absolute topic names; by default all JointState topics of the bag.
+        topics: absolute topic names; by default all JointState and Temperature topics of the bag.
+        progress: called with the numbers of messages that are read and that there are.
 
     Raises:
         BagError: if the bag cannot be read.
     """
     with BagReader(path) as bag:
-        wanted = [topic for topic in bag.topics if topic.is_joint_state and (topics is None or topic.name in topics)]
-        return JointBag(Path(path), bag.topics, _read(bag, wanted, record_time=False), bag.notes)
+        wanted = [topic for topic in bag.topics if topic.holds_series and (topics is None or topic.name in topics)]
+        series = _read(bag, wanted, record_time=False, progress=progress)
+        return JointBag(Path(path), bag.topics, series, bag.notes)
 
 
-def _read(bag: BagReader, topics: Sequence[BagTopic], record_time: bool) -> dict[str, list[JointSeries]]:
-    builders = {
-        topic: SeriesBuilder(topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1) for topic in topics
-    }
+def _read(
+    bag: BagReader, topics: Sequence[BagTopic], record_time: bool, progress: Callable[[int, int], None] = _silent
+) -> dict[str, list[JointSeries]]:
+    builders = {topic: series_builder(bag, topic) for topic in topics}
+    total = sum(topic.count for topic in topics)
     try:
-        for topic, log_ns, data in bag.messages(topics):
+        for number, (topic, log_ns, data) in enumerate(bag.messages(topics), 1):
             builders[topic].add(data, log_ns if record_time else None)
+            if number % _STEP == 0:
+                progress(number, total)
+        if total > _STEP:
+            progress(total, total)
         return {topic.name: builder.build() for topic, builder in builders.items()}
     except BagError as error:
         text, path = str(error), plain(bag.path)
         raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
 
 
+def series_builder(bag: BagReader, topic: BagTopic, names: Sequence[str] = ()) -> SeriesBuilder | TemperatureBuilder:
+    """Return what makes series of a topic's messages; of temperatures, `names` have columns in any case."""
+    deserialize = partial(bag.deserialize, topic)
+    if topic.is_joint_state:
+        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1)
+    return TemperatureBuilder(topic.name, deserialize, names)
+
+
+def series_topics(topics: Iterable[BagTopic]) -> str:
+    """Return the names of those topics that hold series, by type, for a message."""
+    series = {topic.name: topic.is_joint_state for topic in topics if topic.holds_series}
+    joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
+    told = f"; Temperature topics: {listed(others)}" if others else ""
+    return f"JointState topics: {listed(joints) or 'none'}{told}"
+
+
 def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:
     """Return those of a bag's topics that are wanted.
 
     Raises:
-        BagError: if one is not there as JointState, with those that are.
+        BagError: if one is not there as JointState or Temperature, with those that are.
     """
-    by_name = {topic.name: topic for topic in there if topic.is_joint_state}
+    by_name = {topic.name: topic for topic in there if topic.holds_series}
     wanted = dict.fromkeys(map(absolute, topics))
     for name in wanted:
         if name not in by_name:
             others = [topic.description for topic in there if topic.name == name]
             what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
-            raise BagError(f"{plain(path)}: {what}; JointState topics: {listed(by_name) or 'none'}")
+            raise BagError(f"{plain(path)}: {what}; {series_topics(there)}")
     return [by_name[name] for name in wanted]

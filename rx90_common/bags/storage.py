@@ -18,7 +18,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.files.contents import DamagedError, StorageFile
 from rx90_common.bags.files.opening import ACCEPTED, open_file
 from rx90_common.bags.metadata import FILE, BagMetadata, check_counts, read_metadata
-from rx90_common.bags.topics import JOINT_STATE
+from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 
@@ -39,6 +39,11 @@ class BagTopic:
     def is_joint_state(self) -> bool:
         """Return whether its messages can be read as joint states."""
         return self.msgtype == JOINT_STATE and self.encoding in (_CDR, _ROS1)
+
+    @property
+    def holds_series(self) -> bool:
+        """Return whether its messages can be read as a series: joint states or temperatures."""
+        return self.msgtype in (JOINT_STATE, TEMPERATURE) and self.encoding in (_CDR, _ROS1)
 
     @property
     def description(self) -> str:

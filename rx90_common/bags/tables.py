@@ -13,7 +13,7 @@ from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
 from rx90_common.bags.topics import unit
-from rx90_common.base.quoting import listed, plain
+from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _WORDS = {
@@ -31,14 +31,14 @@ def comparison_text(comparison: BagComparison) -> str:
     if comparison.shift_ns:
         blocks.insert(0, f"stamps of {plain(comparison.path_b)} moved by {comparison.shift_ns / NANOSECONDS:+.9f} s")
     if comparison.skipped:
-        blocks.append(f"not compared, as they are no JointState: {listed(comparison.skipped)}")
+        blocks.append(f"not compared, as they are no JointState or Temperature: {listed(comparison.skipped)}")
     blocks += comparison.notes
     blocks.append(f"{plain(comparison.path_a)} against {plain(comparison.path_b)}: {_WORDS[comparison.verdict]}")
     return "\n\n".join(blocks)
 
 
 def comparison_json(comparison: BagComparison) -> str:
-    """Return all figures as JSON: stamps in ns, values in rad, rad/s and Nm."""
+    """Return all figures as JSON: stamps in ns, values in rad, rad/s, Nm and °C."""
     content = {
         "a": str(comparison.path_a),
         "b": str(comparison.path_b),
@@ -64,7 +64,7 @@ def _topic_text(topic: TopicComparison) -> str:
     lines = [f"{plain(topic.topic)}: {_WORDS[topic.verdict]}"]
     if topic.range_ns is not None:
         low, high = (f"{t / NANOSECONDS:.9g}" for t in topic.range_ns)
-        lines[0] += f", {topic.pairs} messages compared, t = {low} to {high} s"
+        lines[0] += f", {counted(topic.pairs, 'message')} compared, t = {low} to {high} s"
     lines += [f"  {reason}" for reason in topic.reasons]
     for side, where in ((topic.a, "first"), (topic.b, "second")):
         if side is not None and (note := _side_note(side)):
@@ -153,7 +153,7 @@ def _remarks(topic: TopicSummary) -> str:
         remarks.append(f"longest gap {topic.longest_gap_ns / NANOSECONDS:.6f} s after t = {where} s")
     if topic.backward:
         remarks.append(f"time goes back {topic.backward} times")
-    if topic.repeated:
+    if topic.repeated and topic.time == "stamp":  # by log time, messages of one moment are no fault
         remarks.append(f"{topic.repeated} repeated times")
     if topic.encoding not in ("cdr", "ros1"):
         remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")

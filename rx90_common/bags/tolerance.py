@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from rx90_common.bags.topics import FIELDS, USUAL_UNITS, absolute
+from rx90_common.bags.topics import SERIES_FIELDS, USUAL_UNITS, absolute
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Number
 from rx90_common.base.errors import BagError
@@ -20,7 +20,7 @@ GRAMMAR: Final = "[TOPIC:[JOINT:]]FIELD=VALUE"
 
 _JOINTS = "joints"
 _LIMITS = {
-    name: Number(f"How far a {name} may differ.", USUAL_UNITS[name], low=0.0, default=LEFT_OUT) for name in FIELDS
+    name: Number(f"How far a {name} may differ.", unit, low=0.0, default=LEFT_OUT) for name, unit in USUAL_UNITS.items()
 }
 
 TOLERANCES = Entries(
@@ -40,7 +40,7 @@ TOLERANCES = Entries(
 
 @dataclass(frozen=True)
 class ToleranceRule:
-    """One tolerance in rad, rad/s or Nm, for a field of one or any topic and one or any joint (None)."""
+    """One tolerance in rad, rad/s, Nm or °C, for a field of one or any topic and one or any joint (None)."""
 
     topic: str | None
     joint: str | None
@@ -48,8 +48,8 @@ class ToleranceRule:
     value: float
 
     def __post_init__(self) -> None:
-        if self.field not in FIELDS:
-            raise BagError(f"tolerance for the field {quoted(self.field)}; accepted: {', '.join(FIELDS)}")
+        if self.field not in SERIES_FIELDS:
+            raise BagError(f"tolerance for the field {quoted(self.field)}; accepted: {', '.join(SERIES_FIELDS)}")
         if not (math.isfinite(self.value) and self.value >= 0.0):
             raise BagError(f"tolerance {self.value} for {self.field}; accepted: a finite number >= 0")
 
@@ -146,4 +146,4 @@ def load_rules(path: Path) -> list[ToleranceRule]:
 
 
 def _field_rules(given: Mapping[str, float], topic: str | None, joint: str | None) -> list[ToleranceRule]:
-    return [ToleranceRule(topic, joint, field, given[field]) for field in FIELDS if field in given]
+    return [ToleranceRule(topic, joint, field, given[field]) for field in SERIES_FIELDS if field in given]

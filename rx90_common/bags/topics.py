@@ -24,9 +24,12 @@ PARAMETER_EVENT: Final = "rcl_interfaces/msg/ParameterEvent"
 
 
 FIELDS: Final = ("position", "velocity", "effort")
+"""The arrays of a JointState."""
+SERIES_FIELDS: Final = (*FIELDS, "temperature")
+"""Those of a series, which a JointState topic or a Temperature topic becomes."""
 POINT_FIELDS: Final = ("positions", "velocities", "accelerations", "effort")
 """The arrays of a JointTrajectoryPoint, in the order of the message."""
-USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm"}
+USUAL_UNITS: Final = {"position": "rad", "velocity": "rad/s", "effort": "Nm", "temperature": "°C"}
 
 SUITE_TOPICS: Final = (
     "joint_states",
@@ -75,7 +78,7 @@ def unit(topic: str, field: str) -> str:
 
 def _fields(topic: str) -> dict[str, tuple[str, str]]:
     own = _QUANTITIES.get(topic.rpartition("/")[2], {})
-    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in FIELDS}
+    return {field: own.get(field, (field, USUAL_UNITS[field])) for field in SERIES_FIELDS}
 
 
 def absolute(topic: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.temperatures import TemperatureEncoder
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
@@ -78,12 +79,22 @@ def encoded(
     return MessageBatch(batch.data, batch.start[place], batch.size[place])
 
 
-class SeriesEncoder:
-    """Gives the messages of a series."""
+def series_encoder(series: JointSeries) -> JointStateEncoder | TemperatureEncoder:
+    """Return what gives the messages of a series."""
+    return JointStateEncoder(series) if series.temperature is None else TemperatureEncoder(series)
+
+
+class JointStateEncoder:
+    """Gives the messages of a series of joint states.
+
+    Attributes:
+        stamp_ns: of each message, int64 (n,).
+    """
 
     def __init__(self, series: JointSeries) -> None:
         self._codec = JointStateCodec(series.names)
         self._series = series
+        self.stamp_ns = series.stamp_ns
 
     def encode(self, rows: Int64Array) -> MessageBatch:
         """Return the messages of these rows."""

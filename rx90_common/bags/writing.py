@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
@@ -28,8 +28,16 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import JOINT_STATE, JOINT_TRAJECTORY, POINT_FIELDS, STRING, TEMPERATURE, absolute
-from rx90_common.bags.whole import SeriesEncoder, encoded, named_at_the_end
+from rx90_common.bags.temperatures import temperature_cdr
+from rx90_common.bags.topics import (
+    JOINT_TRAJECTORY,
+    PARAMETER_EVENT,
+    POINT_FIELDS,
+    STRING,
+    TEMPERATURE,
+    absolute,
+)
+from rx90_common.bags.whole import encoded, named_at_the_end, series_encoder
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -41,6 +49,8 @@ _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata s
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
+_INTEGER = 2  # of rcl_interfaces/ParameterType
+_VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
 
 
 @cache
@@ -262,12 +272,28 @@ def string_message(topic: str, text: str) -> RawMessage:
     return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
 
 
-def temperature_message(topic: str, stamp_ns: int, element: str, temperature: float) -> RawMessage:
-    """Return a sensor_msgs/Temperature, degrees Celsius, of a friction element."""
+def temperature_message(topic: str, stamp_ns: int, name: str, temperature: float) -> RawMessage:
+    """Return a sensor_msgs/Temperature, degrees Celsius, of a friction element or a motor by its name."""
+    return RawMessage(topic, TEMPERATURE, stamp_ns, temperature_cdr(stamp_ns, name, temperature))
+
+
+def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawMessage:
+    """Return the latched rcl_interfaces/ParameterEvent in which a node tells whole numbers as its run begins."""
     types = typestore().types
-    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, NANOSECONDS)), element)
-    message = types[TEMPERATURE](header, temperature, 0.0)
-    return RawMessage(topic, TEMPERATURE, stamp_ns, bytes(typestore().serialize_cdr(message, TEMPERATURE)))
+    empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
+
+    def told(name: str, number: int) -> Any:
+        value = types["rcl_interfaces/msg/ParameterValue"](
+            type=_INTEGER, bool_value=False, integer_value=number, double_value=0.0, string_value="",
+            string_array_value=[], **empty,
+        )  # fmt: skip
+        return types["rcl_interfaces/msg/Parameter"](name, value)
+
+    new = [told(name, number) for name, number in values.items()]
+    message = types[PARAMETER_EVENT](types["builtin_interfaces/msg/Time"](0, 0), node, new, [], [])
+    return RawMessage(
+        topic, PARAMETER_EVENT, 0, bytes(typestore().serialize_cdr(message, PARAMETER_EVENT)), transient_local=True
+    )
 
 
 def trajectory_message(topic: str, start_ns: int, content: dict[str, Any]) -> RawMessage:
@@ -318,9 +344,12 @@ def write_joint_states(
     if len(set(topics)) != len(topics):
         raise BagError(f"{path}: topics {', '.join(topics)}; accepted: each topic once")
     with named_at_the_end(Path(path)) as beside, BagWriter(beside, storage, named=Path(path)) as bag:
-        connections = [bag.add_topic(topic, JOINT_STATE, [offered_qos()]) for topic in topics]
+        connections = [
+            bag.add_topic(topic, one.msgtype, [offered_qos()]) for topic, one in zip(topics, series, strict=True)
+        ]
         others = _add_others(bag, messages)
-        stamps = [one.stamp_ns for one in series]
+        parts = [series_encoder(one) for one in series]
+        stamps = [part.stamp_ns for part in parts]
         log_ns = np.concatenate([*stamps, np.array([m.log_ns for m in messages], dtype=np.int64)])
         counts = [len(stamp) for stamp in stamps] + [1] * len(messages)
         source = np.repeat(np.arange(len(counts)), counts)
@@ -328,7 +357,7 @@ def write_joint_states(
         numbers = np.array(
             [*(each.id for each in connections), *(others[message.topic].id for message in messages)], dtype=np.int64
         )
-        encoders = [SeriesEncoder(one).encode for one in series]
+        encoders = [part.encode for part in parts]
         encoders += [MessageBatch.of([message.cdr]).take for message in messages]
         order = np.argsort(log_ns, kind="stable")
         for begin in range(0, len(order), _MESSAGES_AT_ONCE):

@@ -1,3 +1,3 @@
-"""The joint states of a bag as tables for other programs: CSV, Parquet, and NPZ with names that MATLAB takes."""
+"""The series of a bag as tables for other programs: CSV, Parquet, NPZ with names that MATLAB takes."""
 
 __all__ = ["exporting"]

@@ -1,12 +1,11 @@
-"""The joint states of a bag in blocks of messages, so that a long bag needs no more memory than a short one."""
+"""The series of a bag in blocks of messages, so that a long bag needs no more memory than a short one."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 
-from rx90_common.bags.decoding import SeriesBuilder
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.reading import series_builder
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
@@ -15,7 +14,7 @@ _BLOCK = 8192  # messages of a topic
 
 
 def read_blocks(bag: BagReader, topics: Sequence[BagTopic]) -> Iterator[JointSeries]:
-    """Yield the messages of JointState topics in the order of the bag, block by block.
+    """Yield the messages of JointState and Temperature topics in the order of the bag, block by block.
 
     All blocks of a topic have the same joints in the same order, and the same arrays.
 
@@ -39,19 +38,20 @@ class _Collector:
         self.count = 0
         self._bag, self._topic = bag, topic
         self._first: JointSeries | None = None
-        self._builder = self._new()
+        self._builder = series_builder(bag, topic)
 
     def add(self, data: bytes) -> bool:
         """Add a message; return whether the block is full."""
         self._builder.add(data)
         self.count += 1
-        return self.count == _BLOCK
+        # A name that has no messages any more leaves all rows incomplete: one of them is then cut in two.
+        return self.count >= _BLOCK and (self._builder.whole or self.count >= 2 * _BLOCK)
 
     def take(self) -> JointSeries:
         """Return the block and begin another."""
         found = self._builder.build()
-        self.count, self._builder = 0, self._new()
         first = self._first = self._first or found[0]
+        self.count, self._builder = 0, series_builder(self._bag, self._topic, first.names)
         for other in found:
             if set(other.names) != set(first.names):
                 sets = "; ".join(", ".join(map(plain, one.names)) for one in (first, other))
@@ -60,10 +60,6 @@ class _Collector:
                 sets = " and ".join(", ".join(one.fields) or "nothing" for one in (first, other))
                 raise self._refusal(f"carries {sets} in different messages")
         return found[0] if found[0].names == first.names else found[0].select(first.names)
-
-    def _new(self) -> SeriesBuilder:
-        decode = partial(self._bag.deserialize, self._topic)
-        return SeriesBuilder(self._topic.name, decode, cdr=not self._topic.is_ros1)
 
     def _refusal(self, what: str) -> BagError:
         one = "accepted for a table: the same in all messages; leave the topic out with --topic"

@@ -1,4 +1,4 @@
-"""Write the joint states of a bag as tables, block by block."""
+"""Write the joint states and temperatures of a bag as tables, block by block."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ExportedBag:
     Attributes:
         files: that were written.
         topics: names and numbers of messages.
-        left_out: topics that hold no joint states, or no messages.
+        left_out: topics that hold no joint states or temperatures, or no messages.
     """
 
     files: tuple[Path, ...]
@@ -45,7 +45,7 @@ def export_bag(
     kind: str = ".csv",
     progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ExportedBag:
-    """Write JointState topics of a bag as tables. Who interrupts it leaves nothing behind.
+    """Write JointState and Temperature topics of a bag as tables. Who interrupts it leaves nothing behind.
 
     Args:
         path: a bag.
@@ -87,17 +87,16 @@ def _file_name(topic: str) -> str:
 def _write(
     bag: BagReader, topics: Sequence[BagTopic], plan: Mapping[Path, Sequence[str]], progress: Callable[[int, int], None]
 ) -> None:
-    counts = {topic.name: topic.count for topic in topics}
-    total, done = sum(counts.values()), 0
+    total, done = sum(topic.count for topic in topics), 0
     with ExitStack() as open_files:
         files: dict[str, TableFile] = {}
         for path, held in plan.items():
-            file = FORMATS[path.suffix.lower()](path, counts)
+            file = FORMATS[path.suffix.lower()](path)
             open_files.callback(file.close)
             files |= dict.fromkeys(held, file)
         for series in read_blocks(bag, topics):
             files[series.topic].add(series)
-            done += len(series.stamp_ns)
+            done += series.messages
             progress(done, total)
 
 
@@ -108,11 +107,10 @@ def _choose(bag: BagReader, topics: Sequence[str] | None) -> tuple[list[BagTopic
             if not topic.count:
                 raise BagError(f"{plain(bag.path)}: no messages in {plain(topic.name)}")
         return chosen, ()
-    chosen = [topic for topic in bag.topics if topic.is_joint_state and topic.count]
+    chosen = [topic for topic in bag.topics if topic.holds_series and topic.count]
     if not chosen:
-        raise BagError(
-            f"{plain(bag.path)}: holds no joint states, only {listed(t.name for t in bag.topics) or 'nothing'}"
-        )
+        there = listed(t.name for t in bag.topics) or "nothing"
+        raise BagError(f"{plain(bag.path)}: holds no joint states or temperatures, only {there}")
     return chosen, tuple(topic.name for topic in bag.topics if topic not in chosen)
 
 

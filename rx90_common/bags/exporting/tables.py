@@ -1,10 +1,11 @@
-"""Files that take blocks of joint states: CSV and Parquet for one topic each, NPZ for any number of them."""
+"""Files that take blocks of series: CSV and Parquet for one topic each, NPZ for any number of them."""
 
 from __future__ import annotations
 
 import csv
 import io
 import math
+import shutil
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,12 +22,13 @@ from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 
 _LONGEST_NAME = 63  # of a variable in MATLAB
+_CHUNK = 1 << 20  # bytes
 
 
 class TableFile(Protocol):
-    """A file that is being written; counts says how many messages each topic will bring."""
+    """A file that is being written."""
 
-    def __init__(self, path: Path, counts: Mapping[str, int]) -> None: ...
+    def __init__(self, path: Path) -> None: ...
 
     def add(self, series: JointSeries) -> None:
         """Append a block; all of a topic have the same joints and arrays."""
@@ -41,7 +43,7 @@ class CsvFile:
     Beside it a mapping file, by which `rx90_bag import` makes the bag again.
     """
 
-    def __init__(self, path: Path, counts: Mapping[str, int]) -> None:  # noqa: ARG002 - as all of them
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._file = path.open("w", encoding="utf-8", newline="")
         self._begun = False
@@ -75,7 +77,7 @@ def _word(value: float) -> str:
 class ParquetFile:
     """Columns as in CSV, with the stamps in ns besides; unit, joint and field of each column in its metadata."""
 
-    def __init__(self, path: Path, counts: Mapping[str, int]) -> None:  # noqa: ARG002 - as all of them
+    def __init__(self, path: Path) -> None:
         import pyarrow  # what not everyone has
         import pyarrow.parquet
 
@@ -108,14 +110,15 @@ class ParquetFile:
 class NpzFile:
     """Arrays named by topic, quantity and unit, (n,) or (n, joints), and the names of the joints.
 
-    The arrays are written to files beside the target, which are put together at the end.
+    The arrays are written to files beside the target, which are put together at the end, when their lengths are known.
     """
 
-    def __init__(self, path: Path, counts: Mapping[str, int]) -> None:
-        self._path, self._counts = path, counts
+    def __init__(self, path: Path) -> None:
+        self._path = path
         self._parts = path.with_name(f"{path.name}.parts")
         self._parts.mkdir()
-        self._names: list[str] = []
+        self._rows: dict[str, int] = {}  # of each array
+        self._layouts: dict[str, tuple[tuple[int, ...], np.dtype[Any]]] = {}  # shape of a row, type
         self._begun: set[str] = set()
 
     def add(self, series: JointSeries) -> None:
@@ -127,29 +130,28 @@ class NpzFile:
         for quantity, values in blocks.items():
             name = array_name(series.topic, quantity)
             if not begun:
-                self._begin(name, (self._counts[series.topic], *values.shape[1:]), values.dtype)
+                self._begin(name, values)
             self._append(name, values)
         if not begun:
             names = np.array(series.names)
             name = array_name(series.topic, "names")
-            self._begin(name, names.shape, names.dtype)
+            self._begin(name, names)
             self._append(name, names)
 
-    def _begin(self, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    def _begin(self, name: str, values: NDArray[Any]) -> None:
         if len(name) > _LONGEST_NAME:
             raise BagError(
                 f"array {name} has {len(name)} characters; accepted: up to {_LONGEST_NAME}, by a shorter topic"
             )
-        if name in self._names:
+        if name in self._rows:
             raise BagError(f"two topics would be arrays {name}; accepted: one of them, with --topic")
-        self._names.append(name)
-        about = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
-        with self._part(name).open("xb") as file:
-            np.lib.format.write_array_header_1_0(file, about)
+        self._rows[name] = 0
+        self._layouts[name] = values.shape[1:], values.dtype
 
     def _append(self, name: str, values: NDArray[Any]) -> None:
         with self._part(name).open("ab") as file:
             file.write(np.ascontiguousarray(values).tobytes())
+        self._rows[name] += len(values)
 
     def _part(self, name: str) -> Path:
         return self._parts / f"{name}.npy"
@@ -157,10 +159,15 @@ class NpzFile:
     def close(self) -> None:
         """Complete the file."""
         with zipfile.ZipFile(self._path, "w", zipfile.ZIP_STORED, allowZip64=True) as together:
-            for name in self._names:
-                file = self._part(name)
-                together.write(file, zipfile.ZipInfo(file.name).filename)
-                file.unlink()
+            for name, rows in self._rows.items():
+                part, (shape, dtype) = self._part(name), self._layouts[name]
+                about = {
+                    "descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (rows, *shape),
+                }  # fmt: skip
+                with together.open(part.name, "w", force_zip64=True) as array, part.open("rb") as data:
+                    np.lib.format.write_array_header_1_0(array, about)
+                    shutil.copyfileobj(data, array, _CHUNK)
+                part.unlink()
         self._parts.rmdir()
 
 

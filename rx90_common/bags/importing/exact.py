@@ -93,7 +93,7 @@ def import_exact(
     told = BytesTold([log for log, _ in logs], progress)
     topics: list[str] = []
     blocks: list[Iterator[JointSeries]] = []
-    tables: list[ImportedTable] = []
+    read: list[tuple[Path, list[tuple[str, int]], tuple[tuple[int, str], ...]]] = []
     with ExitStack() as spools:
         for log, mapping in logs:
             lines = lines_of(log, told.more)
@@ -108,10 +108,12 @@ def import_exact(
             topics += names
             blocks += [plan.series(topic, spool) for topic in mapping.topics]
             counts = [len(topic.names) for topic in mapping.topics.values()]
-            held = tuple((name, count, spool.rows) for name, count in zip(names, counts, strict=True))
-            tables.append(ImportedTable(log, held, tuple(corrupt)))
-        write_blocks(bag, topics, blocks, storage)
-    return tables
+            read.append((log, list(zip(names, counts, strict=True)), tuple(corrupt)))
+        written = iter(write_blocks(bag, topics, blocks, storage))
+    return [
+        ImportedTable(log, tuple((name, count, next(written)) for name, count in held), corrupt)
+        for log, held, corrupt in read
+    ]
 
 
 def _read(lines: Iterator[Line], plan: _Plan, spool: RowSpool, *, skip_corrupt: bool) -> list[tuple[int, str]]:

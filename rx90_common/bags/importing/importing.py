@@ -19,7 +19,7 @@ from rx90_common.bags.importing.table import LogTable, RowBlock
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_common.base.rates import NANOSECONDS
 
 _MOST_RANGES = 40
@@ -53,7 +53,7 @@ class ImportedLog:
             *self.told,
             f"{taken} of {self.rows} rows in {self.seconds:.6g} s"
             + (f", {(taken - 1) / self.seconds:.6g} Hz, longest gap {self.gap:.6g} s" if self.seconds else ""),
-            *(f"{name}: {joints} joints" for name, joints in self.topics),
+            *(f"{name}: {counted(joints, 'joint')}" for name, joints in self.topics),
         ]
         if self.corrupt:
             lines.append(f"left out: {corrupt_text(self.corrupt)}")

@@ -12,7 +12,8 @@ topics:
 
 Columns are numbers from 1 on, or names in the log's header. Of several logs that were written together row by row,
 `file: 2` takes columns from the second. `exact: true`, as `rx90_bag export` writes it, takes numbers and times as they
-stand. Position, velocity and effort may each be left out. `delimiter`, `decimal` and
+stand. Position, velocity and effort may each be left out;
+a topic of temperatures has `temperature: {columns: [8, 9], unit: °C}` alone. `delimiter`, `decimal` and
 `header` (lines of it) are found out, and may be given.
 """
 
@@ -25,7 +26,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from rx90_common.bags.topics import FIELDS
+from rx90_common.bags.topics import SERIES_FIELDS
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import ConfigError
@@ -43,8 +44,9 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
         "rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": math.pi / 30.0, f"{COUNTS}/s": 2.0 * math.pi,
     },
     "effort": {"Nm": 1.0, "mNm": 1e-3, "A": 1.0, "mA": 1e-3, "rad/s^2": 1.0},
+    "temperature": {"°C": 1.0},
 }  # fmt: skip
-"""What a unit of each field is in rad, rad/s, Nm and A; of counts, a whole turn."""
+"""What a unit of each field is in rad, rad/s, Nm, A and °C; of counts, a whole turn."""
 DELIMITERS: Final = {",": ",", ";": ";", "|": "|", "tab": "\t", "space": None}
 _MOST_FILES = 100
 _MOST_COLUMNS = 100_000
@@ -79,6 +81,9 @@ def _for_each(about: str) -> Other:
     )
 
 
+_TURN = {"counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s.")}
+
+
 def _of_field(name: str) -> Group:
     return Group(
         f"Where each joint's {name} comes from.",
@@ -88,7 +93,7 @@ def _of_field(name: str) -> Group:
             ),
             "unit": Text("Unit in the log.", choices=tuple(UNITS[name])),
             "factor": _for_each("What the log's numbers are multiplied by."),
-            "counts_per_turn": _for_each("Counts of a whole turn, where the unit is counts or counts/s."),
+            **(_TURN if any(unit.startswith(COUNTS) for unit in UNITS[name]) else {}),
             "file": _FILE,
         },
         default=LEFT_OUT,
@@ -97,8 +102,8 @@ def _of_field(name: str) -> Group:
 
 _TOPIC = Group(
     "What becomes the messages of the topic.",
-    keys={"names": Texts("Names of the joints.", once=True), **{name: _of_field(name) for name in FIELDS}},
-    some_of=FIELDS,
+    keys={"names": Texts("Names of the joints.", once=True), **{name: _of_field(name) for name in SERIES_FIELDS}},
+    some_of=SERIES_FIELDS,
 )
 
 MAPPING = Group(
@@ -112,7 +117,9 @@ MAPPING = Group(
         "rate": Number(
             "Rows per second, where no column holds the times.", "Hz", low=1e-3, high=1e6, default=LEFT_OUT
         ),
-        "topics": Entries("Topics of joint states, by name.", of=_TOPIC, least=1, what="topic", names=_NAMES),
+        "topics": Entries(
+            "Topics of joint states or temperatures, by name.", of=_TOPIC, least=1, what="topic", names=_NAMES
+        ),
         "delimiter": Text("Between columns; found out if left out.", choices=tuple(DELIMITERS), default=LEFT_OUT),
         "decimal": Text("Decimal sign; found out if left out.", choices=(".", ","), default=LEFT_OUT),
         "header": Integer("Lines of header; found out if left out.", low=0, high=1000, default=LEFT_OUT),
@@ -146,7 +153,7 @@ class TopicMapping:
 
     Attributes:
         names: of the joints.
-        fields: by name, of position, velocity and effort; one at least.
+        fields: by name, of position, velocity and effort, one at least, or temperature alone.
     """
 
     names: tuple[str, ...]
@@ -221,9 +228,15 @@ class LogMapping:
 
 def _topic(section: Section, content: dict[str, Any]) -> TopicMapping:
     names = content["names"]
+    if any("\0" in name for name in names):
+        section.refuse("names", list(names), "texts without NUL")
     fields: dict[str, FieldMapping] = {
-        name: _field(section.section(name), name, content[name], len(names)) for name in FIELDS if name in content
+        name: _field(section.section(name), name, content[name], len(names))
+        for name in SERIES_FIELDS
+        if name in content
     }
+    if "temperature" in fields and len(fields) > 1:
+        section.fault("temperature", " stands beside others; accepted: temperatures in a topic of their own")
     return TopicMapping(names, fields)
 
 
@@ -232,7 +245,10 @@ def _field(section: Section, name: str, content: dict[str, Any], count: int) -> 
     if len(columns) != count:
         section.refuse("columns", list(columns), f"a list of {count}, one for each name")
     factor = _each(section, "factor", count) if "factor" in section else (1.0,) * count
-    turn = _each(section, "counts_per_turn", count) if unit.startswith(COUNTS) else (1.0,) * count
+    counted = unit.startswith(COUNTS)
+    if not counted and "counts_per_turn" in section:
+        section.fault("counts_per_turn", f" stands beside unit: {unit}; accepted: beside counts or counts/s")
+    turn = _each(section, "counts_per_turn", count) if counted else (1.0,) * count
     scale = UNITS[name][unit]
     return FieldMapping(content["file"], columns, unit, tuple(scale * f / c for f, c in zip(factor, turn, strict=True)))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,16 @@ from rx90_common.base.quoting import listed, plain, quoted
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
+_PARTS = 1000  # of each bag, in which progress is told
 
 
 def read_chosen(
-    paths: Sequence[Path], topics: Sequence[str] | None, joints: Sequence[str] | None, align: int | str, most: int
+    paths: Sequence[Path],
+    topics: Sequence[str] | None,
+    joints: Sequence[str] | None,
+    align: int | str,
+    most: int,
+    progress: Callable[[int, int], None],
 ) -> list[tuple[JointSeries, ...]]:
     """Return a series of each bag for each topic, with equal joints.
 
@@ -29,6 +36,7 @@ def read_chosen(
         joints: names; by default all.
         align: what the stamps of the second bag are moved by, as in `compare_bags`.
         most: topics by default.
+        progress: called with how much of the bags is read, and of how much; no unit.
 
     Raises:
         BagError: if a bag cannot be read, or a topic or joint is not there, with what is.
@@ -39,11 +47,16 @@ def read_chosen(
         a, b = (f"{plain(path)} has {listed(names)}" for path, names in zip(paths, there, strict=True))
         raise BagError(f"no topic is in both bags: {a}; {b}")
     usual = [name for name in USUAL if name in both][:most] or both[:1]
-    bags = [read_joint_bag(path, both if topics is not None else usual) for path in paths]
+    wanted = both if topics is not None else usual
+
+    def tell(before: int, done: int, total: int) -> None:
+        progress(_PARTS * before + _PARTS * done // total, _PARTS * len(paths))
+
+    bags = [read_joint_bag(path, wanted, partial(tell, k)) for k, path in enumerate(paths)]
     found = [bag.series for bag in bags]
     if len(bags) > 1:
         found[1] = moved(found[1], time_shift(align, bags[0], bags[1]))
-    names = [name for name in (both if topics is not None else usual) if name in found[0]]
+    names = [name for name in wanted if name in found[0]]
     if topics is None and joints is not None:  # of the usual topics those that have these joints
         names = [name for name in names if all(_has(bag.series[name], joints) for bag in bags)] or names[:1]
     return [
@@ -76,11 +89,10 @@ def _topics(path: Path, topics: Sequence[str] | None) -> list[str]:
                 if not topic.count:
                     raise BagError(f"{plain(path)}: no messages in {plain(topic.name)}")
             return [topic.name for topic in wanted]
-        names = [topic.name for topic in bag.topics if topic.is_joint_state and topic.count]
+        names = [topic.name for topic in bag.topics if topic.holds_series and topic.count]
         if not names:
-            raise BagError(
-                f"{plain(path)}: holds no joint states, only {listed(topic.name for topic in bag.topics) or 'nothing'}"
-            )
+            there = listed(topic.name for topic in bag.topics) or "nothing"
+            raise BagError(f"{plain(path)}: holds no joint states or temperatures, only {there}")
         return names
 
 

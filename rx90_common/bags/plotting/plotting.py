@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -51,6 +51,7 @@ def plot_bags(
     joints: Sequence[str] | None = None,
     align: int | str = 0,
     most: int = 3,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[TopicPlot]:
     """Return the plots of one bag, or of two and their difference (second less first).
 
@@ -58,15 +59,17 @@ def plot_bags(
 
     Args:
         paths: one bag or two.
-        topics: JointState topics; by default joint states, friction and tracking error, as far as they are there.
+        topics: of joint states or temperatures; by default joint states, friction and tracking error, as far as
+            they are there.
         joints: names; by default all.
         align: moves the stamps of the second bag, as in `compare_bags`.
         most: topics by default.
+        progress: called with how much of the bags is read, and of how much; no unit.
 
     Raises:
         BagError: as `read_chosen` and `pairs`.
     """
-    chosen = read_chosen(paths, topics, joints, align, most)
+    chosen = read_chosen(paths, topics, joints, align, most, progress)
     if len(paths) == 1:
         return [_alone(both[0]) for both in chosen]
     robots = tuple(name for name in map(robot_of, paths) if name is not None)
@@ -130,7 +133,7 @@ def _alone(series: JointSeries) -> TopicPlot:
         Panel(_curves(series, field, zero), titles[k], label if field == fields[-1] else "", _axis(series, field))
         for k, field in enumerate(fields)
     ]
-    return TopicPlot(series.topic, Plot(panels, height=_HEIGHT, share_x=True), (len(series.stamp_ns),), [])
+    return TopicPlot(series.topic, Plot(panels, height=_HEIGHT, share_x=True), (series.messages,), [])
 
 
 def _two(words: Sequence[str], both: tuple[JointSeries, ...], robots: tuple[str, ...]) -> TopicPlot:
@@ -157,7 +160,7 @@ def _two(words: Sequence[str], both: tuple[JointSeries, ...], robots: tuple[str,
             marks: list[Mark] = [Level(0.0, colour=INK), *_curves(apart.second_less_first, field, zero)]
             panels.append(Panel(marks, f"{words[1]} less {words[0]}", last, _axis(first, field)))
             rows += apart.rows(field)
-    messages = tuple(len(series.stamp_ns) for series in both)
+    messages = tuple(series.messages for series in both)
     return TopicPlot(first.topic, Plot(panels, height=_HEIGHT, share_x=True), messages, rows, robots)
 
 
@@ -195,11 +198,13 @@ def _times(both: Sequence[JointSeries]) -> tuple[int, str]:
 
 def _curves(series: JointSeries, field: str, zero: int, suffix: str = "", *, second: bool = False) -> list[Curve]:
     time, values = (series.stamp_ns - zero) / NANOSECONDS, series.fields[field]
+    # A temperature that has no message at a stamp is no gap in its curve.
+    drawn = ~np.isnan(values) if series.temperature is not None else np.ones(values.shape, dtype=np.bool_)
     return [
         Curve(
-            time,
-            values[:, k],
-            f"{name}{suffix}",
+            time[drawn[:, k]],
+            values[drawn[:, k], k],
+            f"{plain(name)}{suffix}",
             INK if second and len(series.names) == 1 else COLOURS[k % len(COLOURS)],
             1.0 if second or not suffix else 2.0,
             "dashed" if second else "solid",

@@ -9,12 +9,14 @@ from collections.abc import Iterable
 from rx90_common.bags.ordering import Arrived
 from rx90_common.bags.recorder.stream import Stream
 from rx90_common.base.errors import BagWriteError
+from rx90_common.process.threads import calls_of, place_of
 
 _NAP_S = 0.1  # gathers some thousand messages: a round has a cost of its own, whatever it brings
 _MAX_PER_ROUND = 4000  # of one topic, so that none keeps the others waiting
 _QUEUE_BYTES = 256 << 20
 _QUIET_S = 0.2  # without a message of a topic after the end was asked for: nothing is under way any more
 _MAX_DRAIN_S = 2.0
+_MAX_END_S = 30.0  # busy machines take up to 10 s; callers that stop a recorder wait longer than this
 
 
 class MessageReader(threading.Thread):
@@ -28,6 +30,7 @@ class MessageReader(threading.Thread):
         self._lock = threading.Lock()
         self._queue: list[Arrived] = []
         self._queued_bytes = 0
+        self._round_so_far: list[Arrived] = []
         self._error: Exception | None = None
 
     def add(self, stream: Stream) -> None:
@@ -35,23 +38,45 @@ class MessageReader(threading.Thread):
         self._streams = (*self._streams, stream)
 
     def collect(self) -> list[Arrived]:
-        """Return what was read since the last call.
-
-        Raises:
-            BagWriteError: if the queue became too long for the memory it may use.
-        """
+        """Return what was read since the last call."""
         with self._lock:
             queue, self._queue = self._queue, []
             self._queued_bytes = 0
-        if not queue and self._error is not None:
-            raise self._error
         return queue
 
+    @property
+    def has_failed(self) -> bool:
+        """Return whether nothing more will be read; `check` says why."""
+        return self._error is not None
+
+    def check(self) -> None:
+        """Complain if not all could be read; what was read before is there to be collected.
+
+        Raises:
+            BagError: if the middleware refuses.
+            BagWriteError: if the queue became too long for the memory it may use, or the thread did not end in time.
+        """
+        if self._error is not None:
+            raise self._error
+
     def finish(self) -> None:
-        """Read what is still under way, then end the thread."""
+        """Read what is still under way, then end the thread; give up if the middleware does not return from a call."""
+        if self._end.is_set():
+            return
         self._asked_ns = time.time_ns()
         self._end.set()
-        self.join()
+        self.join(_MAX_END_S)
+        if self.is_alive():
+            with self._lock:
+                self._queue += self._round_so_far
+                self._error = BagWriteError(
+                    f"the message reader did not end within {_MAX_END_S:g} s (it is in {self._place()}); "
+                    "the bag holds what it had read"
+                )
+
+    def _place(self) -> str:
+        calls = calls_of(self)
+        return place_of(calls[-1]) if calls else "no call"
 
     def run(self) -> None:
         """Read messages until `finish` is called."""
@@ -83,6 +108,7 @@ class MessageReader(threading.Thread):
 
     def _round(self, streams: Iterable[Stream]) -> int:
         received: list[Arrived] = []
+        self._round_so_far = received
         for stream in streams:
             count = 0
             while count < _MAX_PER_ROUND:
@@ -94,6 +120,9 @@ class MessageReader(threading.Thread):
         if not received:
             return 0
         with self._lock:
+            self._round_so_far = []
+            if self.has_failed:  # given up: these messages are in the queue, or come too late for the bag
+                return 0
             self._queue += received
             self._queued_bytes += sum(each.messages.total for each in received)
             if self._queued_bytes > _QUEUE_BYTES:

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from threading import Event
 from typing import Final
 
 import numpy as np
@@ -21,8 +20,11 @@ from rx90_common.bags.recorder.message_reader import MessageReader
 from rx90_common.bags.recorder.sequence import WriterCount
 from rx90_common.bags.recorder.stream import Streams
 from rx90_common.bags.writing import BagWriter
+from rx90_common.base.errors import FAILED
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.ros_start import start_ros
+from rx90_common.process.exit_code import end_with
+from rx90_common.process.interrupts import StopRequest
 
 READY: Final = "ready: all"
 """Beginning of the line that reports that all topics are matched."""
@@ -99,12 +101,12 @@ class Recorder:
         self._reported = 0  # set-backs of the stamps
         self.stalls: list[float] = []
 
-    def run(self, make_writer: Callable[[], BagWriter], stop: Event) -> list[TopicCount]:
+    def run(self, make_writer: Callable[[], BagWriter], stop: StopRequest) -> list[TopicCount]:
         """Record until `stop` is set; the bag is made once the topics' names are known to be good.
 
         Raises:
             BagError: if a topic cannot be recorded or the bag cannot be made.
-            BagWriteError: if the bag cannot be written on.
+            BagWriteError: if the bag cannot be written on, or no message can be read from the middleware any more.
             ConfigError: if ROS refuses its arguments.
         """
         context = Context()
@@ -119,19 +121,23 @@ class Recorder:
             try:
                 with make_writer() as writer:
                     self._record(streams, reader, writer, stop)
+                reader.check()
                 return _count(streams)
             finally:
                 reader.finish()
-                streams.clear()
-                node.destroy_node()
+                if reader.is_alive():
+                    end_with(FAILED)  # the middleware could wait for the lock that keeps the reader, and so for ever
+                else:
+                    streams.clear()
+                    node.destroy_node()
         finally:
             context.try_shutdown()
 
-    def _record(self, streams: Streams, reader: MessageReader, writer: BagWriter, stop: Event) -> None:
+    def _record(self, streams: Streams, reader: MessageReader, writer: BagWriter, stop: StopRequest) -> None:
         start = last = time.monotonic()
         matched_at = math.inf
         ready = reported = False
-        while not stop.is_set():
+        while not (stop.is_set() or reader.has_failed):
             now = time.monotonic()
             last = self._note_stall(last)
             if math.isinf(matched_at) and streams.discover(reader.add):

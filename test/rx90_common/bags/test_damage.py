@@ -136,7 +136,7 @@ def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture
     for name, complaint in (
         ("empty", "holds no messages"),
         ("void", "holds no messages"),
-        ("text", "holds no JointState topic, only /robot_description"),
+        ("text", "holds no JointState or Temperature topic, only /robot_description"),
     ):
         for pair in (("good", name), (name, "good")):
             assert run("rx90_bag", ["compare", *(str(tmp_path / n) for n in pair)]) == 2

@@ -115,7 +115,7 @@ def test_npz_arrays_go_to_matlab_and_back(bag: Path, tmp_path: Path) -> None:
         *(f"joint_states_{what}" for what in ("position_rad", "velocity_rad_s", "effort_Nm")),
         *(f"friction_states_{what}" for what in ("stamp_ns", "time_s", "names", "bristle_deflection_rad")),
         *(f"rx90_controller_motor_current_{what}" for what in ("stamp_ns", "time_s", "names", "current_A")),
-    }  # fmt: skip
+    }
     scipy.io.savemat(tmp_path / "all.mat", content)
     loaded = scipy.io.loadmat(tmp_path / "all.mat")
     found = read_bag(bag)["joint_states"]

@@ -92,7 +92,7 @@ def test_delimiter_decimal_sign_and_header_are_found_out(tmp_path: Path, text: s
         ("effort", "unit: Nm", (3.0, 4.0), (3.0, 4.0)),
         ("effort", "unit: mA, factor: [1, -1]", (300.0, 400.0), (0.3, -0.4)),
     ],
-)  # fmt: skip
+)
 def test_units_become_si(
     tmp_path: Path, field: str, unit: str, values: tuple[float, float], expected: tuple[float, float]
 ) -> None:
@@ -189,6 +189,11 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("topics:", "delimiter: ','\ndecimal: ','\ntopics:"), "1,2,3", "decimal is ',', and so is delimiter"),
         (("unit: rad", "unit: grad"), "1,2,3", "position.unit is 'grad'; accepted: one of rad, deg, turns, counts"),
         (("unit: rad", "unit: counts"), "1,2,3", "position.counts_per_turn is missing"),
+        (
+            ("unit: rad", "unit: rad, counts_per_turn: 4096"),
+            "1,2,3",
+            "position.counts_per_turn stands beside unit: rad; accepted: beside counts or counts/s",
+        ),
         (("unit: rad", "unit: rad, factor: [1, 0]"), "1,2,3", "position.factor is 0.0; accepted: numbers other than 0"),
         (("unit: rad", "unit: rad, gears: 3"), "1,2,3", "position.gears is not a known key"),
         (("unit: rad", "unit: rad, file: 2"), "1,2,3", ": 1 log; accepted: 2, those that "),
@@ -212,6 +217,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path: Path, capsys: pytest.Capt
         (("rad", "rad"), 't,a,b\n1,"' + "1" * 200_000 + '",3', "log.csv: every row is corrupt: 1 corrupt row, line 2"),
         (("position", "acceleration"), "1,2,3", "joint_states.position is missing; accepted: one or more of position"),
         (("time:", "rate: 5\ntime:"), "1,2,3", "time and rate: both are there; accepted: one of them"),
+        (("[a, b]", '[a, "b\\0"]'), "1,2,3", "joint_states.names is ['a', 'b\\x00']; accepted: texts without NUL"),
         (("[a, b]", "[a, a]"), "1,2,3", "joint_states.names is ['a', 'a']; accepted: one name or more, each once"),
         (
             ("time: {column: 1, unit: s}", "rate: 1.0e-300"),

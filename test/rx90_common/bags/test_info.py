@@ -10,7 +10,7 @@ import pytest
 from bag_making import ROS1, STORAGES, joint_state, series, write_ros1
 
 from rx90_common.bags.summary import summarise
-from rx90_common.bags.writing import string_message, write_joint_states
+from rx90_common.bags.writing import string_message, temperature_message, write_joint_states
 from rx90_emulator.cli.frame import run
 
 
@@ -64,3 +64,14 @@ def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     content = json.loads(capsys.readouterr().out)
     assert content["count"] == 11
     assert content["topics"][0]["last_ns"] == 10_000_000
+
+
+def test_messages_of_one_moment_are_no_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Temperatures come as one message for each joint at the same time; of set-points a repeated time is told."""
+    names = ("joint_1", "joint_2", "joint_3")
+    warm = [temperature_message("/temperatures", k * 10**9, name, 20.0) for k in range(3) for name in names]
+    write_joint_states(tmp_path / "bag", [series(11)], messages=warm)
+    write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
+    for bag, repeated in (("bag", False), ("twice", True)):
+        assert run("rx90_bag", ["info", str(tmp_path / bag)]) == 0
+        assert ("repeated times" in capsys.readouterr().out) == repeated

@@ -70,6 +70,17 @@ def test_topics_and_joints_are_chosen(bags: dict[str, Path]) -> None:
     assert [curve.label for curve in curves(extra, 0)] == ["joint_2"]
 
 
+def test_reading_tells_how_far_it_is(tmp_path: Path) -> None:
+    """While one bag after the other is read the share that is done grows, half of it for each, up to all."""
+    told: list[float] = []
+    for name, count in (("a", 20_000), ("b", 9_000)):
+        rows = np.arange(count, dtype=np.int64)
+        write_joint_states(tmp_path / name, [JointSeries("/joint_states", NAMES, rows, np.zeros((count, 2)))])
+    plot_bags([tmp_path / "a", tmp_path / "b"], progress=lambda done, total: told.append(done / total))
+    shares = [0.5 * 8192 / 20_000, 0.5 * 16_384 / 20_000, 0.5, 0.5 + 0.5 * 8192 / 9_000, 1.0]
+    assert told == pytest.approx(shares, abs=1e-3)
+
+
 def test_stamps_of_a_wall_clock_are_told_from_the_first(bags: dict[str, Path]) -> None:
     """The axis begins at 0, and says when that was."""
     (plot,) = plot_bags([bags["walls"]])

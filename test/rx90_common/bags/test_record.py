@@ -295,16 +295,53 @@ sys.exit(run('rx90_bag', sys.argv[1:]))
 """
 
 
+def start_recorded_by(program: str, bag: Path, start: Start) -> tuple[Process, Process]:
+    """Return a publisher and a program that records what it publishes, both ready."""
+    publisher = start_publisher(start)
+    recorder = start("-c", program, "record", "-o", str(bag), "motor_states")
+    recorder.wait_for("ready: all 1 topics")
+    return publisher, recorder
+
+
 def test_a_disk_that_takes_no_more_is_a_failure(tmp_path: Path, start: Start) -> None:
     """When the system refuses to write on, the recorder ends with one line and exit code 3; the bag's start stays."""
-    publisher = start_publisher(start)
-    recorder = start("-c", CRAMPED, "record", "-o", str(tmp_path / "bag"), "motor_states")
-    recorder.wait_for("ready: all 1 topics")
+    publisher, recorder = start_recorded_by(CRAMPED, tmp_path / "bag", start)
     publisher.tell("20000 4000")
     code, _, err = recorder.finish()
     assert (code, err.strip()) == (3, f"rx90_bag: {tmp_path / 'bag'}: cannot be written (File too large){HALF}")
     with pytest.raises(BagError, match=r"bag\.mcap is cut off"), BagReader(tmp_path / "bag"):
         pass
+
+
+STUCK = """
+import sys, threading
+from rx90_common.exchange.environment import prepare
+prepare()
+from rx90_common.bags.recorder import message_reader, stream
+from rx90_emulator.cli.frame import execute
+take = stream.Stream.take
+def stuck(self):
+    taken = take(self)
+    if self.counter.received == 400 and not len(taken.messages):
+        threading.Event().wait()
+    return taken
+stream.Stream.take = stuck
+message_reader._MAX_END_S = 0.5
+sys.exit(execute('rx90_bag', sys.argv[1:]))
+"""
+
+
+def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, start: Start) -> None:
+    """When a call into DDS never returns, Ctrl-C still leaves a whole bag; the recorder says so and ends with 3."""
+    publisher, recorder = start_recorded_by(STUCK, tmp_path / "bag", start)
+    publisher.tell("400 4000")
+    publisher.wait_for("done")
+    recorder.signal(signal.SIGINT)
+    code, out, err = recorder.finish()
+    assert (code, out) == (3, "")
+    assert err.startswith("rx90_bag: the message reader did not end within 0.5 s (it is in ")
+    assert err.count("\n") == 1
+    assert len(read_joint_states(tmp_path / "bag", "motor_states").stamp_ns) == 400
 
 
 def test_status_on_a_terminal(tmp_path: Path, start: Start) -> None:

@@ -6,7 +6,6 @@ import re
 import signal
 import sys
 from pathlib import Path
-from threading import Event
 from typing import Any
 
 import pytest
@@ -20,6 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 from rx90_common.bags.recorder import definition
 from rx90_common.bags.writing import BagWriter, offered_qos
 from rx90_common.base.errors import BagError
+from rx90_common.process.interrupts import StopRequest
 from rx90_emulator.cli.frame import run
 
 STATE = "control_msgs/msg/JointTrajectoryControllerState"
@@ -122,7 +122,7 @@ def test_a_type_that_is_not_there_leaves_no_bag(
     with own_node("node", ros_domain) as node, StatusLine() as status:
         publisher = node.create_publisher(String, "note", 1)
         with pytest.raises(BagError, match="/note has type std_msgs/msg/String, which the std_msgs"):
-            Recorder(["note"], [], status).run(lambda: BagWriter(tmp_path / "new" / "bag"), Event())
+            Recorder(["note"], [], status).run(lambda: BagWriter(tmp_path / "new" / "bag"), StopRequest())
         publisher.destroy()
     assert not (tmp_path / "new").exists()
 

@@ -1,0 +1,226 @@
+"""Temperatures of joints and windings in bags: read, exported and imported, compared, drawn as other series are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_making import JOINT_STATE, ROS2, joint_state
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import rx90_emulator as rx
+from rx90_common.bags.exporting import blocks
+from rx90_common.bags.exporting.exporting import export_bag
+from rx90_common.bags.importing import exact, spool
+from rx90_common.bags.plotting.plotting import plot_bags
+from rx90_common.bags.storage import BagReader
+from rx90_common.bags.temperatures import temperature_cdr
+from rx90_common.base.errors import BagError, ExchangeError
+from rx90_common.report.plot import Curve
+from rx90_emulator.cli.frame import run
+
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+SECOND = 1_000_000_000
+NAMES = ("joint_1", "joint_5_6", "motor_1")
+START = 1_790_000_000 * SECOND + 7  # of the wall clock
+STAMPS = [START + k * SECOND for k in range(20)]
+LOST = (4, "joint_5_6")
+VALUES = np.random.default_rng(5).uniform(-40.0, 120.0, (20, 3))
+VALUES[2] = [-0.0, 5e-324, 0.1 + 0.2]
+
+Told = tuple[int, str, float]
+
+
+def cdr(stamp_ns: int, name: str, value: float) -> bytes:
+    """Return a message as rosbags writes it."""
+    time = ROS2.types["builtin_interfaces/msg/Time"](stamp_ns // SECOND, stamp_ns % SECOND)
+    message: Any = ROS2.types[TEMPERATURE](ROS2.types["std_msgs/msg/Header"](time, name), value, 0.0)
+    return bytes(ROS2.serialize_cdr(message, TEMPERATURE))
+
+
+def usual() -> list[Told]:
+    """Return what a node publishes: all names at each stamp; one message was lost, and one came twice."""
+    told = [
+        (stamp, name, float(VALUES[k, column]))
+        for k, stamp in enumerate(STAMPS)
+        for column, name in enumerate(NAMES)
+        if (k, name) != LOST
+    ]
+    return [*told, told[-1]]
+
+
+def write(path: Path, told: list[Told]) -> Path:
+    """Write a bag with these temperatures, and with joint states."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        joints = writer.add_connection("/joint_states", JOINT_STATE, typestore=ROS2)
+        warmth = writer.add_connection("/temperatures", TEMPERATURE, typestore=ROS2)
+        for stamp in STAMPS:
+            writer.write(joints, stamp, ROS2.serialize_cdr(joint_state(stamp, ["joint_1"], [0.5]), JOINT_STATE))
+        for stamp, name, value in told:
+            writer.write(warmth, stamp, cdr(stamp, name, value))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a bag with the usual temperatures."""
+    return write(tmp_path_factory.mktemp("bag") / "run", usual())
+
+
+def test_temperatures_are_a_series(bag: Path) -> None:
+    """`read_bag` gives a row for each stamp, a column for each frame_id, °C, and NaN for the message that is lost."""
+    series = rx.read_bag(bag)["temperatures"]
+    assert series.names == NAMES
+    assert series.quantities["temperature"] == "temperature [°C]"
+    assert series.stamp_ns.tolist() == [*STAMPS, STAMPS[-1]]
+    expected = np.vstack([VALUES, [np.nan, np.nan, VALUES[-1, 2]]])
+    expected[LOST[0], NAMES.index(LOST[1])] = np.nan
+    assert series.temperature is not None
+    assert series.temperature.tobytes() == expected.tobytes()
+    assert series.messages == len(usual())
+    with pytest.raises(BagError, match="position, temperature; accepted: temperature alone"):
+        rx.JointSeries("/t", NAMES, series.stamp_ns, series.temperature, temperature=series.temperature)
+
+
+def test_times_of_recording_are_those_of_a_moments_first_message(tmp_path: Path) -> None:
+    """With `record_time` the stamp of a row is when its first message was recorded; rows are by headers."""
+    told = usual()[:9]
+    with Writer(tmp_path / "run", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        warmth = writer.add_connection("/temperatures", TEMPERATURE, typestore=ROS2)
+        for k, (stamp, name, value) in enumerate(told):
+            writer.write(warmth, START + 1000 * k, cdr(stamp, name, value))
+    series = rx.read_bag(tmp_path / "run", record_time=True)["temperatures"]
+    assert series.stamp_ns.tolist() == [START, START + 3000, START + 6000]
+    assert series.temperature is not None
+    assert series.temperature.tobytes() == VALUES[:3].tobytes()
+
+
+def test_temperatures_come_back_from_csv(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exported and imported again, in several blocks, each message is there to the last bit, and compare says same."""
+    monkeypatch.setattr(blocks, "_BLOCK", 10)
+    monkeypatch.setattr(exact, "BLOCK", 5)
+    monkeypatch.setattr(spool, "BLOCK", 4)
+    again = tmp_path / "again"
+    assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
+    assert run("rx90_bag", ["import", str(tmp_path / "out"), str(again)]) == 0
+    said = capsys.readouterr().out
+    assert "left out" not in said
+    table = (tmp_path / "out" / "temperatures.csv").read_text(encoding="utf-8").splitlines()
+    assert len(table) == 1 + len(STAMPS) + 1  # what belongs to a moment is in a row, wherever a block ends
+    assert f"/temperatures: {len(usual())} messages" in said
+    assert f"/temperatures: 3 joints, {len(usual())} messages" in said
+    with AnyReader([again]) as reader:
+        found = [(one.msgtype, stamp, data) for one, stamp, data in reader.messages() if one.topic == "/temperatures"]
+    assert found == [(TEMPERATURE, stamp, cdr(stamp, name, value)) for stamp, name, value in usual()]
+    assert run("rx90_bag", ["compare", str(bag), str(again)]) == 0
+    assert "/temperatures: same, 21 messages compared" in capsys.readouterr().out
+
+
+def test_a_name_that_falls_silent_does_not_keep_a_bag_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Blocks stay short where no row is whole any more, and hold every message once."""
+    monkeypatch.setattr(blocks, "_BLOCK", 10)
+    told = [(stamp, name, 20.0) for k, stamp in enumerate(STAMPS) for name in NAMES if k < 4 or name != "motor_1"]
+    with BagReader(write(tmp_path / "silent", told)) as bag:
+        lengths = [one.messages for one in blocks.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE])]
+    assert max(lengths) <= 2 * 10
+    assert sum(lengths) == len(told)
+
+
+def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:
+    """CSV, Parquet and NPZ have a row for each stamp under names with °C; NPZ under a name that MATLAB takes."""
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    columns = [f"{name} temperature [°C]" for name in NAMES]
+    for suffix in (".csv", ".parquet", ".npz"):
+        export_bag(bag, tmp_path / f"t{suffix}", topics=["temperatures"])
+    lines = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()
+    assert lines[0].split(",") == ["time [s]", *columns]
+    assert lines[3] == "1790000002.000000007,-0.0,5e-324,0.30000000000000004"
+    table = parquet.read_table(tmp_path / "t.parquet")
+    assert table.column_names == ["stamp [ns]", "time [s]", *columns]
+    assert table.schema.field(columns[2]).metadata == {b"unit": "°C".encode(), b"joint": b"motor_1",
+                                                       b"field": b"temperature"}  # fmt: skip
+    with np.load(tmp_path / "t.npz") as arrays:
+        assert arrays["temperatures_names"].tolist() == list(NAMES)
+        assert arrays["temperatures_temperature_C"].tobytes() == np.column_stack(table.columns[2:]).tobytes()
+        assert arrays["temperatures_stamp_ns"].tolist() == [*STAMPS, STAMPS[-1]]
+
+
+def test_temperatures_are_compared(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A temperature that differs is a line with the difference and 1; within --tolerance it is none, and 0."""
+    told = usual()
+    stamp, name, value = told[30]
+    other = write(tmp_path / "other", [*told[:30], (stamp, name, value + 0.25), *told[31:]])
+    assert run("rx90_bag", ["compare", str(bag), str(other)]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith("  1")]
+    assert line.split()[:3] == ["temperature", name, "2.500e-01"]
+    assert line.split()[-3:] == ["°C", "0", "1"]
+    assert run("rx90_bag", ["compare", str(bag), str(other), "--tolerance", "temperatures:temperature=0.3"]) == 0
+
+
+def test_bags_are_not_the_same_in_what_neither_has(bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Fields of which no topic has any are refused with those that are there; one that a topic has is compared."""
+    words = ["compare", str(bag), str(bag), "--topics", "joint_states"]
+    assert run("rx90_bag", [*words, "--fields", "velocity", "temperature"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == "rx90_bag: fields velocity, temperature: no message has any of them; accepted: some of position"
+    assert run("rx90_bag", [*words, "--fields", "position", "temperature"]) == 0
+
+
+def test_a_lost_temperature_differs(bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A message that only one bag has makes the two differ, in the line of the name that it is of."""
+    lost = write(tmp_path / "lost", [one for one in usual() if one[:2] != (STAMPS[9], "motor_1")])
+    assert run("rx90_bag", ["compare", str(bag), str(lost)]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.endswith("1 (1 not finite)")]
+    assert line.split()[:2] == ["temperature", "motor_1"]
+
+
+def test_temperatures_are_drawn(bag: Path) -> None:
+    """A plot has a curve for each name over an axis in °C, without a gap where a message was lost."""
+    (plot,) = plot_bags([bag], topics=["temperatures"])
+    (panel,) = plot.plot.panels
+    assert (panel.y_label, plot.messages) == ("temperature, °C", (len(usual()),))
+    for curve, name in zip(panel.marks, NAMES, strict=True):
+        assert isinstance(curve, Curve)
+        assert curve.label == name
+        assert curve.y.tolist() == [value for _, one, value in usual() if one == name]
+
+
+def test_names_from_outside_are_drawn_in_one_line(tmp_path: Path) -> None:
+    """A curve's name is that of the messages, with control characters written out."""
+    odd = write(tmp_path / "odd", [(STAMPS[0], "a\n\x1b[31m", 20.0), (STAMPS[1], "a\n\x1b[31m", 21.0)])
+    (plot,) = plot_bags([odd], topics=["temperatures"])
+    assert [mark.label for mark in plot.plot.panels[0].marks if isinstance(mark, Curve)] == [r"a\n\x1b[31m"]
+
+
+def test_a_mapping_has_temperatures_in_a_topic_of_their_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`rx90_bag import` makes Temperature messages of any log's columns; beside positions it refuses them."""
+    log, mapping = tmp_path / "log.csv", tmp_path / "log.yaml"
+    log.write_text("0.0,20.5,1.0\n0.5,21.5,2.0\n", encoding="utf-8")
+    text = (
+        "time: {column: 1, unit: s}\ntopics:\n  warmth:\n    names: [gear]\n    temperature: {columns: [2], unit: °C}\n"
+    )
+    mapping.write_text(text, encoding="utf-8")
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert [data for _, _, data in reader.messages()] == [cdr(0, "gear", 20.5), cdr(SECOND // 2, "gear", 21.5)]
+    mapping.write_text(text + "    position: {columns: [3], unit: rad}\n", encoding="utf-8")
+    capsys.readouterr()
+    assert run("rx90_bag", ["import", str(log), str(tmp_path / "none")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "temperature stands beside others; accepted: temperatures in a topic of their own" in line
+
+
+def test_messages_are_those_of_another_serialiser() -> None:
+    """A message has the bytes that rosbags writes, however long the name; what cannot stand in it is refused."""
+    for name in ("", "j", "größe", *("x" * length for length in range(2, 12))):
+        assert temperature_cdr(START, name, 36.6) == cdr(START, name, 36.6)
+    for stamp, name in ((-1, "j"), (2**31 * SECOND, "j"), (0, "a\0b")):
+        with pytest.raises(ExchangeError, match="accepted: "):
+            temperature_cdr(stamp, name, 20.0)
