@@ -1,3 +1,3 @@
 """Ramp tests: run, recorded, identified and reported."""
 
-__all__ = ["job", "ramp", "record"]
+__all__ = ["job", "ramp", "record", "session"]

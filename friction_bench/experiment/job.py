@@ -5,41 +5,35 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-from tqdm import tqdm
 
 from friction_bench.experiment.evaluation import evaluate
 from friction_bench.experiment.planning import plan_from, run_planned
-from friction_bench.experiment.ramp import Readings, run_ramp
+from friction_bench.experiment.ramp import run_ramp
 from friction_bench.experiment.record import INSTANTANEOUS, RampRecord, read_csv, read_text, write_csv
 from friction_bench.experiment.report import result_text, write_estimates, write_html, write_yaml
-from friction_bench.protocol.serial_port import SerialPort
-from friction_bench.rig.client import RigClient, Sample
-from friction_bench.rig.emulated import EmulatedRig, VirtualPort
-from friction_bench.rig.line import Port
-from friction_bench.rig.pty_rig import PtyRig
+from friction_bench.experiment.session import (
+    EMULATED,
+    Session,
+    check_port,
+    check_ranges,
+    measuring,
+    new_measurement,
+    origin_of,
+)
 from friction_bench.rig.rig_file import RampPlan, Rig, load_rig
-from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import (
     DONE,
     VERDICT_NO,
     ConfigError,
-    FailureError,
     IdentificationError,
-    Rx90Error,
-    write_error,
 )
 from rx90_common.base.quoting import one_line, quoted
 from rx90_common.base.share import resolve_config
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.friction_set import refuse_parts
-from rx90_common.process.interrupts import interrupts_later
 
 _LOADS = {"none": (False,), "joint": (True,), "both": (False, True)}
 
@@ -84,24 +78,23 @@ def _check(options: argparse.Namespace, base: FrictionFile) -> None:
         raise ConfigError(f"--element is {quoted(options.element)}; accepted: {known}")
     replaced = {options.element: base.elements[options.element]}
     refuse_parts(replaced, "the element that a ramp test replaces", f"{base.path}: elements.")
-    for name, low, high in (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)):
-        value = getattr(options, name)
-        if value is not None and not low <= value <= high:
-            raise ConfigError(f"--{name} is {value}; accepted: {low} to {high}")
-    if options.text and not (options.no_load_file or options.loaded_file):
+    check_ranges(options, (("seed", 0, 2**31 - 1), ("repeats", 1, 1000), ("baud", 1200, 1_000_000)))
+    check_port(options)
+    if options.no_load_file or options.loaded_file:
+        _check_of_files(options)
+    elif options.text:
         raise ConfigError("--text is given without a file; accepted: with --no-load-file or --loaded-file")
     if options.velocity and options.text != "velocity":
         raise ConfigError(f"--velocity is {options.velocity}; accepted: with --text velocity alone")
 
 
-def new_measurement(out: Path) -> None:
-    """Make the folder, and make sure that files can be written in it: a measurement must not be lost at its end."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=out):
-            pass
-    except OSError as error:
-        raise write_error(out, error) from error
+def _check_of_files(options: argparse.Namespace) -> None:
+    """Refuse options of a measurement with old data, of which nothing is measured."""
+    usual = {"port": EMULATED, "load": "both"}
+    for name in ("port", "slopes", "repeats", "end_torque", "load", "clear", "seed", "real_time"):
+        value = getattr(options, name)
+        if value is not None and value is not False and value != usual.get(name):
+            raise ConfigError(f"--{name.replace('_', '-')} with old data; accepted: with a rig")
 
 
 def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
@@ -122,59 +115,28 @@ def _plan(options: argparse.Namespace, rig: Rig) -> RampPlan:
 
 
 def _measure(options: argparse.Namespace, rig: Rig, plan: RampPlan, out: Path) -> tuple[list[RampRecord], str]:
-    new_measurement(out)
-    try:
-        port, couple, close = open_rig(options, rig)
-    except Rx90Error:
-        out.rmdir()  # nothing was measured, and the next try may take the same name
-        raise
-    readings = Readings(rig)
     records: list[RampRecord] = []
     loads = _LOADS[options.load]
-    total = sum(plan.duration(loaded) for loaded in loads)
-    try:
-        with tqdm(total=round(total, 1), unit="s", desc="ramps", disable=None, bar_format=BAR) as bar:
-            client = RigClient(port, rig)
-            client.connect()
-            if options.clear:
-                client.clear()
-
-            for loaded in loads:
-                couple(loaded, client)
-                try:
-                    _run_load(client, options, plan, loaded, (out, readings, records, bar))
-                except IdentificationError as error:  # what was measured before stands, and is evaluated
-                    bar.write(f"{error}; no more ramps", sys.stderr)
-                    break
-    finally:
-        with interrupts_later():  # a second Ctrl-C does not cost the readings
-            port.close()
-            close()
-            if readings.samples:
-                write_joint_states(out / "bag", readings.series())
-            elif not records:
-                out.rmdir()  # nothing was measured, and the next try may take the same name
-    kind = "emulated rig" if options.port == "emulated" else f"rig at {options.port}"
-    return records, f"{len(records)} ramps on the {kind}"
+    with measuring(options, rig, out, sum(plan.duration(loaded) for loaded in loads), "ramps") as session:
+        for loaded in loads:
+            session.couple(loaded, session.client)
+            try:
+                _run_load(session, options, plan, loaded, (out, records))
+            except IdentificationError as error:  # what was measured before stands, and is evaluated
+                session.bar.write(f"{error}; no more ramps", sys.stderr)
+                break
+    return records, f"{len(records)} ramps on the {origin_of(options)}"
 
 
 def _run_load(
-    client: RigClient,
-    options: argparse.Namespace,
-    plan: RampPlan,
-    loaded: bool,
-    kept: tuple[Path, Readings, list[RampRecord], Any],
+    session: Session, options: argparse.Namespace, plan: RampPlan, loaded: bool, kept: tuple[Path, list[RampRecord]]
 ) -> None:
-    """Run the ramps under one load; `kept` is folder, readings, records and bar."""
-    out, readings, records, bar = kept
+    """Run the ramps under one load; `kept` is folder and records."""
+    client, bar, (out, records) = session.client, session.bar, kept
 
     def one(slope: float, label: str) -> RampRecord:
-        def keep(sample: Sample) -> None:
-            readings.samples.append(sample)
-            bar.update(client.rig.tick)
-
         bar.set_postfix_str(label, refresh=False)
-        record = run_ramp(client, slope, plan.end(loaded), loaded, label, keep)
+        record = run_ramp(client, slope, plan.end(loaded), loaded, label, session.keep)
         records.append(record)
         write_csv(record, out / f"ramp_{len(records):02d}.csv")
         return record
@@ -194,34 +156,6 @@ def _run_load(
         return chosen
 
     run_planned(one, plan, loaded, choose)
-
-
-BAR = "{desc} {bar} {n:.0f}/{total:.0f} s [{elapsed}<{remaining}{postfix}]"
-
-
-def open_rig(
-    options: argparse.Namespace, rig: Rig
-) -> tuple[Port, Callable[[bool, RigClient], None], Callable[[], None]]:
-    """Return the port, what couples the joint, and what ends an emulated rig."""
-    if options.port != "emulated":
-        port: Port = SerialPort(options.port, options.baud or rig.baud)
-        # With --load none or joint the joint is as the option says, and nobody need be there.
-        return port, _ask if options.load == "both" else lambda *_: None, lambda: None
-    emulated = EmulatedRig(rig, options.seed)
-    if not options.real_time:
-        return VirtualPort(emulated), lambda loaded, _: emulated.plant.load(loaded), lambda: None
-    pty_rig = PtyRig(emulated)
-    return SerialPort(pty_rig.path, rig.baud), lambda loaded, _: pty_rig.load(loaded), pty_rig.close
-
-
-def _ask(loaded: bool, client: RigClient) -> None:
-    """Let the person at the rig couple the joint or take it off; the rig is disarmed meanwhile."""
-    print(f"{'Couple' if loaded else 'Take off'} the revolute joint, then press Enter.", file=sys.stderr)
-    try:
-        input()
-    except EOFError:
-        raise FailureError("nobody there to couple the joint; use --load none or --load joint") from None
-    client.connect()
 
 
 def _read(options: argparse.Namespace, rig: Rig) -> list[RampRecord]:

@@ -10,6 +10,7 @@ from friction_bench.presliding.break_away import break_away_code
 from friction_bench.presliding.choice import fits
 from friction_bench.presliding.follow import Law
 from friction_bench.presliding.trace import Trace
+from rx90_common.base.errors import IdentificationError
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,13 @@ class Campaign:
         return fits() if self.of("loops") and self.of("sweep") else 0
 
     def break_away_code(self, slid: float) -> float:
-        """Return the code at which the joint breaks away on the slowest ramps."""
-        ramps = self.of("ramps")
+        """Return the code at which the joint breaks away on the slowest of the ramps on which it does.
+
+        Raises:
+            IdentificationError: if there are none.
+        """
+        ramps = [(run, trace) for run, trace in self.of("ramps") if trace.counts.max() >= slid]
+        if not ramps:
+            raise IdentificationError("the joint breaks away on no ramp")
         slowest = min(run.rate for run, _ in ramps)
         return float(np.median([break_away_code(trace, slid) for run, trace in ramps if run.rate == slowest]))

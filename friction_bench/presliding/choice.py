@@ -2,14 +2,15 @@
 
 Each law is fitted to all blocks but some and predicts those: blocks begin with a slide, so that no reading shares
 noise or memory with one of another block. Squared errors of the blocks are compared in pairs: a law is refuted where
-another predicts better, in loops or in sliding, by more than chance gives (t-test over the blocks, one-sided, p < P)
-and by more than SHARE. Of laws that contain a simpler one which is not refuted the simpler one is kept.
+another predicts better by more than chance gives (t-test over the blocks, one-sided, p < P) and by more than SHARE, be
+it in sliding, or, among the laws that sliding leaves, in loops. Of laws that contain a simpler one which is not refuted
+the simpler one is kept.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -123,11 +124,11 @@ def choose(
         values = fit_law(law, sliding[law.stribeck], blocks)
         scores.append(LawScore(law, errors, held_out[law.stribeck], tuple(values), ""))
         on_fit()
-    judged = _judged(scores)
-    left = _simplest([score.law for score in judged if not score.refuted])
+    verdicts = judged(scores)
+    left = _simplest([score.law for score in verdicts if not score.refuted])
     told = _by_drift(left, drift)
     return Choice(
-        scores=tuple(judged),
+        scores=tuple(verdicts),
         law=told[0] if len(told) == 1 else None,
         left=tuple(law.name for law in told),
         by_loops=tuple(law.name for law in left),
@@ -144,7 +145,8 @@ def fit_law(law: FrictionLaw, sliding: SlidingFriction, blocks: Sequence[LoopBlo
     """Return the free values of a law, transformed, that predict the torques of blocks best."""
 
     def misfit(values: Array) -> Array:
-        rows = [law.predict(values.tolist(), sliding, block) - block.torque for block in blocks]
+        found = law.predictions(values.tolist(), sliding, blocks)
+        rows = [torque - block.torque for torque, block in zip(found, blocks, strict=True)]
         return np.concatenate(rows) if rows else np.empty(0)
 
     tries = [start for start in law.start(_stiffness(blocks)) if start]
@@ -187,19 +189,19 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _judged(scores: Sequence[LawScore]) -> list[LawScore]:
-    judged = []
+def judged(scores: Sequence[LawScore]) -> list[LawScore]:
+    """Return the scores with what refutes them.
+
+    In loops the laws that sliding leaves are compared. Where the encoder sees no presliding, loops are counts of creep:
+    whatever predicts least torque there is nearest, be its sliding ever so wrong.
+    """
+    standing = [score for score in scores if _better(score, scores, "sliding") is None]
+    verdicts = []
     for score in scores:
-        reasons = [
-            f"{name}: {best.law.name} predicts better"
-            for name, best in (
-                ("loops", _better(score, scores, "loops")),
-                ("sliding", _better(score, scores, "sliding")),
-            )
-            if best is not None
-        ]
-        judged.append(LawScore(score.law, score.loops, score.sliding, score.values, "; ".join(reasons)))
-    return judged
+        rivals = {"loops": _better(score, standing, "loops"), "sliding": _better(score, scores, "sliding")}
+        reasons = [f"{name}: {best.law.name} predicts better" for name, best in rivals.items() if best is not None]
+        verdicts.append(replace(score, refuted="; ".join(reasons)))
+    return verdicts
 
 
 def _better(score: LawScore, scores: Sequence[LawScore], kind: str) -> LawScore | None:

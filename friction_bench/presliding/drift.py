@@ -72,6 +72,12 @@ class DriftResult:
     verdict: DriftVerdict
     reason: str
 
+    @property
+    def by_lugre(self) -> tuple[float, float] | None:
+        """Return the drift of a cycle by LuGre's law, counts, least and largest; None where no swing is seen."""
+        swing = self.swing[0]
+        return (self.expected[0] * swing, self.expected[1] * swing) if swing > 0.0 else None
+
 
 def turning_codes(break_away: float) -> tuple[int, int]:
     """Return the codes between which small cycles go, for a break-away code."""

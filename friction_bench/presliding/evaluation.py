@@ -32,14 +32,14 @@ class PreslidingResult:
     Attributes:
         step: of the encoder at the joint, rad.
         code: of the torque at the joint, Nm.
-        deflection: of the joint up to break-away, rad, on the slowest ramps.
+        deflection: of the joint up to break-away, rad, on the slowest ramps; None if it does not break away.
         failures: why a part that was run carries nothing, one line each.
     """
 
     origin: str
     step: float
     code: float
-    deflection: float
+    deflection: float | None
     break_away: BreakAway | None
     sliding: SlidingFriction | None
     readings: SlidingReadings | None
@@ -50,9 +50,9 @@ class PreslidingResult:
     failures: tuple[str, ...]
 
     @property
-    def deflection_counts(self) -> float:
-        """Return the deflection up to break-away in counts."""
-        return self.deflection / self.step
+    def deflection_counts(self) -> float | None:
+        """Return the deflection up to break-away in counts, None if the joint does not break away."""
+        return None if self.deflection is None else self.deflection / self.step
 
 
 _Part = TypeVar("_Part")
@@ -83,7 +83,7 @@ def evaluate(campaign: Campaign, rig: Rig, on_fit: Callable[[], object] = lambda
         origin=campaign.origin,
         step=rig.joint_step,
         code=rig.torque(1) * rig.joint_scale,
-        deflection=_deflection(campaign, rig, slid) if ramps else float("nan"),
+        deflection=_deflection(campaign, rig, slid) if ramps else None,
         break_away=broken,
         sliding=sliding,
         readings=readings,

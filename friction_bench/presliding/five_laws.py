@@ -9,7 +9,7 @@ torque: where a step of torque moves the joint by a count, it predicts the slidi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from friction_bench.presliding.laws import DWELL
 from friction_bench.presliding.sliding import SlidingFriction
 from friction_bench.presliding.trace import Trace
-from friction_bench.rig.joint_parts import RigJoint, friction_over, joint_record
+from friction_bench.rig.joint_parts import RigJoint, friction_over, joint_record, start
 from rx90_common.base.arrays import Array
 from rx90_common.friction.element import FrictionElement
-from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.friction.parts.bristles import MOST_BREAK_AWAY, BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_common.kernels.compiled import kernel
 
 
@@ -97,10 +97,19 @@ class FrictionLaw:
 
     def predict(self, values: Sequence[float], sliding: SlidingFriction, block: LoopBlock) -> Array:
         """Return the torque at each of the block's readings, Nm, shape (k,)."""
+        return next(self.predictions(values, sliding, [block]))
+
+    def predictions(
+        self, values: Sequence[float], sliding: SlidingFriction, blocks: Sequence[LoopBlock]
+    ) -> Iterator[Array]:
+        """Yield the torque at each of the readings of one block after the other, which have the same tick, Nm."""
         if self.bristles is None:
-            return _rigid(sliding.tau_s if self.stribeck else sliding.tau_c, block)
-        joint = joint_record(self.element(values, sliding), 1.0, block.tick, 0)
-        return np.asarray(torque_along(joint, block.angle, block.tick)[block.readings])
+            yield from (_rigid(sliding.tau_s if self.stribeck else sliding.tau_c, block) for block in blocks)
+        elif blocks:
+            joint = joint_record(self.element(values, sliding), 1.0, blocks[0].tick, 0)
+            for block in blocks:
+                start(joint)
+                yield np.asarray(torque_along(joint, block.angle, block.tick)[block.readings])
 
     def element(self, values: Sequence[float], sliding: SlidingFriction) -> FrictionElement:
         """Return the friction element of a law with bristles."""
@@ -142,7 +151,7 @@ def _maxwell_starts(c0: float) -> list[list[float]]:
 
 
 def _elastic(values: Sequence[float]) -> tuple[float, ElastoPlastic]:
-    return math.exp(values[0]), ElastoPlastic(0.9 / (1.0 + math.exp(-values[1])))
+    return math.exp(values[0]), ElastoPlastic(MOST_BREAK_AWAY / (1.0 + math.exp(-values[1])))
 
 
 COULOMB = FrictionLaw("Coulomb and viscous", 2, False, lambda _: [[]], None)

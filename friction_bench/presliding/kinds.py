@@ -2,3 +2,7 @@
 
 KINDS = ("loops", "sweep", "stick_slip", "drift")
 """In the order in which they are run after the ramps."""
+USUAL_BLOCKS = 10
+"""Of loops."""
+USUAL_CYCLES = 10_000
+"""Small ones, of the drift."""

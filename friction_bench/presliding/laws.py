@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from friction_bench.presliding.follow import Law
 from friction_bench.rig.client import Sample
+from rx90_common.base.errors import IdentificationError
 
 DWELL = 4
 """Ticks for which a torque is held in loops: the joint has come to rest at their end."""
@@ -20,12 +21,27 @@ _SLIDE = 8e-3
 """How far the joint slides before an experiment, rad: beyond any presliding, so that it forgets what was before."""
 
 
-def slide_once(start: int, counts: float) -> Law:
-    """Raise the torque from `start` by a code a tick until the joint has moved by so many counts; then take it away."""
+def _higher(code: int, limit: int) -> int:
+    """Return the next code for a joint that does not move yet.
+
+    Raises:
+        IdentificationError: if there is none: the joint broke away before, and does not any more.
+    """
+    if code >= limit:
+        raise IdentificationError(f"the joint sticks at the highest code, {limit}, though it slid on the ramps")
+    return code + 1
+
+
+def slide_once(start: int, counts: float, limit: int) -> Law:
+    """Raise the torque from `start` by a code a tick until the joint has moved by so many counts; then take it away.
+
+    Raises:
+        IdentificationError: if it has not at `limit`.
+    """
     code = start
     first = yield code
     while (yield code).counts - first.counts < counts:
-        code += 1
+        code = _higher(code, limit)
     for _ in range(_STILL):
         yield 0
 
@@ -33,10 +49,11 @@ def slide_once(start: int, counts: float) -> Law:
 def ramp(rate: float, counts: float, limit: int) -> Law:
     """Raise the torque by `rate` codes a tick until the joint has moved by so many counts, or up to `limit`."""
     first = yield 0
-    ticks = 0
-    while round(ticks * rate) < limit:
+    ticks = code = 0
+    while code < limit:
         ticks += 1
-        if (yield round(ticks * rate)).counts - first.counts >= counts:
+        code = min(round(ticks * rate), limit)
+        if (yield code).counts - first.counts >= counts:
             break
     for _ in range(_STILL):
         yield 0
@@ -47,9 +64,9 @@ def slide_counts(step: float) -> float:
     return _SLIDE / step
 
 
-def loops(start: int, counts: float, levels: Sequence[int], stride: int) -> Law:
+def loops(start: int, counts: float, limit: int, levels: Sequence[int], stride: int) -> Law:
     """Slide once, then go from level to level in strides of so many codes, each held for DWELL ticks."""
-    yield from slide_once(start, counts)
+    yield from slide_once(start, counts, limit)
     code = 0
     for level in levels:
         while code != level:
@@ -58,9 +75,9 @@ def loops(start: int, counts: float, levels: Sequence[int], stride: int) -> Law:
                 yield code
 
 
-def cycles(start: int, counts: float, low: int, high: int, half: int, number: int) -> Law:
+def cycles(start: int, counts: float, limit: int, low: int, high: int, half: int, number: int) -> Law:
     """Slide once, go up to `low`, then change between `high` and `low`, each for `half` ticks, so many times."""
-    yield from slide_once(start, counts)
+    yield from slide_once(start, counts, limit)
     yield from _staircase(0, low)
     for _ in range(number):
         for code in (high, low):
@@ -99,6 +116,9 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
         gain: proportional gain, codes for a count per tick; the integral's time is INTEGRAL.
         limit: the highest code.
         tick: s.
+
+    Raises:
+        IdentificationError: if the joint does not move at `limit`.
     """
     rounding = Rounding(limit)
     code = start
@@ -107,7 +127,7 @@ def speeds(start: int, wanted: Sequence[float], ticks: int, gain: float, limit: 
         before, sample = sample, (yield code)
         if sample.counts - before.counts >= wanted[0]:
             break
-        code = min(code + 1, limit)
+        code = _higher(code, limit)
     integral = float(code)
     for speed in wanted:
         for _ in range(ticks):

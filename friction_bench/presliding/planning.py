@@ -12,6 +12,7 @@ from friction_bench.presliding.break_away import RATES, REPEATS, break_away_code
 from friction_bench.presliding.campaign import Campaign, Run
 from friction_bench.presliding.drift import HALF, turning_codes
 from friction_bench.rig.rig_file import Rig
+from rx90_common.base.errors import IdentificationError
 
 SPEEDS = np.array([0.02, 0.035, 0.06, 0.1, 0.16, 0.24, 0.34, 0.45])
 """Of the sweep, in parts of the fastest that the rig allows."""
@@ -85,7 +86,7 @@ def runs(plan: CampaignPlan, campaign: Campaign, limit: int) -> Iterator[Run]:
         limit: the highest code that the firmware accepts.
 
     Raises:
-        IdentificationError: if the joint does not break away.
+        IdentificationError: if the joint does not break away, or so early that codes are too coarse for small cycles.
     """
     for rate in RATES:
         for repeat in range(REPEATS):
@@ -96,22 +97,26 @@ def runs(plan: CampaignPlan, campaign: Campaign, limit: int) -> Iterator[Run]:
     start = int(_START * slow)
     for kind in plan.kinds:
         if kind == "loops":
-            yield from _loops(plan, slow, start)
+            yield from _loops(plan, slow, start, limit)
         elif kind == "sweep":
             yield _sweep(plan, start, limit)
         elif kind == "stick_slip":
             yield from _pulls(plan, slow, limit)
         elif kind == "drift":
             low, high = turning_codes(slow)
-            law = laws.cycles(start, plan.slide, low, high, HALF, plan.cycles)
+            if high <= low:
+                raise IdentificationError(
+                    f"drift: the joint breaks away at code {slow:g}, which leaves no codes for small cycles below it"
+                )
+            law = laws.cycles(start, plan.slide, limit, low, high, HALF, plan.cycles)
             yield Run("drift", "drift", law)
 
 
-def _loops(plan: CampaignPlan, break_away: float, start: int) -> Iterator[Run]:
+def _loops(plan: CampaignPlan, break_away: float, start: int, limit: int) -> Iterator[Run]:
     stride = max(1, round(break_away / _STRIDES))
     for block in range(plan.blocks):
         levels = laws.loop_levels(int(break_away), block)
-        yield Run("loops", f"loops, block {block + 1}", laws.loops(start, plan.slide, levels, stride))
+        yield Run("loops", f"loops, block {block + 1}", laws.loops(start, plan.slide, limit, levels, stride))
 
 
 def _counts_per_tick(plan: CampaignPlan, speed: float) -> float:

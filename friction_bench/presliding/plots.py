@@ -85,8 +85,7 @@ def pulls_plot(result: PreslidingResult) -> Plot:
             for one in stiffness
         ]
         marks.append(Curve(np.array(least), stiffness, "steady sliding is stable from here", INK, 1.0))
-    map_panel = Panel(marks, "", "speed, rad/s", "stiffness, Nm/rad", y_scale="log")
-    return Plot([map_panel], height=2.8)
+    return Plot([Panel(marks, "", "speed, rad/s", "stiffness, Nm/rad")], height=2.8)
 
 
 def turning_speed(friction: SlidingFriction) -> float | None:
@@ -99,11 +98,11 @@ def turning_speed(friction: SlidingFriction) -> float | None:
 
 def drift_plot(drift: DriftResult) -> Plot:
     """Show where the joint stands after each small cycle, and where LuGre's law would have it."""
-    least, largest = (ratio * drift.swing[0] * drift.cycles for ratio in drift.expected)
     position: Array = drift.position - drift.position[0]
-    marks: list[Mark] = [
-        Curve(drift.cycles, least, "LuGre's law, least", GREY, 1.0, "dashed"),
-        Curve(drift.cycles, largest, "LuGre's law, largest", GREY, 1.0, "dotted"),
-        Curve(drift.cycles, position, "measured", COLOURS[1], 1.2),
-    ]
+    marks: list[Mark] = []
+    if drift.by_lugre is not None:
+        least, largest = (counts * drift.cycles for counts in drift.by_lugre)
+        marks.append(Curve(drift.cycles, least, "LuGre's law, least", GREY, 1.0, "dashed"))
+        marks.append(Curve(drift.cycles, largest, "LuGre's law, largest", GREY, 1.0, "dotted"))
+    marks.append(Curve(drift.cycles, position, "measured", COLOURS[1], 1.2))
     return Plot([Panel(marks, "", "small cycle", "drift, counts")], height=2.8)

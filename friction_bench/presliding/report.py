@@ -25,11 +25,12 @@ SEEN = 5.0
 
 def resolution_text(result: PreslidingResult) -> str:
     """Return in words what encoder and converter resolve of this joint's presliding."""
+    steps = f"a count is {1e6 * result.step:.1f} urad and a code {1e3 * result.code:.1f} mNm at the joint"
+    if result.deflection is None or result.deflection_counts is None:
+        return f"{steps}; it has not broken away"
     seen = "" if result.deflection_counts >= SEEN else ": too few to see loops"
-    return (
-        f"a count is {1e6 * result.step:.1f} urad and a code {1e3 * result.code:.1f} mNm at the joint; it bends by "
-        f"{1e6 * result.deflection:.0f} urad, {result.deflection_counts:.1f} counts, up to break-away{seen}"
-    )
+    bends = f"{1e6 * result.deflection:.0f} urad, {result.deflection_counts:.1f} counts"
+    return f"{steps}; it bends by {bends}, up to break-away{seen}"
 
 
 def result_text(result: PreslidingResult) -> str:
@@ -66,11 +67,11 @@ def drift_text(result: PreslidingResult) -> str:
     drift = result.drift
     assert drift is not None
     mean, least, largest = drift.drift
-    low, high = (ratio * drift.swing[0] for ratio in drift.expected)
-    return (
-        f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], LuGre's law {low:.3g} to {high:.3g}, swing "
-        f"{drift.swing[0]:.3g}: {drift.verdict.value} ({drift.reason})"
-    )
+    law = "no swing is seen"
+    if drift.by_lugre is not None:
+        low, high = drift.by_lugre
+        law = f"LuGre's law {low:.3g} to {high:.3g}, swing {drift.swing[0]:.3g}"
+    return f"{mean:.3g} counts a cycle [{least:.3g}, {largest:.3g}], {law}: {drift.verdict.value} ({drift.reason})"
 
 
 def write_html(path: Path, result: PreslidingResult, rig: Rig) -> None:
@@ -111,8 +112,10 @@ def write_estimates(path: Path, result: PreslidingResult, rig: Rig) -> None:
     """
     document: dict[str, Any] = {
         "rig": rig.file.name,
-        "resolution": {"count_rad": result.step, "code_nm": result.code, "presliding_counts": result.deflection_counts},
+        "resolution": {"count_rad": result.step, "code_nm": result.code},
     }
+    if result.deflection_counts is not None:
+        document["resolution"]["presliding_counts"] = result.deflection_counts
     if result.break_away is not None:
         rates, means, errors = result.break_away.by_rate()
         document["break_away"] = [

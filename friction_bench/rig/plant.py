@@ -112,13 +112,16 @@ class RigPlant:
     ) -> None:
         self.parameters = parameters
         self._counts_down = counts_down
+        self._element: NDArray[np.void] | None = None
         self._joint: RigJoint | None = None
+        joint = parameters.joint
+        if isinstance(joint, FrictionElement):
+            if joint.parts:
+                self._joint = joint_record(joint, parameters.gear_ratio, PART_PERIOD, seed)
+            else:
+                self._element = element_arrays((joint,))
         self.angle = self.torque = 0.0
         self.load(False)
-        joint = parameters.joint
-        self._element = element_arrays((joint,)) if isinstance(joint, FrictionElement) else None
-        if isinstance(joint, FrictionElement) and joint.parts:
-            self._joint = joint_record(joint, parameters.gear_ratio, PART_PERIOD, seed)
         self._rng = np.random.default_rng(seed)
         self._scale = counts_per_revolution / math.tau
         self._phase = self._rng.random()

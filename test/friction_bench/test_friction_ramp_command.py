@@ -14,6 +14,7 @@ import yaml
 from schema_faults import schema_faults
 
 from friction_bench.experiment import job as ramp_job
+from friction_bench.experiment import session
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.plant import JointFriction
@@ -106,10 +107,10 @@ def test_recorded_ramps_evaluate_to_the_same(measured: Path, tmp_path: Path) -> 
         (["--repeats", "1001"], "--repeats is 1001; accepted: 1 to 1000"),
         (["--seed", "-1"], "--seed is -1; accepted: 0 to"),
         (["--baud", "0"], "--baud is 0; accepted: 1200 to 1000000"),
-        (["--slopes", "nan"], "slope nan Nm/s; accepted"),
+        (["--slopes", "nan"], "argument --slopes: 'nan'; accepted: a finite number"),
         (["--slopes", "0.1", "0.05", "0.1"], "--slopes has 0.1 twice; accepted: each slope once"),
-        (["--slopes", "inf", "0.1"], "slope inf Nm/s; accepted"),
-        (["--end-torque", "nan"], "--end-torque is nan"),
+        (["--slopes", "inf", "0.1"], "argument --slopes: 'inf'; accepted: a finite number"),
+        (["--end-torque", "nan"], "argument --end-torque: 'nan'; accepted: a finite number"),
         (["--end-torque", "0.19"], "end torque 0.19 Nm; accepted by the firmware: 0.00078 to 0.18 Nm"),
         (["--text", "counts"], "--text is given without a file"),
         (["--port", "nonsense://x"], "nonsense://x: cannot be opened"),
@@ -147,7 +148,7 @@ def test_existing_folder_is_refused_before_the_rig_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Whatever a folder holds, for ramps and for files: exit code 2, no rig is opened, its files are as they were."""
-    monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: pytest.fail("the rig was opened"))
+    monkeypatch.setattr(session, "EmulatedRig", lambda *_: pytest.fail("the rig was opened"))
     (tmp_path / "report.html").write_text("mine")
     csv = tmp_path / "old.csv"
     csv.write_text("time,counts\n0,1\n")
@@ -214,7 +215,7 @@ def test_rig_at_a_port_asks_for_the_joint_only_where_both_loads_are_run(
 ) -> None:
     """With --load none nobody need be there; with both loads an empty input is a clear refusal."""
     emulated = EmulatedRig(rig, 1)
-    monkeypatch.setattr(ramp_job, "SerialPort", lambda *_: VirtualPort(emulated))
+    monkeypatch.setattr(session, "SerialPort", lambda *_: VirtualPort(emulated))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--load", "none", "--output", str(tmp_path / "a")]) == 0
     assert run("friction_ramp", [*QUICK, "--port", "somewhere", "--output", str(tmp_path / "b")]) == 3
@@ -230,7 +231,7 @@ def test_latched_fault_is_named_and_cleared_by_option(
     client.connect()
     client.arm()
     emulated.advance(0.3)  # nobody pumps: as after kill -9
-    monkeypatch.setattr(ramp_job, "EmulatedRig", lambda *_: emulated)
+    monkeypatch.setattr(session, "EmulatedRig", lambda *_: emulated)
     assert run("friction_ramp", [*QUICK, "--load", "none", "--output", str(tmp_path / "a")]) == 3
     assert "the host was silent for more than 120 ms; find out why, then clear it" in capsys.readouterr().err
     assert run("friction_ramp", [*QUICK, "--load", "none", "--clear", "--output", str(tmp_path / "b")]) == 0

@@ -16,10 +16,12 @@ import yaml
 from scipy.integrate import solve_ivp
 
 from friction_bench.presliding import job
-from friction_bench.presliding.follow import follow
+from friction_bench.presliding.follow import Law, follow
 from friction_bench.presliding.laws import pulled
 from friction_bench.presliding.stick_slip import SteadySliding, pulled_joint
-from friction_bench.rig.client import RigClient
+from friction_bench.presliding.trace import Trace
+from friction_bench.protocol.errors import RigLostError
+from friction_bench.rig.client import RigClient, Sample
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.rig_file import load_rig
 from rx90_common.base.share import PRESLIDING_RIG, config_path
@@ -88,7 +90,9 @@ def _largest_friction(rate: float) -> float:
         z_dot = v - abs(v) * 4e3 / steady * z
         return [v, (1.5 + rate * time - 4e3 * z - 50.0 * math.exp(-((v / 0.05) ** 2)) * z_dot - v) / 0.4, z_dot]
 
-    slid = lambda _time, state: state[0] - 8e-3  # noqa: E731 - an event of SciPy's
+    def slid(_time: float, state: list[float]) -> float:
+        return state[0] - 8e-3
+
     slid.terminal = True  # type: ignore[attr-defined]
     start = [0.0, rate / 4e3, 1.5 / 4e3]
     solved = solve_ivp(motion, (0.0, 60.0), start, "LSODA", events=slid, rtol=1e-7, atol=1e-10, max_step=0.05)
@@ -136,7 +140,7 @@ def test_steady_sliding_is_unstable_where_the_sampled_spring_says_so(tmp_path: P
     ("words", "text"),
     [
         (["--rig", "rig/gm8224_lugre.yaml"], "counts_down is false"),
-        (["--cycles", "5"], "--cycles is 5; accepted: 100 to 1000000"),
+        (["--cycles", "5"], "--cycles is 5; accepted: 100 to 100000"),
         (["--blocks", "2"], "--blocks is 2; accepted: 6 to 100"),
     ],
 )
@@ -151,21 +155,74 @@ def test_what_cannot_be_measured_is_refused(
     assert not (tmp_path / "run").exists()
 
 
-def test_an_interrupted_measurement_keeps_what_it_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After Ctrl-C the rig is off, and the folder holds the finished experiments and the bag."""
-    calls: list[RigClient] = []
+@pytest.mark.parametrize(
+    ("ends", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "friction_presliding: interrupted; the rig is switched off"),
+        (RigLostError("/dev/rig: lost while reading"), 3, "friction_presliding: /dev/rig: lost while reading"),
+    ],
+)
+def test_a_measurement_that_ends_early_keeps_all_readings(
+    ends: BaseException,
+    code: int,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """After Ctrl-C or a lost line the rig is off; what was measured is kept and evaluated, the drift so far, too."""
+    clients: list[RigClient] = []
 
-    def follow_twice(client: RigClient, *rest: object) -> object:
-        calls.append(client)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return follow(client, *rest)  # type: ignore[arg-type]
+    def follow_some(client: RigClient, law: Law, label: str, keep: Callable[[Sample], None]) -> Trace:
+        clients.append(client)
 
-    monkeypatch.setattr(job, "follow", follow_twice)
+        def some(sample: Sample) -> None:
+            keep(sample)
+            drift.append(sample)
+            if len(drift) == 900:
+                raise ends
+
+        drift: list[Sample] = []
+        return follow(client, law, label, some if label == "drift" else keep)
+
+    monkeypatch.setattr(job, "follow", follow_some)
     monkeypatch.setattr("friction_bench.presliding.planning.RATES", (6.0,))
-    assert run("friction_presliding", [*QUICK, "--output", str(tmp_path / "run")]) == 130
-    assert len(list((tmp_path / "run").glob("*.csv"))) == 2
-    assert (tmp_path / "run" / "bag").is_dir()
-    port = calls[0].port
+    words = ["--kinds", "drift", "--cycles", "300", "--output", str(tmp_path / "run")]
+    assert run("friction_presliding", words) == code
+    assert capsys.readouterr().err.splitlines()[-1] == line
+    out = tmp_path / "run"
+    names = sorted(path.name.split("_", 1)[1] for path in out.glob("*.csv"))
+    assert names == ["drift_unfinished.csv", "ramp.csv", "ramp.csv", "ramp.csv"]
+    assert len((out / "004_drift_unfinished.csv").read_text().splitlines()) == 2 + 900
+    assert (out / "bag").is_dir()
+    assert (out / "report.html").is_file()
+    assert yaml.safe_load((out / "estimates.yaml").read_text())["drift"]["verdict"] == "LuGre"
+    port = clients[0].port
     assert isinstance(port, VirtualPort)
+    port.emulated.advance(0.04)  # for the stop to arrive; the watchdog waits for 120 ms
     assert not port.emulated.board.stage_on
+
+
+@pytest.mark.parametrize(
+    ("torques", "rate", "reason", "shown"),
+    [
+        ("tau_c: 20.0, tau_s: 25.0", 6.0, "no break-away up to 5.4 Nm", "it has not broken away"),
+        ("tau_c: 0.02, tau_s: 0.02", 0.1, "leaves no codes for small cycles", "it bends by"),
+    ],
+)
+def test_a_joint_beyond_the_rigs_codes_gets_a_report_that_says_so(
+    torques: str, rate: float, reason: str, shown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the motor cannot break the joint away, or a code does, page and estimates say so; the exit code is 1."""
+    monkeypatch.setattr("friction_bench.presliding.planning.RATES", (rate,))
+    file, out = rig_file(tmp_path, "LuGre"), tmp_path / "run"
+    text = file.read_text()
+    assert text.count("tau_c: 2.0, tau_s: 2.5") == 1
+    file.write_text(text.replace("tau_c: 2.0, tau_s: 2.5", torques))
+    assert run("friction_presliding", ["--rig", str(file), "--kinds", "drift", "--output", str(out)]) == 1
+    found = yaml.safe_load((out / "estimates.yaml").read_text())
+    assert reason in found["not_used"][0]
+    assert ("presliding_counts" in found["resolution"]) is (shown == "it bends by")
+    page = (out / "report.html").read_text()
+    assert reason in page
+    assert shown in page

@@ -10,24 +10,38 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from friction_bench.presliding import choice, laws
+from friction_bench.presliding.campaign import Campaign, Run
+from friction_bench.presliding.choice import LawScore, choose, fit_law, judged
 from friction_bench.presliding.drift import DriftVerdict, evaluate_drift, lugre_ratio
-from friction_bench.presliding.five_laws import MAXWELL_SLIP, LoopBlock, settled, torque_along
+from friction_bench.presliding.five_laws import COULOMB as COULOMB_LAW
+from friction_bench.presliding.five_laws import ELASTO_PLASTIC, LUGRE, MAXWELL_SLIP, LoopBlock, settled, torque_along
+from friction_bench.presliding.five_laws import STRIBECK as STRIBECK_LAW
+from friction_bench.presliding.follow import follow
+from friction_bench.presliding.plots import drift_plot
 from friction_bench.presliding.sliding import SlidingFriction, SlidingReadings, fit_sliding_friction
 from friction_bench.presliding.stick_slip import SteadySliding
 from friction_bench.presliding.trace import Trace
 from friction_bench.protocol.codec import Frame, FrameDecoder, encode
-from friction_bench.protocol.messages import Command, Fault, limits_payload, parse_report
+from friction_bench.protocol.messages import Answer, Command, Fault, limits_payload, parse_report
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.emulated import EmulatedRig, VirtualPort
 from friction_bench.rig.joint_parts import joint_record
 from friction_bench.rig.native import NativeBoard, native_library
 from friction_bench.rig.plant import RigPlant
 from friction_bench.rig.rig_file import Rig, load_rig
 from rx90_common.base.arrays import Array
+from rx90_common.base.errors import IdentificationError
 from rx90_common.base.share import PRESLIDING_RIG, config_path
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
+from rx90_common.report.plot import Curve
 
 C0, COULOMB, STATIC, STRIBECK = 4e3, 2.0, 2.5, 0.1
 ELEMENT = FrictionElement(COULOMB, COULOMB, STATIC, STATIC, STRIBECK, 1.0, C0, 50.0, 1.0, 0.05)
+
+STILL = parse_report(Frame(Answer.REPORT, 1, bytes(12)))
+assert STILL is not None
 
 
 @pytest.fixture(scope="module")
@@ -139,12 +153,13 @@ def test_drift_over_swing_of_lugre_is_that_of_its_equations() -> None:
         assert lugre_ratio(low, high) == pytest.approx((up - down) / down, rel=1e-7)
 
 
-def _cycled(drift: float, swing: float, phase: float, cycles: int = 2000) -> Trace:
-    """Return a trace of small cycles between codes 5 and 25 with such a drift and swing in counts."""
+def _cycled(drift: float, swing: float, phase: float | Array, cycles: int = 2000) -> Trace:
+    """Return a trace of small cycles between codes 5 and 25 with such a drift and swing in counts; phases by cycle."""
     code = np.concatenate(([0.0], np.tile([25.0, 25.0, 5.0, 5.0], cycles), [25.0, 25.0]))
     code[0] = 5.0
     number = (np.arange(code.size) + 1) // 4
-    counts = np.floor(number * drift + (swing + drift) * (code == 25.0) + phase)
+    place = np.resize(phase, cycles + 2)[number]
+    counts = np.floor(number * drift + (swing + drift) * (code == 25.0) + place)
     return Trace("drift", 0.02 * np.arange(code.size), counts, code, 2e-5, 0.0236, 0.02)
 
 
@@ -154,6 +169,7 @@ def _cycled(drift: float, swing: float, phase: float, cycles: int = 2000) -> Tra
         (2.4, 7.0, DriftVerdict.DRIFTS),
         (0.024, 0.07, DriftVerdict.DRIFTS),  # far below a count, and seen by 2000 cycles
         (0.0, 7.0, DriftVerdict.STAYS),
+        (0.0004, 7.0, DriftVerdict.STAYS),  # less than a count in all
         (0.0, 0.3, DriftVerdict.UNKNOWN),  # too stiff for the encoder
         (0.4, 7.0, DriftVerdict.UNKNOWN),  # a drift that is not LuGre's
         (20.0, 7.0, DriftVerdict.UNKNOWN),
@@ -165,6 +181,24 @@ def test_drift_decides_or_says_that_it_cannot(drift: float, swing: float, verdic
         result = evaluate_drift(_cycled(drift, swing, phase), 5, 25, 100.0)
         assert result.verdict is verdict, result.reason
         assert result.drift[1] <= drift <= result.drift[2]
+
+
+def test_without_a_swing_lugres_law_says_nothing() -> None:
+    """Where the joint swings back by no more than noise, neither figures nor curves of LuGre's law are shown."""
+    result = evaluate_drift(_cycled(0.3, -0.5, 0.3), 5, 25, 100.0)
+    assert result.swing[0] < 0.0
+    assert result.by_lugre is None
+    (panel,) = drift_plot(result).panels
+    assert [mark.label for mark in panel.marks if isinstance(mark, Curve)] == ["measured"]
+
+
+def test_a_swing_that_is_hardly_seen_decides_nothing() -> None:
+    """A joint that stays and swings by less than one and a half counts may be any: the encoder's noise does so."""
+    phases = np.random.default_rng(1).permutation(np.linspace(0.0, 1.0, 2002, endpoint=False))
+    for swing, verdict in ((1.3, DriftVerdict.UNKNOWN), (1.7, DriftVerdict.STAYS)):
+        result = evaluate_drift(_cycled(0.0, swing, phases), 5, 25, 100.0)
+        assert result.swing[0] == pytest.approx(swing, abs=0.01)
+        assert result.verdict is verdict, result.reason
 
 
 def _jacobian(function: Callable[[Array], Array], at: Array) -> Array:
@@ -194,8 +228,10 @@ def test_the_least_stiffness_is_where_steady_sliding_becomes_stable(speed: float
         assert np.abs(motion(rest, stiffness)).max() < 1e-9
         growth = np.linalg.eigvals(_jacobian(lambda s, k=stiffness: motion(s, k), rest)).real.max()  # type: ignore[misc]
         assert bool(growth < 0.0) is stable
-        # The host's spring at a tick of 0.1 ms is nearly ideal.
-        assert (steady.sampled_growth(0.5 * least, 1e-4) > 1.0) is True
+    stiffness, tick = 0.5 * least, 1e-7  # the host's spring is nearly ideal at such a tick
+    rest = np.array([float(element.steady_torque(speed)) / stiffness, speed, g])
+    growth = np.linalg.eigvals(_jacobian(lambda s: motion(s, stiffness), rest)).real.max()
+    assert math.log(steady.sampled_growth(stiffness, tick)) / tick == pytest.approx(growth, rel=0.01)
     assert SteadySliding.of(element, inertia, 0.3).least_stiffness() == 0.0
     assert SteadySliding.of(replace(element, c1=100.0), inertia, speed).least_stiffness() == math.inf
 
@@ -222,9 +258,170 @@ def test_flicker_of_a_count_is_no_motion() -> None:
 def test_maxwell_law_has_shares_that_a_friction_file_accepts() -> None:
     """Any values of the fit give blocks whose stiffnesses and shares add up to 1."""
     sliding = SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0, 0)
-    for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -30.0, 5.0, 40.0, 0.0, 3.0]):
+    for values in ([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], [8.0, -800.0, 5.0, 700.0, 0.0, 3.0]):
         bristles = MAXWELL_SLIP.element(values, sliding).bristles
         assert isinstance(bristles, MaxwellSlip)
         assert sum(bristles.share) == pytest.approx(1.0)
     block = LoopBlock(np.linspace(0.0, 1e-4, 50), np.array([10, 49]), np.array([0.1, 0.4]), 0.02)
     assert MAXWELL_SLIP.predict([8.0, 0.0, 0.0, 0.0, 0.0, 0.0], sliding, block).shape == (2,)
+
+
+def test_blocks_one_after_the_other_are_predicted_as_each_alone() -> None:
+    """Of bristles with a memory nothing is carried from one block to the next."""
+    sliding = SlidingFriction(2.0, 2.5, 0.1, 1.0, 0.4, 0.0, 0)
+    blocks = _blocks(lambda number, torque: torque / (3e3 * 1.1**number))
+    for law in (MAXWELL_SLIP, ELASTO_PLASTIC, STRIBECK_LAW):
+        values = [8.0, 0.5, 0.4, 0.3, 0.2, 0.1] if law is MAXWELL_SLIP else [8.0, -0.5]
+        for found, block in zip(law.predictions(values, sliding, blocks), blocks, strict=True):
+            assert np.array_equal(found, law.predict(values, sliding, block))
+
+
+def test_a_joint_that_sticks_later_ends_the_experiment() -> None:
+    """Where the joint does not move at the highest code, slide and sweep say so; no code beyond it is sent."""
+    for law in (laws.slide_once(40, 400.0, 100), laws.speeds(40, [5.0], 10, 1.0, 100, 0.02)):
+        codes = [next(law)]
+        with pytest.raises(IdentificationError, match="the joint sticks at the highest code, 100"):
+            codes.extend(law.send(Sample(tick, 0.02 * tick, 0, STILL)) for tick in range(100))
+        assert sorted(set(codes)) == list(range(40, 101))
+
+
+def test_laws_that_sliding_refutes_refute_none_in_loops() -> None:
+    """A law with a wrong sliding curve, nearest in the loops of a stiff joint, leaves the one with the right curve."""
+    rng = np.random.default_rng(2)
+    blocks = np.abs(rng.normal(1.0, 0.1, 10))
+
+    def verdicts(sliding: float) -> dict[str, str]:
+        """Return what refutes laws, for the sliding error of Coulomb's, Nm."""
+        errors = {
+            COULOMB_LAW: (0.08, sliding),
+            STRIBECK_LAW: (0.09, 0.003),
+            LUGRE: (0.9, 0.003),
+            MAXWELL_SLIP: (1.3, 0.003),
+        }
+        scores = [LawScore(law, a * blocks, b * blocks, (), "") for law, (a, b) in errors.items()]
+        return {score.law.name: score.refuted for score in judged(scores)}
+
+    assert verdicts(0.045) == {
+        "Coulomb and viscous": "sliding: Stribeck predicts better",
+        "Stribeck": "",
+        "LuGre": "loops: Stribeck predicts better",
+        "Maxwell slip": "loops: Stribeck predicts better",
+    }
+    assert verdicts(0.003) == {
+        "Coulomb and viscous": "",
+        **dict.fromkeys(("Stribeck", "LuGre", "Maxwell slip"), "loops: Coulomb and viscous predicts better"),
+    }
+
+
+def test_a_law_is_refuted_by_more_than_chance_and_more_than_a_trifle() -> None:
+    """In pairs: one bad block of ten, or 4 % more squared error in each, refute nothing; 30 % more in each refute."""
+    noise = np.abs(np.random.default_rng(4).normal(1.0, 0.3, 10))
+    chance = np.where(np.arange(10) == 3, 3.0, 1.0)
+    for factor, refuted in ((1.3**0.5, True), (1.04**0.5, False), (chance, False)):
+        scores = [LawScore(law, noise * worse, noise, (), "") for law, worse in ((LUGRE, 1.0), (MAXWELL_SLIP, factor))]
+        assert [bool(score.refuted) for score in judged(scores)] == [False, refuted]
+
+
+def _readings(static: float) -> SlidingReadings:
+    """Return readings of a joint that slides, with noise."""
+    rng = np.random.default_rng(5)
+    speed = rng.uniform(0.01, 0.35, 200)
+    torque = SlidingFriction(2.0, static, 0.1, 1.0, 0.4, 0.0, 0).torque(speed) + rng.normal(0.0, 0.005, 200)
+    return SlidingReadings(speed, np.zeros(200), torque)
+
+
+def _blocks(bent: Callable[[int, Array], Array]) -> list[LoopBlock]:
+    """Return six blocks, torques up and down, with the angle that a function of block and torque, Nm, gives, rad."""
+    rng = np.random.default_rng(6)
+    held = np.concatenate((np.linspace(0.1, 1.8, 9), np.linspace(1.6, 0.1, 8)))
+    blocks = []
+    for number in range(6):
+        torque = held * rng.uniform(0.9, 1.1)
+        angle = np.concatenate(([0.0], np.repeat(bent(number, torque), 4)))
+        blocks.append(LoopBlock(angle, np.arange(4, angle.size, 4), torque, 0.02))
+    return blocks
+
+
+def test_of_laws_that_predict_alike_the_simplest_is_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rigid joint with one sliding torque is Coulomb's, though Stribeck's law says the same of it."""
+    monkeypatch.setattr(choice, "LAWS", (COULOMB_LAW, STRIBECK_LAW, LUGRE))
+    found = choose(_blocks(lambda _, torque: 0.0 * torque), _readings(static=2.0), None)
+    assert [bool(score.refuted) for score in found.scores] == [False, False, True]
+    assert found.text == "Coulomb and viscous"
+
+
+def test_no_block_is_predicted_by_a_fit_that_has_seen_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Springs of another stiffness in each block: a block's error is that of the stiffness that the others have."""
+    monkeypatch.setattr(choice, "LAWS", (STRIBECK_LAW, LUGRE))
+    blocks = _blocks(lambda number, torque: torque / (3e3 * 1.3**number))
+    found = choose(blocks, _readings(static=2.5), None)
+    score = found.scores[1]
+    for number, block in enumerate(blocks):
+        others = [other for k, other in enumerate(blocks) if k % 5 != number % 5]
+        stiffness = fit_law(LUGRE, found.sliding, others)
+        rest = LUGRE.predict(stiffness, found.sliding, block) - block.torque
+        assert score.loops[number] == pytest.approx(math.sqrt(np.mean(rest**2)), rel=1e-6)
+    assert found.law is LUGRE
+
+
+def test_break_away_is_that_of_the_slowest_ramps_on_which_the_joint_slid() -> None:
+    """A ramp on which the joint stuck, or one that was faster, does not count; with no other there is no break-away."""
+    campaign = Campaign()
+    code = np.arange(100.0)
+    for rate, slope, step in ((0.4, 10.0, 50.0), (0.4, 10.0, 60.0), (0.4, 0.1, 50.0), (1.6, 10.0, 80.0)):
+        counts = np.maximum(code - step, 0.0) * slope
+        campaign.add(Run("ramps", "", iter(()), rate), Trace("", code, counts, code, 2e-5, 0.02, 0.02))  # type: ignore[arg-type]
+    assert campaign.break_away_code(100.0) == pytest.approx(60.0)  # half of 100 counts at 55 and 65
+    with pytest.raises(IdentificationError, match="on no ramp"):
+        campaign.break_away_code(1e4)
+
+
+def test_the_hosts_spring_pulls_by_its_stretch() -> None:
+    """The code is stiffness times stretch from the preload on, the end's way less the joint's; errors do not add up."""
+    moved = [0, 0, 3, 9, 12, 12]
+    law = laws.pulled(0.37, 4.0, 5, 255, 85.0)
+    assert next(law) == 0
+    codes = [law.send(Sample(tick, 0.02 * tick, counts, STILL)) for tick, counts in enumerate(moved[:-1])]
+    wanted = 85.0 + 0.37 * (4.0 * np.arange(1, 6) - np.array(moved[:-1]))
+    assert np.abs(np.cumsum(codes) - np.cumsum(wanted)).max() <= 0.5
+    rounding = laws.Rounding(229)
+    assert sum(rounding(10.3) for _ in range(1000)) == pytest.approx(10_300, abs=0.6)
+    assert [rounding(code) for code in (-3.0, 400.0)] == [0, 229]
+
+
+def test_the_drift_tells_laws_that_loops_leave(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Far below break-away both kinds of bristles are springs: a drift keeps LuGre, no drift the other."""
+    monkeypatch.setattr(choice, "LAWS", (STRIBECK_LAW, LUGRE, ELASTO_PLASTIC))
+    noise = np.random.default_rng(7)
+    springs = _blocks(lambda _, torque: 0.1 * torque / 4e3)
+    blocks = [replace(block, torque=0.1 * block.torque + noise.normal(0.0, 0.01, 17)) for block in springs]
+    verdicts = {}
+    for cycles in (None, _cycled(2.4, 7.0, 0.3), _cycled(0.0, 7.0, 0.3)):
+        drift = None if cycles is None else evaluate_drift(cycles, 5, 25, 100.0)
+        verdicts[drift and drift.verdict] = choose(blocks, _readings(static=2.5), drift).text
+    assert verdicts == {
+        None: "cannot tell: LuGre or elasto-plastic",
+        DriftVerdict.DRIFTS: "LuGre, by its drift",
+        DriftVerdict.STAYS: "elasto-plastic, by its drift",
+    }
+
+
+def test_a_code_reaches_the_dac_late_in_the_tick(rig: Rig) -> None:
+    """The torque held over a tick is that of the emulated rig's DAC, slice by slice, to an eighth of the change."""
+    emulated, on_dac = EmulatedRig(rig, 1), []
+    advance, torque = emulated.plant.advance, rig.torque(1) * rig.joint_scale
+
+    def logged(command: float, dt: float) -> int:
+        on_dac.append((emulated.time, command * rig.joint_scale))
+        return advance(command, dt)
+
+    emulated.plant.advance = logged  # type: ignore[method-assign]
+    client = RigClient(VirtualPort(emulated), rig)
+    client.connect()
+    samples: list[Sample] = []
+    trace = follow(client, (10 * (k // 3 % 2) for k in range(30)), "steps", samples.append)  # type: ignore[arg-type]
+    for held, sample in list(zip(trace.held, samples, strict=True))[1:]:
+        end = sample.time - 1e-3 - 1e-9  # the firmware hears of a slice's counts in the next one
+        slices = [t for time, t in on_dac if end - rig.tick <= time < end]
+        assert len(slices) == 20
+        assert held == pytest.approx(np.mean(slices), abs=0.125 * 10 * torque)
