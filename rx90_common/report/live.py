@@ -16,7 +16,6 @@ import numpy as np
 
 from rx90_common.base.arrays import Array
 from rx90_common.report.plot import (
-    MOST_POINTS,
     Band,
     Curve,
     Dots,
@@ -25,10 +24,11 @@ from rx90_common.report.plot import (
     Mark,
     Panel,
     Plot,
-    simplified,
+    on_axis,
     symlog,
     symlog_ticks,
 )
+from rx90_common.report.simplifying import MOST_POINTS, Extent, simplified
 
 _DOTS_PER_INCH = 96
 
@@ -46,7 +46,7 @@ def bokeh_scripts() -> tuple[str, ...]:
 
 
 def plot_json(plot: Plot, most: int = MOST_POINTS) -> str:
-    """Return what a plot holds, with up to `most` points of a curve, as JSON for a <script> element."""
+    """Return what a plot holds, with up to `most` points or columns of a curve, as JSON for a <script> element."""
     content = {
         "columns": plot.columns,
         "share": list(plot.x_range) if plot.share_x else None,
@@ -85,9 +85,12 @@ def _mark(mark: Mark, panel: Panel, most: int) -> dict[str, Any]:
     if panel.x_scale == "symlog" and not isinstance(mark, Level):
         content["shown_x"] = _numbers(symlog(mark.x, panel.smallest))
     if isinstance(mark, Curve):
-        x, y = (mark.x, mark.y) if mark.dots or "shown_x" in content else simplified(panel, mark, most)
-        return content | {"kind": "curve", "x": _numbers(x), "y": _numbers(y), "width": mark.width,
-                          "dash": mark.dash, "dots": mark.dots}  # fmt: skip
+        shown = mark if mark.dots or "shown_x" in content else simplified(panel, mark, most, most)
+        content |= {"width": mark.width, "dash": mark.dash}
+        if isinstance(shown, Extent):
+            return content | {"kind": "extent", "columns": _columns(panel, shown), "low": _numbers(shown.low),
+                              "high": _numbers(shown.high)}  # fmt: skip
+        return content | {"kind": "curve", "x": _numbers(shown.x), "y": _numbers(shown.y), "dots": mark.dots}
     if isinstance(mark, Dots):
         error = None if mark.error is None else _numbers(mark.error)
         return content | {"kind": "dots", "x": _numbers(mark.x), "y": _numbers(mark.y), "error": error}
@@ -101,6 +104,12 @@ def _mark(mark: Mark, panel: Panel, most: int) -> dict[str, Any]:
 def _heat(heat: Heat) -> dict[str, Any]:
     values = [[None if np.isnan(value) else round(float(value), 4) for value in row] for row in heat.values]
     return {"kind": "heat", "title": heat.title, "names": list(heat.names), "values": values}
+
+
+def _columns(panel: Panel, extent: Extent) -> dict[str, float]:
+    """Return where on the axis the first column begins and the last one ends, and how many there are."""
+    first, last = on_axis(extent.edges[[0, -1]], panel.x_scale, panel.smallest)
+    return {"first": float(first), "last": float(last), "count": len(extent.low)}
 
 
 def _numbers(values: Array) -> dict[str, Any]:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import cache
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rx90_common.report.live import bokeh_scripts, plot_json
-from rx90_common.report.plot import Plot, points_for_each
+from rx90_common.report.plot import Plot
+from rx90_common.report.simplifying import points_needed, share_of_points
 from rx90_common.report.still import as_svg
+from rx90_common.report.thinning import thinned
 
-# BokehJS takes 1.4 MB; with these a page stays below 3 MB.
-_POINTS_TO_ZOOM = 60_000  # in all curves of a page, 11 bytes each
+_MOST_BYTES = 3_000_000  # of a page with plots; BokehJS takes 1.4 MB of them
+_POINTS_TO_ZOOM = 80_000  # in all curves of a page
+_POINT_BYTES = 10  # and a little more, in base64
 _POINTS_OF_STILLS = 40_000  # 13 bytes each
+_LEAST_SHARE = 10  # points to zoom of a curve; fewer would not make a page of so many much smaller
 _PLACE = "<!--plot {}-->"  # text from outside is escaped, so that nobody else writes it
 
 
@@ -45,7 +50,7 @@ class _PlotsOfPage:
 
     def draw(self, plot: Plot) -> Markup:
         """Return what stands in a plot's place until the page is filled."""
-        self._plots.append(plot)
+        self._plots.append(thinned(plot))
         return Markup(_PLACE.format(len(self._plots) - 1))
 
     def scripts(self) -> tuple[Markup, ...]:
@@ -56,11 +61,26 @@ class _PlotsOfPage:
         """Return the page with its plots."""
         if not self._plots:
             return page
-        to_zoom, still = (points_for_each(self._plots, most) for most in (_POINTS_TO_ZOOM, _POINTS_OF_STILLS))
-        elements = [
-            f'<figure class="plot"><div class="still">{as_svg(plot, still)}</div>'
+        needed = points_needed(self._plots)
+        share = share_of_points(needed, _POINTS_OF_STILLS)
+        stills = [
+            f'<figure class="plot"><div class="still">{as_svg(plot, share)}</div>'
             '<div class="legend"></div><div class="live"></div>'
-            f'<script type="application/json">{plot_json(plot, to_zoom)}</script></figure>'
             for plot in self._plots
         ]
+        left = _MOST_BYTES - sum(len(text.encode()) for text in (page, *stills))
+        elements = [
+            f"{still}{to_zoom}</figure>" for still, to_zoom in zip(stills, self._to_zoom(needed, left), strict=True)
+        ]
         return re.sub(_PLACE.format(r"(\d+)"), lambda place: elements[int(place[1])], page)
+
+    def _to_zoom(self, needed: Sequence[int], left: int) -> list[str]:
+        """Return what the plots are zoomed from, with as many points as there are bytes left for."""
+        together = min(sum(needed), _POINTS_TO_ZOOM)
+        while True:
+            share = share_of_points(needed, together)
+            texts = [f'<script type="application/json">{plot_json(plot, share)}</script>' for plot in self._plots]
+            beyond = sum(map(len, texts)) + len("</figure>") * len(texts) - left
+            if beyond <= 0 or share <= _LEAST_SHARE:
+                return texts
+            together = max(0, together - beyond // _POINT_BYTES - 1)

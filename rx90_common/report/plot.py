@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from matplotlib.path import Path
 from matplotlib.scale import SymmetricalLogTransform
 
 from rx90_common.base.arrays import Array
@@ -23,10 +22,6 @@ Dash: TypeAlias = Literal["solid", "dashed", "dotted", "dashdot"]
 Scale: TypeAlias = Literal["linear", "log", "symlog"]
 
 _MARGIN = 0.03  # of the data's range, on either side
-_CANVAS = 4000.0, 2000.0  # dots of a panel that is zoomed in a few times
-MOST_POINTS: Final = 4000
-"""Of a curve that is drawn."""
-_FEWEST_POINTS = 100
 _LINEAR_PART = 0.3  # decades that the linear part of a symlog axis is wide, on either side
 
 
@@ -180,65 +175,18 @@ def symlog_ticks(low: float, high: float, smallest: float) -> list[float]:
     return [tick for tick in ticks if low <= tick <= high]
 
 
-def simplified(
-    panel: Panel, curve: Curve, most: int = MOST_POINTS, canvas: tuple[float, float] = _CANVAS
-) -> tuple[Array, Array]:
-    """Return fewer points of a curve, up to `most`, that look the same in this panel.
-
-    The line through them is right to a dot on a canvas of so many dots, or on the largest on which they are enough.
-    """
-    values = [_on_axis(curve.x, panel.x_scale, panel.smallest), _on_axis(curve.y, panel.y_scale, panel.smallest)]
-    width, height = canvas
-    points = _simplified(values, width, height)
-    while len(points) > max(most, _FEWEST_POINTS):
-        width, height = 0.7 * width, 0.7 * height
-        points = _simplified(values, width, height)
-    x, y = points.T
-    return _off_axis(x, panel.x_scale, panel.smallest), _off_axis(y, panel.y_scale, panel.smallest)
-
-
-def _on_axis(values: Array, scale: Scale, smallest: float) -> Array:
+def on_axis(values: Array, scale: Scale, smallest: float) -> Array:
     """Return where values lie on an axis; NaN for those that a logarithmic one does not have."""
     if scale == "log":
         return np.where(values > 0.0, np.log10(np.where(values > 0.0, values, 1.0)), np.nan)
     return symlog(values, smallest) if scale == "symlog" else values
 
 
-def _off_axis(places: Array, scale: Scale, smallest: float) -> Array:
-    """Return the values that lie there: the inverse of `_on_axis`."""
+def off_axis(places: Array, scale: Scale, smallest: float) -> Array:
+    """Return the values that lie there: the inverse of `on_axis`."""
     if scale == "symlog":
         return np.asarray(symlog_transform(smallest).inverted().transform(places), dtype=np.float64)
     return 10.0**places if scale == "log" else places
-
-
-def points_for_each(plots: Sequence[Plot], together: int) -> int:
-    """Return how many points each curve of several plots may have, so that all have so many together at most.
-
-    Who needs fewer leaves the rest to the others.
-    """
-    panels = [panel for plot in plots for panel in plot.panels if isinstance(panel, Panel)]
-    curves = [(panel, mark) for panel in panels for mark in panel.marks if isinstance(mark, Curve)]
-    sizes = sorted(len(simplified(panel, curve)[0]) for panel, curve in curves)
-    for k, size in enumerate(sizes):
-        share = together // (len(sizes) - k)
-        if size > share:
-            return share
-        together -= size
-    return MOST_POINTS
-
-
-def _simplified(values: Sequence[Array], width: float, height: float) -> Array:
-    """Return the points, shape (k, 2), with NaN where the curve has a gap."""
-    ends = [(float(np.nanmin(v)), float(np.nanmax(v))) if np.isfinite(v).any() else (0.0, 0.0) for v in values]
-    low = np.array([first for first, _ in ends])
-    scale = np.array([s / (b - a) if b > a else 1.0 for (a, b), s in zip(ends, (width, height), strict=True)])
-    path = Path((np.column_stack(values) - low) * scale)
-    path.simplify_threshold = 0.5
-    clean = path.cleaned(simplify=True, remove_nans=True)
-    codes = np.asarray(clean.codes)
-    points = np.asarray(clean.vertices)[codes != Path.STOP]
-    starts = np.flatnonzero(codes[codes != Path.STOP] == Path.MOVETO)[1:]
-    return np.asarray(np.insert(points, starts, np.nan, axis=0) / scale + low)
 
 
 def _range(values: Sequence[Array], scale: Scale) -> tuple[float, float]:

@@ -81,11 +81,14 @@ class Sheet:
             path = Path(np.reshape(ends, (-1, 2)), codes.astype(Path.code_type))
             self._add(PathPatch(path, fill=False, edgecolor=colour, linewidth=width, alpha=alpha), clip)
 
-    def area(self, outlines: Sequence[Array], colour: str, clip: Bbox | None = None, alpha: float = 1.0) -> None:
-        """Fill outlines, each of shape (n, 2)."""
+    def area(
+        self, outlines: Sequence[Array], colour: str, clip: Bbox | None = None, alpha: float = 1.0, edge: float = 0.0
+    ) -> None:
+        """Fill outlines, each of shape (n, 2), with an edge of so many points."""
         if outlines:
             path = Path.make_compound_path(*[Path(outline, closed=True) for outline in map(_closed, outlines)])
-            self._add(PathPatch(path, facecolor=colour, linewidth=0.0, alpha=alpha), clip)
+            look: Any = {"color": colour, "linewidth": edge, "alpha": alpha, "joinstyle": "round"}
+            self._add(PathPatch(path, **look), clip)
 
     def box(self, box: Bbox, colour: str, width: float) -> None:
         """Draw a frame."""

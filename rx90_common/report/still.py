@@ -13,11 +13,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
+from rx90_common.base.arrays import Array
 from rx90_common.process.files import write_bytes
-from rx90_common.report.plot import MOST_POINTS, Band, Curve, Dots, Heat, Level, Mark, Panel, Plot, simplified
+from rx90_common.report.plot import Band, Curve, Dots, Heat, Level, Mark, Panel, Plot
 from rx90_common.report.sheet import POINT, Sheet, text_width
+from rx90_common.report.simplifying import MOST_POINTS, Extent, simplified
 from rx90_common.report.still_heat import draw_heat
-from rx90_common.report.ticks import Axis, ticks_of
+from rx90_common.report.thinning import thinned
+from rx90_common.report.ticks import Axis, AxisTicks, ticks_of
 
 PICTURES: Final = (".png", ".svg", ".pdf")
 _WIDTH = 8.2  # inches
@@ -48,7 +51,15 @@ def as_svg(plot: Plot, most: int = MOST_POINTS) -> str:
     with mpl.rc_context(_STYLE):
         drawn(plot, most).savefig(buffer, format="svg", metadata={"Date": None})
     text = buffer.getvalue()
-    return _PATH.sub(lambda path: _LONG_NUMBER.sub(r"\1", path[0]), text[text.index("<svg") :])
+    return _PATH.sub(lambda path: _short(path[0]), text[text.index("<svg") :])
+
+
+def _short(path: str) -> str:
+    """Return the text of a path with shorter numbers, and one letter for lines that follow each other."""
+    first, *lines = _LONG_NUMBER.sub(r"\1", path).split("\n")
+    for before, line in zip([first, *lines], lines, strict=False):
+        first += line[1:].rstrip() if line[:1] == before[:1] == "L" else f" {line.rstrip()}"
+    return first
 
 
 def write_picture(plot: Plot, path: Path, title: str = "") -> None:
@@ -62,7 +73,7 @@ def write_picture(plot: Plot, path: Path, title: str = "") -> None:
     date = {".svg": "Date", ".pdf": "CreationDate"}.get(path.suffix.lower())
     buffer = io.BytesIO()  # in memory: of a full disk matplotlib makes other errors
     with mpl.rc_context(_STYLE):
-        figure = drawn(plot, MOST_POINTS, title)
+        figure = drawn(thinned(plot), MOST_POINTS, title)
         figure.savefig(
             buffer, format=path.suffix[1:].lower(), dpi=_DPI, metadata=None if date is None else {date: None}
         )
@@ -162,21 +173,37 @@ def _draw_handle(mark: Mark, sheet: Sheet, x: float, y: float) -> None:
 
 
 def _draw_panel(panel: Panel, sheet: Sheet, box: Bbox, x_range: tuple[float, float], most: int) -> None:
-    x_axis = Axis(panel.x_scale, x_range, panel.smallest, box.x0, box.width)
-    y_axis = Axis(panel.y_scale, panel.y_range, panel.smallest, box.y0, box.height)
-    x_ticks, y_ticks = ticks_of(x_axis, 8), ticks_of(y_axis, 5)
-    x, y = x_axis.place(x_ticks.values), y_axis.place(y_ticks.values)
+    axes = (
+        Axis(panel.x_scale, x_range, panel.smallest, box.x0, box.width),
+        Axis(panel.y_scale, panel.y_range, panel.smallest, box.y0, box.height),
+    )
+    ticks = ticks_of(axes[0], 8), ticks_of(axes[1], 5)
+    x, y = (axis.place(one.values) for axis, one in zip(axes, ticks, strict=True))
     lines = [[(at, box.y0), (at, box.y1)] for at in x] + [[(box.x0, at), (box.x1, at)] for at in y]
     sheet.segments(np.array(lines), "#b0b0b0", 0.8, alpha=0.3)
     for mark in panel.marks:
-        _draw_mark(panel, mark, sheet, (x_axis, y_axis), box, most)
+        _draw_mark(panel, mark, sheet, axes, box, most)
+    _draw_ticks(sheet, box, axes, ticks)
+    _write_labels(panel, sheet, box, (x, y), ticks)
+
+
+def _draw_ticks(sheet: Sheet, box: Bbox, axes: tuple[Axis, Axis], ticks: tuple[AxisTicks, AxisTicks]) -> None:
+    """Draw the lines of both axes, with their ticks."""
+    x, y = (axis.place(one.values) for axis, one in zip(axes, ticks, strict=True))
     corners = [[(box.x0, box.y0), (box.x1, box.y0)], [(box.x0, box.y0), (box.x0, box.y1)]]
-    ticks = [[(at, box.y0), (at, box.y0 - _TICK)] for at in x] + [[(box.x0, at), (box.x0 - _TICK, at)] for at in y]
-    sheet.segments(np.array(corners + ticks), "black", 0.8)
-    small_x, small_y = x_axis.place(x_ticks.between), y_axis.place(y_ticks.between)
+    large = [[(at, box.y0), (at, box.y0 - _TICK)] for at in x] + [[(box.x0, at), (box.x0 - _TICK, at)] for at in y]
+    sheet.segments(np.array(corners + large), "black", 0.8)
+    small_x, small_y = (axis.place(one.between) for axis, one in zip(axes, ticks, strict=True))
     small = [[(at, box.y0), (at, box.y0 - _SMALL_TICK)] for at in small_x]
     small += [[(box.x0, at), (box.x0 - _SMALL_TICK, at)] for at in small_y]
     sheet.segments(np.array(small), "black", 0.6)
+
+
+def _write_labels(
+    panel: Panel, sheet: Sheet, box: Bbox, places: tuple[Array, Array], ticks: tuple[AxisTicks, AxisTicks]
+) -> None:
+    """Write beside the axes what their ticks and they themselves stand for; `places` of the ticks, inches."""
+    (x, y), (x_ticks, y_ticks) = places, ticks
     for at, label in zip(x, x_ticks.labels, strict=True):
         sheet.text(at, box.y0 - 2.0 * _TICK, label, ha="center", va="top")
     for at, label in zip(y, y_ticks.labels, strict=True):
@@ -196,13 +223,7 @@ def _draw_mark(panel: Panel, mark: Mark, sheet: Sheet, axes: tuple[Axis, Axis], 
         ends = [(at, at), (box.y0, box.y1)] if mark.upright else [(box.x0, box.x1), (at, at)]
         sheet.line(np.array(ends[0]), np.array(ends[1]), box, **_line(mark))
     elif isinstance(mark, Band):
-        x = x_axis.place(mark.x)
-        low, high = y_axis.place(mark.low), y_axis.place(mark.high)
-        known = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
-        parts = [part for part in np.split(np.arange(len(x)), np.flatnonzero(~known)) if known[part].any()]
-        parts = [part[known[part]] for part in parts]
-        outlines = [np.column_stack([np.append(x[k], x[k][::-1]), np.append(low[k], high[k][::-1])]) for k in parts]
-        sheet.area(outlines, mark.colour, box, _BAND_ALPHA)
+        sheet.area(_outlines(x_axis.place(mark.x), y_axis, mark), mark.colour, box, _BAND_ALPHA)
     elif isinstance(mark, Dots):
         x, y = x_axis.place(mark.x), y_axis.place(mark.y)
         if mark.error is not None:
@@ -210,9 +231,24 @@ def _draw_mark(panel: Panel, mark: Mark, sheet: Sheet, axes: tuple[Axis, Axis], 
             sheet.segments(np.column_stack([x, low, x, high]).reshape(-1, 2, 2), mark.colour, _BAR, box)
         sheet.line(x, y, box, **_dots(mark))
     else:
-        points = (mark.x, mark.y) if mark.dots else simplified(panel, mark, most, _CANVAS)
+        shown = mark if mark.dots else simplified(panel, mark, most, most // 2, _CANVAS)
+        if isinstance(shown, Extent):
+            x = x_axis.place(shown.edges)
+            # A slope from one middle to the next takes half as many points as steps.
+            x[1:-2] = 0.5 * (x[1:-2] + x[2:-1])
+            sheet.area(_outlines(np.delete(x, -2), y_axis, shown), mark.colour, box, edge=mark.width)
+            return
         markers = _MARKER if mark.dots else {}
-        sheet.line(x_axis.place(points[0]), y_axis.place(points[1]), box, **_line(mark), **markers)
+        sheet.line(x_axis.place(shown.x), y_axis.place(shown.y), box, **_line(mark), **markers)
+
+
+def _outlines(x: Array, y_axis: Axis, area: Band | Extent) -> list[Array]:
+    """Return the outlines on the sheet of what lies between two curves, one for each part without a gap."""
+    low, high = y_axis.place(area.low), y_axis.place(area.high)
+    known = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+    parts = [part for part in np.split(np.arange(len(x)), np.flatnonzero(~known)) if known[part].any()]
+    parts = [part[known[part]] for part in parts]
+    return [np.column_stack([np.append(x[k], x[k][::-1]), np.append(low[k], high[k][::-1])]) for k in parts]
 
 
 def _line(mark: Curve | Level) -> Any:

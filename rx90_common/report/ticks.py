@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.ticker import Formatter, LogFormatterSciNotation, LogLocator, MaxNLocator, ScalarFormatter
 
 from rx90_common.base.arrays import Array
-from rx90_common.report.plot import Scale, symlog, symlog_ticks
+from rx90_common.report.plot import Scale, on_axis, symlog_ticks
 
 _STEPS = [1, 2, 2.5, 5, 10]  # between ticks
 _FEW_DECADES = 10.0**3  # on a logarithmic axis: room for 1, 2 and 5 of each
@@ -36,16 +36,10 @@ class Axis:
 
     def place(self, values: Array | Sequence[float]) -> Array:
         """Return where values lie on the sheet, inches; NaN for those that a logarithmic axis cannot have."""
-        low, *shown, high = self._scaled(np.concatenate([self.ends[:1], np.asarray(values, np.float64), self.ends[1:]]))
+        every = np.concatenate([self.ends[:1], np.asarray(values, np.float64), self.ends[1:]])
+        low, *shown, high = on_axis(every, self.scale, self.smallest)
         places: Array = self.first + self.length * (np.array(shown) - low) / (high - low)
         return places
-
-    def _scaled(self, values: Array) -> Array:
-        if self.scale == "symlog":
-            return symlog(values, self.smallest)
-        if self.scale == "log":
-            return np.log10(np.where(values > 0.0, values, np.nan))
-        return values
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from rx90_common.base.arrays import Array
 from rx90_common.description.robot import RobotModel
-from rx90_common.description.shapes import VisualShape, visual_shapes
+from rx90_common.description.shapes import VisualShape, drawn_shapes
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.demo.analysis import RunAnalysis, field
 
@@ -99,11 +99,7 @@ class Animation:
 
 
 def animate(run: RunAnalysis, robot: RobotModel, task: LineTask) -> Animation:
-    """Return the animation of a run, seen from the side of its line.
-
-    Raises:
-        ConfigError: where the robot has shapes that cannot be drawn.
-    """
+    """Return the animation of a run, seen from the side of its line."""
     first, last = run.path.times[[0, -1]]
     step = max(1.0 / _FRAME_RATE, (last - first) / _MOST_FRAMES)
     wanted = np.arange(first, last + 0.5 * step, step)
@@ -111,7 +107,7 @@ def animate(run: RunAnalysis, robot: RobotModel, task: LineTask) -> Animation:
     frames = np.unique([*places, run.path.perpendicular.argmax()])
     rows = np.searchsorted(run.joints.time, run.path.times[frames] - 1e-9)
     poses, tips = _poses(robot, field(run.joints, "position")[rows])
-    shapes = visual_shapes(robot)
+    shapes = drawn_shapes(robot)
     corners = [(shape.joint, _corners(shape)) for shape in shapes]
     start, end = np.array(task.start), np.array(task.end)
     direction = (end - start) / np.linalg.norm(end - start)

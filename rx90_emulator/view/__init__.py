@@ -10,8 +10,8 @@ shows once, when it is made, and has its functions called on that thread:
   `time.monotonic()`. Read, compute and draw there.
 - viser calls back (`on_click`, `on_update`) on threads of its own. Such a callback does nothing but hand over:
   `page.later(function)` has it called once on the page's thread. So no part needs a lock.
-- `ArmScene(page, "/second", robot, ghost=True).show(position)` draws an arm in a pose; `LineScene` a line with the
-  laser spot and its coloured trace; `RollingPlot` and `LoopPlot` plots, of which nothing grows without end.
+- `ArmScene(page, "/second", robot, ghost=(0, 114, 178)).show(position)` draws an arm in a pose; `LineScene` a line with
+  the laser spot and its coloured trace; `RollingPlot` and `LoopPlot` plots, of which nothing grows without end.
 - `ArmState` is what a part that reads (nodes, a bag) hands to one that draws.
 
 Subfolders are such parts: `live/` reads running nodes. A part that needs nodes gets them through clients in

@@ -5,16 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from rx90_common.base.arrays import Array
-from rx90_common.description.kinematics import decompose, path_error
+from rx90_common.description.kinematics import decompose
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.path_error import PathErrorMeter
 
 FULL_SCALE = 1e-4
 """Path error of the last colour, m: what laser welding asks for."""
 _STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
 _AWAY = np.array([150.0, 150.0, 150.0])
-_NEAR = 2e-3  # m; what is farther from the line is on its way to it
-_STANDS = 1e-4  # m from one look to the next; what moves less stands
-_ALONG = 0.9  # least share of a step that leads along the line, towards its end
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
 _SPOT = (255, 40, 40)
@@ -82,9 +80,7 @@ class LineScene:
         """Forget the trace."""
         self._tips: list[Array] = []
         self._errors: list[float] = []  # of the trace, nan off the line
-        self._tip: Array | None = None
-        self._error: float | None = None
-        self._worst = self._worst_at = 0.0  # m, of the distance from the line and from its start
+        self._meter = PathErrorMeter(self._start, self._end)
         self._changed = False
         self._trace.visible = False
 
@@ -96,37 +92,17 @@ class LineScene:
         """Move the spot to `tip`, (3,) m, and lengthen the trace; return its path error, m, None off the line."""
         tip = np.array(tip, dtype=np.float64)
         self._spot.position = tip
-        step = np.zeros(3) if self._tip is None else tip - self._tip
-        self._tip = tip
-        self._measure(tip, step)
+        self._meter.move(tip)
+        error = self._meter.error
         if not self._tips or float(np.linalg.norm(tip - self._tips[-1])) >= _STEP:
             self._tips = [*self._tips[-_LENGTH + 1 :], tip]
-            self._errors = [*self._errors[-_LENGTH + 1 :], np.nan if self._error is None else self._error]
+            self._errors = [*self._errors[-_LENGTH + 1 :], np.nan if error is None else error]
             self._changed = True
-        return self._error
-
-    def _measure(self, tip: Array, step: Array) -> None:
-        """Bring the path error up to date, after a step (3,) m: a spot that comes from elsewhere is not on the line."""
-        error = path_error(tip[None], self._start, self._end)
-        distance, beyond = float(error.perpendicular[0]), float(error.beyond[0])
-        along, _ = decompose(step[None], self._end - self._start)
-        way = float(np.linalg.norm(step))
-        moves = way > _STANDS
-        if max(distance, beyond) >= _NEAR or (moves and float(along[0]) < _ALONG * way):
-            self._error, self._worst = None, 0.0
-            return
-        self._error = distance
-        if moves and distance > self._worst:
-            self._worst, self._worst_at = distance, float(np.linalg.norm(tip - self._start))
+        return error
 
     def words(self) -> str:
-        """Return the path error in words: now, the largest that was seen on the way along the line, and where."""
-        if self._error is None:
-            return "not on the line"
-        now = f"{self._error * 1e3:.3f} mm now"
-        if not self._worst:
-            return now
-        return f"{now}; largest on this way {self._worst * 1e3:.3f} mm, {self._worst_at * 1e3:.0f} mm from the start"
+        """Return the path error in words, as `PathErrorMeter` does."""
+        return self._meter.words()
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""

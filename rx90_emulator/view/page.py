@@ -14,6 +14,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
+from typing import NamedTuple
 
 import numpy as np
 import rich
@@ -26,6 +27,7 @@ from rx90_common.process.interrupts import interrupts_later
 from rx90_emulator.view.announcement import OPENED, TO_OTHERS
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
+_LESS_OFTEN = 3
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 _FROM = np.array([1.35, -1.15, 0.6])  # towards the eye, in lengths of the arm
 _FIELD = 0.75  # rad, upright
@@ -72,8 +74,9 @@ class Page:
         self._plots = self.gui.add_panel()
         self._plots.dock_left()
         self._plots.set_width(_PLOT_WIDTH)
-        self._handed_over: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self._timed: list[tuple[float, int, float, Callable[[float], None]]] = []
+        # No SimpleQueue: its wait has no end where a signal is handled until after the time-out.
+        self._handed_over: queue.Queue[Callable[[], None]] = queue.Queue()
+        self._timed: list[tuple[float, int, _Repeated]] = []
         self._numbers = itertools.count()
         self._opened = False
         _furnish(self.scene)
@@ -84,7 +87,7 @@ class Page:
 
     def plot_tab(self, label: str) -> AbstractContextManager[object]:
         """Add a tab to the panel of plots, to be filled in a `with` block."""
-        return self._plots.add_tab(label)
+        return self._plots.add_tab(label, viser.Icon.CHART_LINE)
 
     def look_at_arm(self, robot: RobotModel) -> None:
         """Place the camera of pages that are opened from now on, so that the whole arm is seen.
@@ -106,9 +109,14 @@ class Page:
 
         self.server.on_client_connect(step_back)
 
-    def every(self, period: float, function: Callable[[float], None]) -> None:
-        """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out."""
-        heapq.heappush(self._timed, (time.monotonic(), next(self._numbers), period, function))
+    def every(
+        self, period: float, function: Callable[[float], None], hurries: Callable[[float], bool] = lambda _: False
+    ) -> None:
+        """Call `function(now)` every `period` s while the page runs, on its thread; late calls are left out.
+
+        While `hurries(now)` holds it is called a third as often.
+        """
+        heapq.heappush(self._timed, (time.monotonic(), next(self._numbers), _Repeated(period, function, hurries)))
 
     def later(self, function: Callable[[], None]) -> None:
         """Call `function()` once on the page's thread; from any thread."""
@@ -153,16 +161,23 @@ class Page:
         now = time.monotonic()
         wait = _LONGEST_WAIT
         if self._timed:
-            due, _, period, function = self._timed[0]
+            due, _, repeated = self._timed[0]
             if due <= now:
-                heapq.heapreplace(self._timed, (max(due + period, now), next(self._numbers), period, function))
+                period = repeated.period * (_LESS_OFTEN if repeated.hurries(now) else 1)
+                heapq.heapreplace(self._timed, (max(due + period, now), next(self._numbers), repeated))
                 with self.server.atomic():
-                    function(now)
+                    repeated.function(now)
                 wait = 0.0
             else:
                 wait = min(wait, due - now)
         with suppress(queue.Empty):
             self._handed_over.get(timeout=wait)()
+
+
+class _Repeated(NamedTuple):
+    period: float  # s
+    function: Callable[[float], None]
+    hurries: Callable[[float], bool]
 
 
 def reached_by_others(host: str) -> bool:

@@ -36,6 +36,18 @@ _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pix
 # What the page's software says of itself; nothing is wrong.
 _USUAL = ("THREE.Clock: This module has been deprecated", "GPU stall due to ReadPixels")
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
+# A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
+# Here it makes ten frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in
+# two seconds: where things are, and the plots, do not depend on it, and no test looks at the scene's pixels.
+_SELDOM = """let picture = 0;
+    window.requestAnimationFrame = draw => setTimeout(() => { picture++; draw(performance.now()); }, 100);
+    window.cancelAnimationFrame = clearTimeout;
+    for (const name of ['drawElements', 'drawArrays', 'drawElementsInstanced', 'drawArraysInstanced']) {
+        const draw = WebGL2RenderingContext.prototype[name];
+        WebGL2RenderingContext.prototype[name] = function (...rest) {
+            if (picture < 12 || picture % 20 === 0) draw.apply(this, rest);
+        };
+    }"""
 _SHOWN = "() => Boolean(window.__viserMutable?.scene) && !document.body.innerText.includes('Connecting')"
 _PLOTS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => ({
     title: chart.root.querySelector('.u-title')?.textContent ?? '',
@@ -129,6 +141,7 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
     def open_(address: str, size: tuple[int, int] = _DESKTOP) -> BrowserPage:
         page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
         opened.append(page)
+        page.add_init_script(_SELDOM)
         return BrowserPage(page, address)
 
     yield open_

@@ -14,6 +14,13 @@
     return Float64Array.from(new Float32Array(bytes.buffer), (value) => value + middle);
   };
 
+  // The edges of columns, which are equally wide on the axis: of each both, and its value there.
+  const edges = ({ first, last, count }, scale) => Float64Array.from({ length: 2 * count }, (_, k) => {
+    const place = first + (last - first) * Math.ceil(k / 2) / count;
+    return scale === "log" ? 10 ** place : place;
+  });
+  const twice = (values) => Float64Array.from({ length: 2 * values.length }, (_, k) => values[k >> 1]);
+
   const axisStyle = (axis) => {
     Object.assign(axis, {
       axis_label_text_font: FONT, axis_label_text_font_size: "13px", axis_label_text_font_style: "normal",
@@ -38,22 +45,39 @@
     return figure;
   };
 
+  // Fills what lies between two curves; where they have no values there is a gap.
+  const addArea = (figure, x, low, high, look) => {
+    const data = { x: [], y: [] };
+    for (let start = 0, end; start < x.length; start = end + 1) {
+      for (end = start; end < x.length && isFinite(low[end] + high[end]);) end++;
+      if (end === start) continue;
+      data.x.push(...x.slice(start, end), ...x.slice(start, end).reverse(), NaN);
+      data.y.push(...low.slice(start, end), ...high.slice(start, end).reverse(), NaN);
+    }
+    return figure.patch({ field: "x" }, { field: "y" }, { source: new Bokeh.ColumnDataSource({ data }), ...look });
+  };
+
   // Returns the renderers of a mark, and those that tell their values under the pointer.
-  const addMark = (figure, mark) => {
+  const addMark = (figure, mark, scale) => {
     const line = { line_color: mark.colour, line_width: 1.3 * (mark.width || 0.8), line_dash: DASHES[mark.dash] };
     if (mark.kind === "level") {
       const span = new Bokeh.Span({ location: mark.at, dimension: mark.upright ? "height" : "width", ...line });
       figure.add_layout(span);
       return { all: [span], told: [] };
     }
+    if (mark.kind === "extent") {
+      const x = edges(mark.columns, scale);
+      const [low, high] = [mark.low, mark.high].map((values) => twice(numbers(values)));
+      const area = addArea(figure, x, low, high, { fill_color: mark.colour, ...line, line_dash: [] });
+      const told = [["least", low], ["largest", high]].map(([which, y]) => figure.line({ field: "x" }, { field: "y" },
+        { source: new Bokeh.ColumnDataSource({ data: { x, y } }), ...line, name: mark.label + ", " + which }));
+      return { all: [area, ...told], told };
+    }
     const x = numbers(mark.x);
     const shown = mark.shown_x ? numbers(mark.shown_x) : x;
     if (mark.kind === "band") {
-      const data = { x: shown, low: numbers(mark.low), high: numbers(mark.high) };
-      const source = new Bokeh.ColumnDataSource({ data });
-      const band = figure.varea({ field: "x" }, { field: "low" }, { field: "high" },
-        { source, fill_color: mark.colour, fill_alpha: 0.35 });
-      return { all: [band], told: [] };
+      const look = { fill_color: mark.colour, fill_alpha: 0.35, line_color: null };
+      return { all: [addArea(figure, shown, numbers(mark.low), numbers(mark.high), look)], told: [] };
     }
     const y = numbers(mark.y);
     const source = new Bokeh.ColumnDataSource({ data: { shown, x, y } });
@@ -86,7 +110,7 @@
     if (panel.ticks) setTicks(figure.xaxes[0], panel.ticks.at, panel.ticks.labels);
     const told = [];
     for (const mark of panel.marks) {
-      const made = addMark(figure, mark);
+      const made = addMark(figure, mark, panel.x_scale);
       told.push(...made.told);
       if (!mark.label) continue;
       const entry = entries.get(mark.label) || { colour: mark.colour, dash: mark.dash, renderers: [] };
@@ -169,6 +193,15 @@
     const grid = new Bokeh.GridPlot({ children, toolbar, toolbar_location: "above", sizing_mode: "stretch_width" });
     place.figures = figures; // for tests and for those who look with the browser's tools
     fillLegend(place.querySelector(".legend"), entries);
+    const counts = plot.panels.flatMap((panel) => (panel.marks || []).map((mark) => mark.columns ? mark.columns.count : 0));
+    const most = Math.max(...counts);
+    if (most) {
+      const note = document.createElement("p");
+      note.className = "soft";
+      note.textContent = "A curve drawn as an area reaches from its least to its largest value in each of " +
+        most + " parts of the axis.";
+      place.append(note);
+    }
     place.classList.add("drawn");
     await Bokeh.Plotting.show(grid, place.querySelector(".live"));
     place.dataset.state = "drawn";

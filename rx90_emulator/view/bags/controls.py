@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import viser
 
-from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.page import Page
 
@@ -70,8 +69,3 @@ class PlayControls:
             self._playback.playing = False
         else:
             self._playback.play()
-
-
-def relative(time_ns: int, origin_ns: int) -> float:
-    """Return a stamp as the time that the page shows, s."""
-    return (time_ns - origin_ns) / NANOSECONDS

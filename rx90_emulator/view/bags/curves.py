@@ -10,6 +10,7 @@ from viser import uplot
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
+from rx90_emulator.view.bags.times import since
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.plots import TIME_AXIS, extent_series, parts_of
@@ -88,7 +89,7 @@ class CurvesPlot:
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
         if low == high:  # uPlot would show 0 to 100
             low, high = low - (abs(low) or 1.0), high + (abs(high) or 1.0)
-        shown = (shown_ns - self._origin) / NANOSECONDS
+        shown = since(shown_ns, self._origin)
         place = int(np.searchsorted(time, shown))
         line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)
         line[place : place + 2] = extent[:2] = low, high

@@ -11,12 +11,11 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
-from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.tip import tip_position
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.bags.times import seconds
+from rx90_emulator.view.bags.track import Track, blocks
 
-_BLOCK = 1 << 14  # samples at once
 TIP = "tip"
 
 
@@ -63,15 +62,14 @@ def difference(first: Track, second: Track, chain: RigidChain, paths: tuple[Path
     low, high = np.searchsorted(first.time_ns, begin), np.searchsorted(first.time_ns, end, side="right")
     time_ns = first.time_ns[low:high]
     joints, tip = np.empty((len(time_ns), len(first.names))), np.empty((len(time_ns), 1))
-    for start in range(0, len(time_ns), _BLOCK):
-        rows = slice(start, start + _BLOCK)
+    for rows in blocks(len(time_ns)):
         one, other = first.values["position"][low:high][rows], second.at("position", time_ns[rows])
         joints[rows] = other - one
         tip[rows, 0] = np.linalg.norm(tip_position(chain, other) - tip_position(chain, one), axis=1)
     known = np.isfinite(tip[:, 0])
     if not known.any():
         spans = " and ".join(
-            f"{plain(path)} from {_seconds(track.begin_ns)} to {_seconds(track.end_ns)} s"
+            f"{plain(path)} from {seconds(track.begin_ns)} to {seconds(track.end_ns)} s"
             for path, track in zip(paths, (first, second), strict=True)
         )
         raise BagError(f"{spans} have no time in common; accepted: --align start, trajectory, or a time in s")
@@ -89,7 +87,3 @@ def _worst(track: Track, column: int) -> Worst:
     values: Array = track.values["position"][:, column]
     row = int(np.argmax(np.abs(values)))
     return Worst(float(values[row]), int(track.time_ns[row]))
-
-
-def _seconds(time_ns: int) -> str:
-    return f"{time_ns / NANOSECONDS:.3f}"

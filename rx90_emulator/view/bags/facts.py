@@ -8,14 +8,10 @@ from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
+from rx90_emulator.view.bags.times import seconds
 
 _MOST_CHANGES = 30
 _MOST_GAPS = 5
-
-
-def seconds(time_ns: int) -> str:
-    """Return a time in s, to the ms."""
-    return f"{time_ns / NANOSECONDS:.3f}"
 
 
 def recording_text(recording: Recording, robot: str, origin_ns: int) -> str:
@@ -59,7 +55,7 @@ def _changes(recording: Recording, origin_ns: int) -> list[str]:
 
 
 def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shift_ns: int) -> str:
-    """Return the largest differences of two recordings, of the tip and of each joint.
+    """Return how far two recordings differ, and how they were compared.
 
     Args:
         found: of the recordings.
@@ -71,17 +67,20 @@ def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shi
     tip = found.worst_tip
     lines = [
         f"**{second}** (ghost) less **{first}**: tips at most {1e3 * tip.value:.4g} mm apart, at "
-        f"{seconds(tip.time_ns - origin_ns)} s",
-        "",
-        "| joint | largest, mrad | at s |",
-        "|---|---:|---:|",
+        f"{seconds(tip.time_ns - origin_ns)} s"
     ]
-    for name, worst in zip(found.joints.names, found.worst_joints, strict=True):
-        lines.append(f"| {_escaped(name)} | {1e3 * worst.value:.4g} | {seconds(worst.time_ns - origin_ns)} |")
     if found.exact < 1.0:
         lines += ["", f"- {1.0 - found.exact:.1%} of the stamps of {first} fall between two of {second}: interpolated"]
     if shift_ns:
         lines += ["", f"- Stamps of {second} were moved by {shift_ns / NANOSECONDS:+.9f} s"]
+    return "\n".join(lines)
+
+
+def joint_differences(found: Difference, origin_ns: int) -> str:
+    """Return the largest difference of each joint as a table; `origin_ns` is where the page's time is 0."""
+    lines = ["| joint | largest, mrad | at s |", "|---|---:|---:|"]
+    for name, worst in zip(found.joints.names, found.worst_joints, strict=True):
+        lines.append(f"| {_escaped(name)} | {1e3 * worst.value:.4g} | {seconds(worst.time_ns - origin_ns)} |")
     return "\n".join(lines)
 
 

@@ -11,9 +11,8 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.chain import RigidChain
 from rx90_common.description.tip import tip_position
 from rx90_emulator.view.bags.recording import Recording
-from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.bags.track import Track, blocks
 
-_BLOCK = 1 << 14  # samples at once
 _AT_REST = 1e-4  # m/s, of the set-points: below it they have no direction of their own
 PATH_ERROR = "path error"
 
@@ -41,8 +40,7 @@ def path_error_track(recording: Recording, chain: RigidChain) -> Track | None:
         return None
     direction = _directions(reference, chain)
     error = np.empty((len(arm.time_ns), 1))
-    for start in range(0, len(arm.time_ns), _BLOCK):
-        rows = slice(start, start + _BLOCK)
+    for rows in blocks(len(arm.time_ns)):
         time_ns = arm.time_ns[rows]
         target = tip_position(chain, reference.at("position", time_ns))
         off = tip_position(chain, arm.values["position"][rows]) - target
@@ -56,8 +54,8 @@ def _directions(reference: Track, chain: RigidChain) -> Array:
     """Return the direction of the path at each set-point, shape (n, 3); 0 if the tip never moves."""
     count = len(reference.time_ns)
     tips = np.empty((count, 3))
-    for start in range(0, count, _BLOCK):
-        tips[start : start + _BLOCK] = tip_position(chain, reference.values["position"][start : start + _BLOCK])
+    for rows in blocks(count):
+        tips[rows] = tip_position(chain, reference.values["position"][rows])
     way = np.diff(tips, axis=0, append=tips[-1:])
     length = np.linalg.norm(way, axis=1)
     moving = length > _AT_REST * np.diff(reference.time_ns, append=reference.time_ns[-1] + 1) / NANOSECONDS

@@ -12,12 +12,13 @@ from rx90_common.base.rates import NANOSECONDS
 from rx90_common.description.robot import RobotModel
 from rx90_emulator.view.arm import ArmScene
 from rx90_emulator.view.bags.bag_plots import BagPlots
-from rx90_emulator.view.bags.controls import PlayControls, relative
+from rx90_emulator.view.bags.controls import PlayControls
 from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.facts import difference_text, recording_text, seconds
+from rx90_emulator.view.bags.facts import difference_text, joint_differences, recording_text
 from rx90_emulator.view.bags.path import path_error_track, tip_path
 from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.bags.recording import Recording
+from rx90_emulator.view.bags.times import seconds, since
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.line import legend_html, line_colors
 from rx90_emulator.view.page import Page
@@ -56,7 +57,7 @@ class BagPlayer:
         self.playback = Playback((end - begin) / NANOSECONDS)
         self.arms = [ArmScene(page, "/arm", robot)]
         if len(recordings) > 1:
-            self.arms.append(ArmScene(page, "/ghost", robot, ghost=True, tint=_GHOST))
+            self.arms.append(ArmScene(page, "/ghost", robot, ghost=_GHOST))
         page.look_at_arm(robot)
         errors = [path_error_track(recording, robot.chain) for recording in recordings]
         self._draw_path(page, robot, errors[0])
@@ -67,6 +68,9 @@ class BagPlayer:
             if difference is not None:
                 names = [recording.path.name for recording in recordings]
                 page.gui.add_markdown(difference_text(difference, names, begin, shift_ns))
+                # Folded: on a telephone the plots stand below all this.
+                with page.gui.add_folder("Largest differences by joint", expand_by_default=False):
+                    page.gui.add_markdown(joint_differences(difference, begin))
         with page.tab("About"):
             for recording in recordings:
                 page.gui.add_markdown(recording_text(recording, robot.model.name, begin))
@@ -87,12 +91,12 @@ class BagPlayer:
     def _add_controls(self, page: Page) -> None:
         gui = page.gui
         changes = sorted({change.stamp_ns for recording in self._recordings for change in recording.changes})
-        marks = [relative(stamp, self._origin) for stamp in changes]
+        marks = [since(stamp, self._origin) for stamp in changes]
         self._controls = PlayControls(page, self.playback, [mark for mark in marks if 0.0 <= mark <= self.playback.end])
         if self._difference is not None:
             worst = self._difference.worst_tip.time_ns
             button = gui.add_button("Jump to the worst difference", icon=viser.Icon.TARGET_ARROW)
-            button.on_click(lambda _: page.later(lambda: self._controls.go_to(relative(worst, self._origin))))
+            button.on_click(lambda _: page.later(lambda: self._controls.go_to(since(worst, self._origin))))
             ghost = gui.add_checkbox("ghost", initial_value=True, hint="draw the second bag's arm")
             ghost.on_update(lambda _: page.later(lambda: self._draw_ghost(ghost.value)))
         self._status = gui.add_markdown("")

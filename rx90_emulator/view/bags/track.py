@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +10,10 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.joint_series import Int64Array, JointSeries
 from rx90_common.base.arrays import Array
+from rx90_common.base.extremes import least_and_largest
 
 _GAP = 3.5  # times the median interval: fewer than three messages that are missing are interpolated
+_BLOCK = 1 << 14  # samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,8 +114,13 @@ class Track:
         filled = np.flatnonzero(np.diff(rows))
         if len(filled):
             inside, starts = self.values[field][: rows[-1]], rows[filled]
-            least[filled] = np.fmin(least[filled], np.fmin.reduceat(inside, starts, axis=0))
-            largest[filled] = np.fmax(largest[filled], np.fmax.reduceat(inside, starts, axis=0))
+            lowest, highest = least_and_largest(inside, starts)
+            least[filled], largest[filled] = np.fmin(least[filled], lowest), np.fmax(largest[filled], highest)
         time = np.stack([edges[:-1], edges[1:] - 1], axis=1).reshape(-1)
         ends = [np.where(rising, least, largest), np.where(rising, largest, least)]
         return time, np.stack(ends, axis=1).reshape(2 * count, -1)
+
+
+def blocks(count: int) -> Iterator[slice]:
+    """Yield the rows of `count` samples in pieces, for what would take too much memory for all of them at once."""
+    return (slice(start, min(start + _BLOCK, count)) for start in range(0, count, _BLOCK))

@@ -35,7 +35,7 @@ class LivePlots:
             self._torque = RollingPlot(page, "drive torque [Nm]", joints)
             self._error = RollingPlot(
                 page, "path error of the laser spot [mm]", ("laser spot",), legend=False, gaps=_GAPS
-            )  # fmt: skip
+            )
         self._looped.on_update(lambda _: page.later(self._loop.clear))
         self._time = -1.0
 

@@ -7,8 +7,8 @@ import time
 import numpy as np
 import viser
 
-from rx90_common.description.kinematics import forward
 from rx90_common.description.robot import RobotModel
+from rx90_common.exchange.topics import HURRIES
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.arm import ArmScene
 from rx90_emulator.view.line import LineScene, legend_html
@@ -38,7 +38,7 @@ class LiveView:
     """
 
     def __init__(self, page: Page, source: LiveSource, robot: RobotModel, line: LineTask | None) -> None:
-        self._page, self._source, self._robot = page, source, robot
+        self._page, self._source = page, source
         self.state: ArmState | None = None
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
@@ -52,9 +52,9 @@ class LiveView:
             self._plots.add_choice()
             with page.gui.add_folder("Diagnostics", expand_by_default=False):
                 self._diagnostics = page.gui.add_html("")
-        page.every(_POSE_PERIOD, self._update)
-        page.every(_PLOT_PERIOD, self._draw)
-        page.every(_STATUS_PERIOD, self._tell)
+        # A simulation that hurries needs the processors more than the eye needs smoothness.
+        for period, show in ((_POSE_PERIOD, self._update), (_PLOT_PERIOD, self._draw), (_STATUS_PERIOD, self._tell)):
+            page.every(period, show, hurries=lambda now: source.pace(now) > HURRIES)
 
     def _add_trace_choice(self, page: Page, line: LineScene) -> None:
         magnified = page.gui.add_dropdown(
@@ -89,10 +89,8 @@ class LiveView:
         if self.state is not None and state.time < self.state.time and self._line is not None:
             self._line.clear()
         self.state = state
-        self.arm.show(state.position)
-        error = None
-        if self._line is not None:
-            error = self._line.add(forward(self._robot.chain, state.position).position)
+        tip = self.arm.show(state.position)
+        error = None if self._line is None else self._line.add(tip)
         self._plots.add(state, error)
 
     def _draw(self, _now: float) -> None:

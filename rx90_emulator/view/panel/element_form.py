@@ -45,6 +45,7 @@ class ElementForm:
         self._element = page.gui.add_dropdown("element", names)
         self._slid_one = page.gui.add_dropdown("slide", [p.name for p in FRICTION_PARAMETERS])
         self._factor = page.gui.add_slider("times the file's", *_FACTORS, 1.0)
+        self._factor_taken = 1.0  # another value is one that a user has just given, and is taken next
         self._curve = _plot(page, "steady torque [Nm]", "velocity [rad/s]", ("file", "changed"))
         labels = ("file, to", "file, fro", "changed, to", "changed, fro")
         self._loop = _plot(page, "presliding torque [Nm]", "displacement [µrad]", labels)
@@ -60,7 +61,7 @@ class ElementForm:
         )
         self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
         self._element.on_update(from_user(self._chosen, page))
-        self._slid_one.on_update(from_user(lambda: put(self._factor, 1.0), page))
+        self._slid_one.on_update(from_user(self._slide_another, page))
         self._factor.on_update(from_user(self._slid, page))
         for field in (*self._fields, self._way):
             field.on_update(from_user(self._give, page))  # type: ignore[attr-defined]
@@ -82,10 +83,16 @@ class ElementForm:
     def _chosen(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
             put(field, text)
-        put(self._factor, 1.0)
+        self._slide_another()
         self._give()
 
+    def _slide_another(self) -> None:
+        if self._factor.value == self._factor_taken:
+            self._factor_taken = 1.0
+            put(self._factor, 1.0)
+
     def _slid(self) -> None:
+        self._factor_taken = self._factor.value
         index = [p.name for p in FRICTION_PARAMETERS].index(self._slid_one.value)
         texts = typed_values(self._file.elements[self._element.value], self._factor.value)
         put(self._fields[index], texts[index])

@@ -54,11 +54,15 @@ class JogTarget:
 
     def __init__(self) -> None:
         self._target: Array | None = None
+        self._reached: Array | None = None
         self._seen: Array | None = None
         self._moved_at = 0.0
 
     def drag(self, joint: int, angle: float, arm: Array, now: float) -> Array:
         """Return where all joints are to go when one is sent to an angle, rad; the others go on to where they were.
+
+        A joint that rests where it was sent stays sent there: friction holds it a little beside, and to send it to
+        where it is would move it a little with each jog of another joint.
 
         Args:
             joint: its index.
@@ -66,23 +70,31 @@ class JogTarget:
             arm: where the arm is, rad, shape (6,).
             now: time on any clock that does not go back, s.
         """
-        target = (arm if self._target is None else self._target).copy()
+        begun = self._target if self._target is not None else self._reached
+        target = (arm if begun is None else begun).copy()
         target[joint] = angle
         self._target, self._moved_at = target, now
         return target
 
     def forget(self) -> None:
         """Show the arm again: something else moves it, or the move was refused."""
-        self._target = None
+        self._target = self._reached = None
 
     def shown(self, arm: Array, now: float) -> Array:
         """Return what the sliders show, rad, shape (6,)."""
         if self._seen is None or np.abs(arm - self._seen).max() > _MOVED:
             self._seen, self._moved_at = arm.copy(), max(now, self._moved_at)
-        there = self._target is not None and np.abs(arm - self._target).max() < ARRIVED
-        if there or now - self._moved_at > _PATIENCE:
+        if self._target is not None and _is_at(arm, self._target):
+            self._reached, self._target = self._target, None
+        elif now - self._moved_at > _PATIENCE:
             self._target = None
+        if self._reached is not None and not _is_at(arm, self._reached):
+            self._reached = None  # something else has moved it
         return arm if self._target is None else self._target
+
+
+def _is_at(arm: Array, target: Array) -> bool:
+    return bool(np.abs(arm - target).max() < ARRIVED)
 
 
 def slider_range(limits: JointLimits, joint: int, step: float) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from rx90_common.base.errors import LineError
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.panel.typed_line import LineDesk, LinePreview, TypedLine
+from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
 from rx90_emulator.view.panel.widgets import from_user, sentence
 
 _INTERVAL = 0.1  # s from one check to the next while somebody types
@@ -24,13 +24,13 @@ class LineForm:
 
     Args:
         page: to build in, within a tab.
-        desk: checks.
+        checker: checks.
         task: what stands in the fields at first.
         send: takes a line that was checked, when the button is pressed.
     """
 
-    def __init__(self, page: Page, desk: LineDesk, task: LineTask, send: Callable[[LinePreview], None]) -> None:
-        self._page, self._desk, self._send = page, desk, send
+    def __init__(self, page: Page, checker: LineChecker, task: LineTask, send: Callable[[LinePreview], None]) -> None:
+        self._page, self._checker, self._send = page, checker, send
         self._here: Array | None = None
         self._checked_from: Array | None = None
         self._missing = ""
@@ -105,7 +105,7 @@ class LineForm:
         """Check on a thread of its own."""
         number, typed, here = item
         try:
-            found: LinePreview | LineError = self._desk.preview(typed, here)
+            found: LinePreview | LineError = self._checker.preview(typed, here)
         except LineError as error:
             found = error
         self._page.later(lambda: self._found(number, found))

@@ -61,7 +61,7 @@ class NodeControls:
         self._buttons.append((button, of_simulation, accepted))
 
 
-class SayingLines:
+class NodeLog:
     """The newest lines of what the nodes say and of what was refused here."""
 
     def __init__(self, page: Page) -> None:

@@ -18,6 +18,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 TIMEOUT = 5.0
 """The longest wait for an answer, s."""
 _LOOKS = 0.5  # s from one look at which nodes there are to the next
+_LONGEST_WAIT = 0.25  # s for a message; what is asked does not wait for it
 _PATH = {  # transitions from each state to unconfigured
     "active": ("deactivate", "cleanup"),
     "inactive": ("cleanup",),
@@ -63,61 +64,70 @@ class Operator:
 
     def __init__(self, names: NodeNames, heard: Heard, timeout: float = TIMEOUT) -> None:
         self.names, self._heard, self._timeout = names, heard, timeout
-        self._waiting: queue.SimpleQueue[Callable[[_Desk], None]] = queue.SimpleQueue()
+        self._waiting: queue.SimpleQueue[Callable[[_NodeClients], None]] = queue.SimpleQueue()
         self._ended = threading.Event()
+        self._wake: Callable[[], object] = _nothing
         self._thread = threading.Thread(target=self._run, name="operator", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """End the thread, and leave the nodes."""
         self._ended.set()
+        self._wake()
         self._thread.join()
 
     def ask(self, asked: ServiceRequest) -> None:
         """Call a service; what it says, or that it says nothing, is heard."""
-        self._waiting.put(lambda desk: desk.calls.ask(asked, desk.tell(asked.service)))
+        self._put(lambda nodes: nodes.calls.ask(asked, nodes.tell(asked.service)))
 
     def send(self, joints: tuple[str, ...], points: TrajectoryPoints | None) -> None:
         """Have a trajectory followed that starts now, or stop the arm for None; the controller's log line is heard."""
 
-        def publish(desk: _Desk) -> None:
+        def publish(nodes: _NodeClients) -> None:
             try:
-                desk.trajectories.offer(joints, points)
+                nodes.trajectories.offer(joints, points)
             except ExchangeError as error:
                 self._heard.said(self.names.controller, str(error), True)
             else:
-                desk.expect_answer()
+                nodes.expect_answer()
 
-        self._waiting.put(publish)
+        self._put(publish)
 
     def configure_again(self, parameter: str, value: str) -> None:
         """Set a parameter of the simulation that is read at its start, and start it again, at time 0."""
         node = self.names.simulation
 
-        def begin(desk: _Desk) -> None:
-            state = desk.simulation.state
+        def begin(nodes: _NodeClients) -> None:
+            state = nodes.simulation.state
             if state not in _PATH:
                 self._heard.said(node, f"its state is {state or 'unknown'}; accepted: a simulation that runs", True)
                 return
             steps = [transition_request(node, label) for label in _PATH[state]]
             steps.append(parameter_request(node, parameter, value))
             steps += [transition_request(node, label) for label in ("configure", "activate")]
-            desk.one_by_one(steps)
+            nodes.one_by_one(steps)
 
-        self._waiting.put(begin)
+        self._put(begin)
+
+    def _put(self, request: Callable[[_NodeClients], None]) -> None:
+        self._waiting.put(request)
+        self._wake()
 
     def _run(self) -> None:
         with client_node("rx90_view_panel", self._timeout, lambda _line: None, self.names.ros_args) as client:
-            desk = _Desk(client, self.names, self._heard)
+            nodes = _NodeClients(client, self.names, self._heard)
+            # The executor's own `wake` does not end a wait.
+            self._wake = lambda: client.executor.create_task(_nothing)
             while not self._ended.is_set():
                 while not self._waiting.empty():
-                    self._waiting.get()(desk)
-                client.spin()
-                desk.look()
+                    self._waiting.get()(nodes)
+                client.spin(_LONGEST_WAIT)
+                nodes.look()
+            self._wake = _nothing
 
 
-class _Desk:
-    """What the operator's thread works with."""
+class _NodeClients:
+    """The clients of both nodes, and what is still to be answered; for the operator's thread alone."""
 
     def __init__(self, client: ClientNode, names: NodeNames, heard: Heard) -> None:
         self._names, self._heard, self._timeout = names, heard, client.timeout
@@ -177,3 +187,7 @@ class _Desk:
         if node == self._names.controller:
             self._answer_by = None
         self._heard.said(node, line, wrong)
+
+
+def _nothing() -> None:
+    pass

@@ -14,9 +14,9 @@ from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_form import ElementForm
 from rx90_emulator.view.panel.jog_sliders import JogSliders
 from rx90_emulator.view.panel.line_form import LineForm
-from rx90_emulator.view.panel.node_controls import NodeControls, SayingLines
+from rx90_emulator.view.panel.node_controls import NodeControls, NodeLog
 from rx90_emulator.view.panel.operator import Heard, NodeNames, Operator
-from rx90_emulator.view.panel.typed_line import LineDesk, LinePreview
+from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview
 from rx90_emulator.view.panel.widgets import from_user
 from rx90_emulator.view.state import ArmState
 
@@ -56,13 +56,13 @@ class DoPanel:
         gui = page.gui
         with page.tab("Move"):
             with gui.add_folder("Straight line"):
-                self._line = LineForm(page, LineDesk(robot, limits, _SET_POINT, task.branch), task, self._send_line)
+                self._line = LineForm(page, LineChecker(robot, limits, _SET_POINT, task.branch), task, self._send_line)
             with gui.add_folder("Joints"):
                 self._sliders = JogSliders(page, limits, lambda points: self._operator.send(self._joints, points))
             self._stop = gui.add_button("Stop the arm", color="red")
             self._stop.on_click(from_user(lambda: self._send(None), page))
             with gui.add_folder("What the nodes say"):
-                self._lines = SayingLines(page)
+                self._log = NodeLog(page)
             with gui.add_folder("Nodes"):
                 self._nodes = NodeControls(page, self._operator)
         with page.tab("Element"):
@@ -103,7 +103,7 @@ class DoPanel:
         self._operator.configure_again("friction", path)
 
     def _said(self, node: str, line: str, wrong: bool) -> None:
-        self._lines.say(node, line, wrong)
+        self._log.say(node, line, wrong)
         if wrong and _REFUSED in line:
             self._sliders.forget()
 

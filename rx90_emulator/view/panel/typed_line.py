@@ -90,7 +90,7 @@ class LinePreview:
 
 
 @dataclass(frozen=True, eq=False)
-class LineDesk:
+class LineChecker:
     """What a line is checked against.
 
     Attributes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 import rx90_emulator as rx
 from rx90_common.bags.comparison import compare_bags
 from rx90_common.description.kinematics import forward
+from rx90_common.description.robot import load_robot
+from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.demo.analysis import RunAnalysis, analyse
 from rx90_emulator.demo.animation import Animation, animate
 from rx90_emulator.demo.report import RunFacts, write_report
@@ -50,6 +53,16 @@ def pages(bag: Path, run: RunAnalysis, shipped: Setup, task: rx.LineTask) -> lis
 def test_the_same_run_gives_the_same_page(pages: list[Path]) -> None:
     """A report of the same run has the same bytes: no counter, no chance, no date of its libraries."""
     assert pages[0].read_bytes() == pages[1].read_bytes()
+
+
+def test_an_arm_of_meshes_is_animated(run: RunAnalysis, task: rx.LineTask, tmp_path: Path) -> None:
+    """Whose URDF names files of meshes, which cannot be drawn, gets a report with rods, not an error at the end."""
+    mesh = '<visual><geometry><mesh filename="package://nowhere/link.stl"/></geometry></visual>'
+    text = re.sub(r"<visual.*?</visual>", mesh, RobotFiles().urdf.read_text(encoding="utf-8"), flags=re.DOTALL)
+    urdf = tmp_path / "robot.urdf"
+    urdf.write_text(text, encoding="utf-8")
+    found = animate(run, load_robot(urdf, RobotFiles().tool), task)
+    assert len(found.outlines(found.still)) > 6
 
 
 def test_the_animated_arm_is_where_kinematics_say(

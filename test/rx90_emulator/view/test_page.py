@@ -25,6 +25,9 @@ from rx90_emulator.view.plots import LoopPlot, RollingPlot
 
 Open = Callable[..., BrowserPage]
 POSE = np.array([0.4, -0.7, 1.9, 0.8, -0.9, 2.5])
+JOINTS = [f"joint_{k}" for k in range(1, 7)]
+PLACES = """() => [...document.querySelectorAll('.uplot')].map(plot => plot.getBoundingClientRect())
+    .filter(({width}) => width > 0).map(({left, top, right, bottom}) => [left, top, right, bottom].map(Math.round))"""
 PIXEL = 1e-6  # m; positions go to the page as single precision
 
 
@@ -196,15 +199,38 @@ def test_a_page_that_others_can_open_is_told(host: str, open_to_others: bool) ->
     assert reached_by_others(host) is open_to_others
 
 
+def check_drawer(shown: BrowserPage) -> None:
+    """Fail unless a tap opens the plots of a telephone, below each other, within its width, each as a whole."""
+    assert shown.page.evaluate(PLACES) == []
+    shown.page.get_by_text("Friction", exact=True).click()
+    # They grow to the width of the panel.
+    shown.wait_until(lambda: sum(place[2] - place[0] > 200 for place in shown.page.evaluate(PLACES)) == 2, "two plots")
+    (left, top, right, bottom), below = shown.page.evaluate(PLACES)
+    assert 0 <= left < right <= 390
+    assert [below[0], below[2]] == [left, right]
+    assert top + 150 < bottom <= below[1]
+    shown.page.locator(".uplot").nth(1).scroll_into_view_if_needed()
+    *_, (_, top, _, bottom) = shown.page.evaluate(PLACES)
+    assert 844 // 3 < top < bottom <= 844  # beside the arm, not over it
+    names = shown.page.locator(".u-legend .u-label")
+    assert {name for name in names.all_inner_texts() if name} >= set(JOINTS)
+
+
 def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, open_page: Open) -> None:
-    """In an upright window the camera is farther away and looks below the arm; in a wide one it is where it was."""
+    """In an upright window the camera is farther away and looks below the arm; in a wide one it is where it was.
+
+    The plots are a drawer of the panel there, closed at first.
+    """
     page.look_at_arm(shipped.robot)
     first = page.server.initial_camera
     length = float(np.linalg.norm(first.position - first.look_at))
     seen: list[Any] = []
     page.server.on_client_connect(seen.append)
+    with page.plot_tab("Friction"):
+        for title in ("torque", "deflection"):
+            RollingPlot(page, title, JOINTS)
     for size, away, lower in (((390, 844), 0.9 * 844 / 390, True), ((900, 600), 1.0, False)):
-        open_page(page.address, size)
+        shown = open_page(page.address, size)
 
         def looks(away: float, lower: bool) -> bool:
             camera = seen[-1].camera
@@ -213,3 +239,5 @@ def test_on_a_telephone_the_arm_is_above_the_panels(shipped: Setup, page: Page, 
 
         count = 1 if lower else 2
         wait_until(partial(lambda *of: len(seen) == of[0] and looks(*of[1:]), count, away, lower), "the page's camera")
+        if lower:
+            check_drawer(shown)

@@ -68,6 +68,30 @@ def test_the_sliders_show_where_the_arm_goes_and_then_where_it_is() -> None:
     np.testing.assert_array_equal(target.shown(arm, 5.1), arm)
 
 
+def test_a_joint_that_rests_where_it_was_sent_is_not_moved_by_the_next_jog() -> None:
+    """Friction holds the arm 1 mrad beside: another joint's jog leaves each sent to where it was sent."""
+    target, arm = JogTarget(), np.arange(6) * 0.1
+    first = target.drag(1, 0.7, arm, 0.0)
+    held = first + 1e-3
+    target.shown(held, 1.0)
+    second = target.drag(0, 0.2, held, 2.0)
+    np.testing.assert_array_equal(second, np.concatenate([[0.2], first[1:]]))
+
+
+@pytest.mark.parametrize("elsewhere", [True, False])
+def test_a_joint_that_something_else_has_moved_stays_where_it_is(elsewhere: bool) -> None:
+    """After a trajectory of others, or one that makes the page forget, a jog leaves the other joints as they are."""
+    target, arm = JogTarget(), np.arange(6) * 0.1
+    held = target.drag(1, 0.7, arm, 0.0) + 1e-3
+    target.shown(held, 1.0)
+    if elsewhere:
+        target.shown(held + 0.1, 2.0)
+        target.shown(held, 3.0)
+    else:
+        target.forget()
+    np.testing.assert_array_equal(target.drag(0, 0.3, held, 4.0), np.concatenate([[0.3], held[1:]]))
+
+
 def test_sliders_end_within_the_limits(shipped: Setup) -> None:
     """Both ends are within the joint's limits, less than a step away from them."""
     limits = shipped.controller.limits(shipped.robot)
@@ -114,7 +138,8 @@ class _Slider:
         self.changed = callback
 
 
-def test_a_slider_that_a_user_has_moved_is_not_put_back(shipped: Setup) -> None:
+@pytest.mark.parametrize("joint", [0, 1, 4])
+def test_a_slider_that_a_user_has_moved_is_not_put_back(shipped: Setup, joint: int) -> None:
     """The arm's state that comes between a user's change and its taking does not overwrite it: the joint goes there."""
     sliders: list[_Slider] = []
     waiting: list[Callable[[], None]] = []
@@ -128,14 +153,14 @@ def test_a_slider_that_a_user_has_moved_is_not_put_back(shipped: Setup) -> None:
     jogs = JogSliders(page, shipped.controller.limits(shipped.robot), sent.put)
     arm: Any = SimpleNamespace(position=np.full(6, 0.1), velocity=ZERO)
     jogs.follow(arm, ready=True)
-    assert sliders[0].value == 5.7  # 0.1 rad in tenths of a degree
-    sliders[0].value = 12.3
-    sliders[0].changed(SimpleNamespace(client_id=1))
+    assert sliders[joint].value == 5.7  # 0.1 rad in tenths of a degree
+    sliders[joint].value = 12.3
+    sliders[joint].changed(SimpleNamespace(client_id=1))
     jogs.follow(arm, ready=True)
     waiting.pop()()
     target = sent.get(timeout=60.0).position[-1]
     jogs.follow(arm, ready=True)
     jogs.close()
-    np.testing.assert_allclose(np.degrees(target[0]), 12.3)
-    np.testing.assert_array_equal(target[1:], arm.position[1:])
-    assert sliders[0].value == 12.3
+    np.testing.assert_allclose(np.degrees(target[joint]), 12.3)
+    np.testing.assert_array_equal(np.delete(target, joint), arm.position[1:])
+    assert sliders[joint].value == 12.3

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,21 +17,26 @@ from browser import BrowserPage, served
 from processes import Processes, wait_until
 from ros_client import JOINTS, Client, seconds
 
+from rx90_common.base.share import config_path
 from rx90_common.exchange.client_node import client_node
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel import element_form
+from rx90_emulator.view.panel.element_form import ElementForm
 from rx90_emulator.view.panel.operator import NodeNames
 from rx90_emulator.view.panel.panel import DoPanel
-from rx90_emulator.view.panel.typed_line import LineDesk, LinePreview, TypedLine
+from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
+from rx90_emulator.view.panel.widgets import put
 from rx90_emulator.view.state import ArmState
 
 Open = Callable[..., BrowserPage]
 START, END, SPEED = np.array([0.6, -0.05, 0.2]), np.array([0.62, 0.05, 0.19]), 0.25
 SIZE = (420, 900)  # a small scene, because it is drawn in software
+FIELD = "//*[starts-with(normalize-space(text()), \"{}\")]/following::input[not(@type='hidden')][1]"
 
 
 @pytest.fixture
@@ -93,15 +99,15 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.Monke
     shown.wait_until(lambda: bool(verdict.search(shown.text())), "the first verdict")
     begun = {speed: threading.Event() for speed in ("0.2", "0.4")}
     may_end = {speed: threading.Event() for speed in begun}
-    plan = LineDesk.preview
+    plan = LineChecker.preview
 
-    def slowly(desk: LineDesk, typed: TypedLine, here: Any) -> LinePreview:
+    def slowly(checker: LineChecker, typed: TypedLine, here: Any) -> LinePreview:
         if typed.speed in begun:
             begun[typed.speed].set()
             assert may_end[typed.speed].wait(60.0)
-        return plan(desk, typed, here)
+        return plan(checker, typed, here)
 
-    monkeypatch.setattr(LineDesk, "preview", slowly)
+    monkeypatch.setattr(LineChecker, "preview", slowly)
     fill(shown, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
@@ -114,7 +120,7 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.Monke
     assert verdict.search(shown.text()) is None
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
-    monkeypatch.setattr(LineDesk, "preview", plan)
+    monkeypatch.setattr(LineChecker, "preview", plan)
 
 
 def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]) -> None:
@@ -154,15 +160,38 @@ def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]
     assert np.median(speed[speed > 0.1]) == pytest.approx(SPEED, rel=0.02)
 
 
+class _RestsAt:
+    """Whether an arm has been where it is, within 0.001 deg, for half a second of its time."""
+
+    def __init__(self, heard: Sequence[Any]) -> None:
+        self._heard, self._place, self._since = heard, np.full(6, np.nan), 0.0
+
+    def __call__(self) -> bool:
+        """Look at the newest state."""
+        newest = self._heard[-1]
+        if not np.abs(np.degrees(newest.position) - self._place).max() < 1e-3:
+            self._place, self._since = np.degrees(newest.position), seconds(newest)
+        return seconds(newest) >= self._since + 0.5
+
+
 def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
     client = Client()
     heard = client.listen("joint_states", depth=1)
     client.spin_until(lambda: bool(heard), "the arm")
+    rests = _RestsAt(heard)
+    client.spin_until(rests, "the arm at rest after the line")
     before = np.degrees(heard[-1].position)
     asked = round(float(before[0]) + 5.0, 1)
-    fill(shown, "joint", f"{asked}")
-    shown.page.keyboard.press("Enter")
-    client.spin_until(lambda: abs(np.degrees(heard[-1].position[0]) - asked) < 0.01, "joint 1 where its slider is")
+    field = shown.page.locator(FIELD.format("joint")).first
+
+    def moved() -> bool:
+        # A slider that follows the arm's last tremor takes away what is being typed into it.
+        if abs(float(field.input_value() or "nan") - asked) > 0.05:
+            field.fill(f"{asked}")
+            shown.page.keyboard.press("Enter")
+        return bool(abs(np.degrees(heard[-1].position[0]) - asked) < 0.01) and rests()
+
+    client.spin_until(moved, "joint 1 where its slider is")
     # A joint that was not touched goes to where its slider stood, a tenth of a degree at most from it.
     np.testing.assert_allclose(np.degrees(heard[-1].position)[1:], before[1:], atol=0.02)
     client.close()
@@ -196,12 +225,59 @@ def _an_element_is_changed(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) 
     shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 27.0}" in shown.text(), "the other YAML")
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
+    monkeypatch.setattr(element_form, "stribeck_curve", curve)
+    _another_element_is_chosen(shown, title)
+
+
+def _another_element_is_chosen(shown: BrowserPage, title: str) -> None:
+    """The fields, the curves and the file are of the element that is chosen, and the slider changes what it names."""
+    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
+    viscous = file.elements["joint_3"].c2
+    choose(shown, "element", "joint_3")
+    tau = shown.page.locator(FIELD.format("tau")).first
+    shown.wait_until(lambda: tau.input_value() == f"{file.elements['joint_3'].tau_c_positive:g}", "its Coulomb torque")
+    choose(shown, "slide", "c2")
+    fill(shown, "times the file's", "2")
+    shown.page.keyboard.press("Enter")
+    said = f"changed by hand: joint_3.c2 from {viscous:g} to {2.0 * viscous:g} "
+    shown.wait_until(lambda: said in shown.text(), "the change of the third joint")
+
+    def doubled() -> bool:
+        velocity, before, after = map(np.array, shown.plots()[title]["data"])
+        return bool(np.allclose(after - before, viscous * velocity, atol=1e-6) and np.ptp(velocity) > 1.0)
+
+    shown.wait_until(doubled, "its curves")
+
+
+def test_a_factor_given_right_after_its_parameter_is_chosen_is_kept() -> None:
+    """The factor goes back to 1 with another parameter, but not one that was given before the page took the choice."""
+    page = Page("test", port=0)
+    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
+    form = ElementForm(page, file, lambda _: None)
+    inputs = [field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "value")]
+    chosen, factor = (next(f for f in inputs if f.label == label) for label in ("slide", "times the file's"))
+    for parameter, given, left in (("c2", 2.0, 2.0), ("c1", 2.0, 1.0)):
+        put(chosen, parameter)
+        put(factor, given)
+        for wanted in (chosen, factor):
+            for callback in wanted._impl.update_cb:
+                callback(SimpleNamespace(client_id=1))
+        while not page._handed_over.empty():
+            page._handed_over.get()()
+        assert factor.value == left
+    form.close()
+    page.close()
+
+
+def choose(shown: BrowserPage, label: str, option: str) -> None:
+    """Choose in the list whose label begins so."""
+    shown.page.locator(FIELD.format(label)).first.click()
+    shown.page.get_by_role("option", name=option, exact=True).click()
 
 
 def fill(shown: BrowserPage, label: str, text: str) -> None:
     """Type into the field whose label begins so; the page breaks labels at _ and /."""
-    field = f"//*[starts-with(normalize-space(text()), '{label}')]/following::input[not(@type='hidden')][1]"
-    shown.page.locator(field).first.fill(text)
+    shown.page.locator(FIELD.format(label)).first.fill(text)
 
 
 def press(shown: BrowserPage, name: str) -> None:

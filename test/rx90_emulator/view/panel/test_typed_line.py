@@ -13,30 +13,30 @@ from rx90_common.base.errors import LineError
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryGenerator
 from rx90_emulator.loop.setup import Setup
-from rx90_emulator.view.panel.typed_line import LineDesk, TypedLine
+from rx90_emulator.view.panel.typed_line import LineChecker, TypedLine
 
 TYPED = TypedLine("0.6 -0.1 0.2", "0.6, 0.1, 0.2", "0.25", "2", "0 180 0")
 
 
 @pytest.fixture(scope="module")
-def desk(shipped: Setup) -> LineDesk:
+def checker(shipped: Setup) -> LineChecker:
     """Return what lines of the shipped robot are checked against."""
     limits = shipped.controller.limits(shipped.robot)
-    return LineDesk(shipped.robot, limits, 1e-3, load_task().branch)
+    return LineChecker(shipped.robot, limits, 1e-3, load_task().branch)
 
 
-def test_a_line_is_shown_with_what_it_comes_to(desk: LineDesk) -> None:
+def test_a_line_is_shown_with_what_it_comes_to(checker: LineChecker) -> None:
     """The approach leads the tip from where Pinocchio has it to the start; time and speeds are the motion's own."""
     here = np.array([0.4, 0.3, 1.2, 0.1, 0.5, 0.2])
-    preview = desk.preview(TYPED, here)
-    robot = desk.robot
+    preview = checker.preview(TYPED, here)
+    robot = checker.robot
     data = robot.model.createData()
     pin.framesForwardKinematics(robot.model, data, here)
     tip = data.oMf[robot.model.getFrameId(robot.tcp_frame)].translation
     np.testing.assert_allclose(preview.approach[[0, -1]], [tip, [0.6, -0.1, 0.2]], atol=1e-9)
     assert "0.200 m in 0.93 s" in preview.text()  # 0.2 m / 0.25 m/s and 0.25 m/s / 2 m/s^2
     # The set-points as the controller makes them, against the speed limits.
-    generator = TrajectoryGenerator(desk.limits, 1e-3, here)
+    generator = TrajectoryGenerator(checker.limits, 1e-3, here)
     end = generator.accept(preview.line.points, 0, None).end
     speeds = np.abs(generator.setpoints(0, end)[:, 1])[int(preview.line.approach * 1e3) :]
     np.testing.assert_allclose(preview.share, speeds.max(axis=0) / robot.max_velocity, atol=1e-3)
@@ -59,16 +59,18 @@ def test_a_line_is_shown_with_what_it_comes_to(desk: LineDesk) -> None:
         ({"acceleration": "900"}, "the controller would refuse the line"),
     ],
 )
-def test_a_line_that_cannot_be_travelled_is_one_sentence(desk: LineDesk, change: dict[str, str], said: str) -> None:
+def test_a_line_that_cannot_be_travelled_is_one_sentence(
+    checker: LineChecker, change: dict[str, str], said: str
+) -> None:
     """The refusal names the value, or the place on the line, and what is accepted."""
     with pytest.raises(LineError, match=re.escape(said)) as refused:
-        desk.preview(replace(TYPED, **change), None)
+        checker.preview(replace(TYPED, **change), None)
     assert "accepted" in str(refused.value)
 
 
-def test_the_fields_begin_with_the_reference_task(desk: LineDesk) -> None:
+def test_the_fields_begin_with_the_reference_task(checker: LineChecker) -> None:
     """What stands in the form at first is the robot's own line."""
     task = load_task()
     typed = TypedLine.of(task).task(task.branch)
     assert replace(typed, rest_before=task.rest_before, rest_after=task.rest_after) == task
-    assert desk.preview(TypedLine.of(task), None).line.approach == 0.0
+    assert checker.preview(TypedLine.of(task), None).line.approach == 0.0

@@ -1,0 +1,170 @@
+"""Plots of curves with millions of points."""
+
+from __future__ import annotations
+
+import io
+import math
+import pathlib
+import re
+
+import numpy as np
+import pytest
+from matplotlib.path import Path
+from PIL import Image
+from report_pages import ReportCheck
+
+from rx90_common.base.extremes import least_and_largest
+from rx90_common.report import simplifying
+from rx90_common.report.page import render_page
+from rx90_common.report.plot import Curve, Panel, Plot
+from rx90_common.report.simplifying import Extent, simplified
+from rx90_common.report.still import write_picture
+from rx90_common.report.thinning import thinned
+
+
+def only_curve(plot: Plot) -> tuple[Panel, Curve]:
+    """Return a plot's panel and the curve in it."""
+    (panel,) = plot.panels
+    assert isinstance(panel, Panel)
+    (curve,) = panel.marks
+    assert isinstance(curve, Curve)
+    return panel, curve
+
+
+def extremes(x: np.ndarray, y: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the first, least, largest and last value between each two edges, shape (m, 4)."""
+    parts = np.split(y, np.searchsorted(x, edges[1:-1]))
+    return np.array([[part[0], part.min(), part.max(), part[-1]] for part in parts])
+
+
+def dense_page(plot: Plot) -> str:
+    """Return the page of a bag that shows a plot."""
+    plots = [{"plot": plot, "topic": "t", "messages": (1,), "differences": []}]
+    values = {"names": ["a"], "paths": ["a"], "robots": "", "plots": plots}
+    return render_page("rx90_common.bags.plotting", "bag.html.j2", **values)
+
+
+def test_each_column_keeps_its_extremes() -> None:
+    """Of five million points at uneven times 32,000 are kept, among them the extremes and ends of 2000 columns.
+
+    The area that is drawn, of 4000 columns, goes as far up and down in each of 200 as the whole curve, to a thousandth.
+    """
+    random = np.random.default_rng(3)
+    x = np.cumsum(0.01 + random.random(5_000_000, dtype=np.float32), dtype=np.float64)
+    y = np.sin(x / 1e5) + 0.2 * random.standard_normal(len(x), dtype=np.float32)
+    y[[1_234_567, 4_000_000]] = 9.0, -7.0
+    panel, kept = only_curve(thinned(Plot([Panel([Curve(x, y)])])))
+    assert len(kept.x) <= 32_001
+    assert np.array_equal(kept.y, y[np.searchsorted(x, kept.x)])
+    edges = np.linspace(x[0], x[-1], 2001)
+    np.testing.assert_array_equal(extremes(kept.x, kept.y, edges), extremes(x, y, edges))
+    drawn = simplified(panel, kept, 4000, 4000)
+    assert isinstance(drawn, Extent)
+    least, largest = drawn.low.reshape(200, 20).min(axis=1), drawn.high.reshape(200, 20).max(axis=1)
+    assert np.abs(np.stack([least, largest], axis=1) - extremes(x, y, edges[::10])[:, 1:3]).max() < 1e-3 * 16.0
+
+
+def test_gaps_loops_and_decades_stay() -> None:
+    """A gap keeps its ends, a curve that goes back its way, and one over decades its points in each of them."""
+    turns = np.linspace(0.0, 6.0 * np.pi, 1_000_000)
+    loops = np.cos(turns), np.sin(turns) * np.exp(-0.01 * turns)
+    holed = np.where((turns > 5.0) & (turns < 8.0), np.nan, loops[1])
+    few = only_curve(thinned(Plot([Panel([Curve(turns, holed)])])))[1]
+    empty = np.flatnonzero(np.isnan(few.y))
+    assert np.array_equal(few.x[empty], turns[np.isnan(holed)][[0, -1]])
+    assert np.array_equal(few.x[[empty[0] - 1, empty[-1] + 1]], [turns[turns <= 5.0][-1], turns[turns >= 8.0][0]])
+    back = only_curve(thinned(Plot([Panel([Curve(*loops)])])))[1]
+    rows = np.flatnonzero(np.isin(loops[1], back.y))
+    assert np.array_equal(loops[1][rows], back.y)  # in the order of the way
+    assert len(rows) < 200_000
+    assert np.abs(np.diff(loops[0][rows])).max() < 1e-3  # of 2: beside each other in a column, or in the next
+    decades = np.logspace(-6.0, 6.0, 200_000)
+    panel = Panel([Curve(np.append(-1.0, decades), np.append(1.0, decades**2))], x_scale="log", y_scale="log")
+    spread = only_curve(thinned(Plot([panel])))[1]
+    assert len(spread.x) < 33_000
+    assert np.diff(np.log10(spread.x[1:])).max() < 0.01
+    steps = only_curve(thinned(Plot([Panel([Curve(turns, np.sign(np.sin(turns)))])])))[1]
+    assert len(steps.x) < 17_000  # of equal values the first one is enough
+    nothing = only_curve(thinned(Plot([Panel([Curve(turns, np.full(len(turns), np.nan))])])))[1]
+    assert len(nothing.x) == 2
+
+
+def test_a_curve_over_decades_of_one_axis_keeps_its_shape() -> None:
+    """Columns are even on the axis as it is drawn, and the values' axis may be another one."""
+    x = np.logspace(-6.0, 0.0, 200_000)
+    for scales in ({"x_scale": "log"}, {"x_scale": "log", "y_scale": "log"}):
+        few = only_curve(thinned(Plot([Panel([Curve(x, 2.0 + np.sin(np.log(x)))], **scales)])))[1]
+        assert len(few.x) < 33_000
+        assert np.diff(np.log10(few.x)).max() < 6.0 / 4000
+    x = np.linspace(1e-6, 1.0, 200_000)
+    few = only_curve(thinned(Plot([Panel([Curve(x, x)], y_scale="log")])))[1]
+    assert np.diff(few.x).max() < 1.0 / 4000
+
+
+def test_dots_are_not_thinned() -> None:
+    """Of a curve with dots every point stays: each is drawn."""
+    x = np.arange(100_000.0)
+    assert len(only_curve(thinned(Plot([Panel([Curve(x, np.sin(x), dots=True)])])))[1].x) == 100_000
+    assert len(only_curve(thinned(Plot([Panel([Curve(x, np.sin(x))])])))[1].x) < 40_000
+
+
+def test_the_extremes_of_rows_leave_out_what_is_no_number() -> None:
+    """Each group gives what NumPy finds in its rows without NaN, NaN for a group without any number."""
+    random = np.random.default_rng(4)
+    values = np.where(random.random((60, 2)) < 0.4, np.nan, random.standard_normal((60, 2)))
+    starts = np.array([0, 1, 5, 20, 24, 59])
+    values[20:24] = np.nan
+    least, largest = least_and_largest(values, starts)
+    for k, rows in enumerate(np.split(values, starts[1:])):
+        for column in range(2):
+            known = sorted(value for value in rows[:, column] if math.isfinite(value))
+            ends = (known[0], known[-1]) if known else (np.nan, np.nan)
+            np.testing.assert_array_equal((least[k, column], largest[k, column]), ends)
+
+
+@pytest.mark.parametrize("count", [64_000, 200_000])
+def test_pictures_and_pages_simplify_what_is_left(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """However long a curve is, it is simplified from 64,000 points at most; up to these, all of them count."""
+    sizes = []
+
+    class CountedPath(Path):
+        def __init__(self, points: np.ndarray) -> None:
+            sizes.append(len(points))
+            super().__init__(points)
+
+    monkeypatch.setattr(simplifying, "Path", CountedPath)
+    x = np.arange(float(count))
+    plot = Plot([Panel([Curve(x, np.sin(0.001 * x))])])
+    write_picture(plot, tmp_path / "a.png")
+    dense_page(plot)
+    assert set(sizes) == {64_000} if count == 64_000 else max(sizes) <= 64_000
+
+
+def test_a_page_of_many_dense_curves_stays_small() -> None:
+    """However many dense curves there are, the page has 3 MB at most, and uses what is left for columns of each."""
+    x = np.arange(400.0)
+    y = np.random.default_rng(4).normal(size=len(x))
+    plot = Plot([Panel([Curve(x, y + 5.0 * k, f"joint_{k}") for k in range(50)]) for _ in range(10)])
+    page = dense_page(plot)
+    assert 2_900_000 < len(page.encode()) <= 3_000_000
+    counts = [int(count) for count in re.findall(r'"kind":"extent".*?"count":(\d+)', page)]
+    assert len(counts) == 500
+    assert min(counts) > 100
+
+
+def test_a_vibration_is_an_area_on_the_screen(check_report: ReportCheck, tmp_path: pathlib.Path) -> None:
+    """The curve's colour fills all between its amplitudes, and nothing of a gap of a fifth of its length."""
+    x = np.linspace(0.0, 10.0, 200_000)
+    y = np.where((x > 4.0) & (x < 6.0), np.nan, np.sin(1e4 * x))
+    file = tmp_path / "page.html"
+    file.write_text(dense_page(Plot([Panel([Curve(x, y, colour="#0000ff")])])), encoding="utf-8")
+    report = check_report.open(file, viewport={"width": 900, "height": 600})
+    picture = Image.open(io.BytesIO(report.plot(0).locator(".live").screenshot())).convert("RGB")
+    heights = (np.asarray(picture, dtype=int) @ [1, 1, -1] < -200).sum(axis=0)
+    drawn = heights[np.flatnonzero(heights)[0] : np.flatnonzero(heights)[-1] + 1]
+    assert (drawn == 0).mean() == pytest.approx(0.2, abs=0.01)
+    assert np.quantile(drawn[drawn > 0], 0.01) > 0.95 * drawn.max()
+    assert drawn.max() > 0.5 * picture.height
+    assert report.faults == []

@@ -1,0 +1,102 @@
+"""What the page of running nodes says of them, as a browser shows it: each fact in its row, its unit and its colour."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from browser import BrowserPage, served
+
+from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Span
+from rx90_controller.lines.task import load_task
+from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.live import live_view, source
+from rx90_emulator.view.live.live_view import LiveView
+from rx90_emulator.view.page import Page
+
+Open = Callable[..., BrowserPage]
+PACE = 0.25
+GOOD, WARNING, ERROR = "rgb(43, 138, 62)", "rgb(230, 119, 0)", "rgb(201, 42, 42)"
+ROW = "name => [...document.querySelectorAll('tr')].find(row => row.cells[0].innerText == name)?.cells[1].innerText"
+COLOUR = """text => getComputedStyle([...document.querySelectorAll('td span')].find(
+    span => span.innerText == text) ?? document.body).color"""
+
+
+class Nodes:
+    """Stand for `ArmWatch`: nodes whose time runs at PACE, and what they say."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic()
+        self.trajectory: Span | None = None
+        self.publishers, self.robot, self.problem, self.topic = 1, None, "", "/joint_states"
+        self.diagnostics = {
+            "rx90_sim": NodeStatus(1, "late", {"brakes": "closed"}),
+            "rx90_controller": NodeStatus(0, "holding", {"enabled": "true"}),
+        }
+
+    @property
+    def time(self) -> float:
+        """Return the simulated time, s."""
+        return 100.0 + PACE * (time.monotonic() - self._began)
+
+    def joints(self) -> JointSample:
+        """Return an arm that stands at the time."""
+        return JointSample(self.time, *np.zeros((3, 6)))
+
+    def elements(self) -> None:
+        """Have no friction."""
+
+    def look_around(self) -> None:
+        """Do nothing."""
+
+
+def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Brakes, controller, pace and trajectory are the nodes' own; a warning and an error have their colours."""
+    nodes = Nodes()
+    monkeypatch.setattr(source, "ArmWatch", lambda *_: nodes)
+    # What is drawn in software takes time: an arm is not looked at here.
+    monkeypatch.setattr(live_view, "ArmScene", lambda *_: SimpleNamespace(show=lambda _: np.zeros(3)))
+    live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
+    page = Page("test", port=0)
+    LiveView(page, live, shipped.robot, load_task())
+    with served(page):
+        shown = open_page(page.address, (420, 400))
+
+        def row(name: str, said: str) -> None:
+            shown.wait_until(lambda: said == shown.page.evaluate(ROW, name), f"{name}: {said}")
+
+        def colour(text: str, wanted: str) -> None:
+            shown.wait_until(lambda: shown.page.evaluate(COLOUR, text) == wanted, f"the colour of {text}")
+
+        row("brakes", "closed")
+        row("simulation", "late")
+        row("controller", "holding")
+        row("trajectory", "none")
+        colour("late", WARNING)
+        colour("holding", GOOD)
+
+        def pace() -> bool:
+            seconds, _, factor = shown.page.evaluate(ROW, "time").partition(" s, ")
+            return abs(float(seconds) - nodes.time) < 5.0 and abs(float(factor.split()[0]) - PACE) <= 0.01
+
+        shown.wait_until(pace, "time and pace")
+        begin = nodes.time - 40.0
+        nodes.trajectory = Span(begin, begin + 1000.0)
+        shown.wait_until(
+            lambda: shown.page.evaluate(ROW, "trajectory").endswith(" of 1000.0 s"), "the trajectory's length"
+        )
+        assert 39.0 < float(shown.page.evaluate(ROW, "trajectory").split()[0]) < 40.0 + nodes.time - begin
+        nodes.trajectory = Span(begin, begin + 39.0)
+        row("trajectory", "none")
+        nodes.diagnostics = {
+            "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
+            "rx90_controller": NodeStatus(2, "joint_2: following error", {"enabled": "false"}),
+        }
+        row("brakes", "open")
+        row("simulation", "running")
+        colour("joint_2: following error", ERROR)
+        assert shown.text().count("path error of the laser spot, mm\n0\n0.05\n≥ 0.1") == 1
+    assert (shown.complaints, shown.foreign_requests) == ([], [])
