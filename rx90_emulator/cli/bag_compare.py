@@ -1,4 +1,4 @@
-"""Compare the joint states of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
+"""Compare the joint states and temperatures of two bags and judge: exit 0 same, 1 differs, 2 cannot be compared.
 
 Messages are paired by header.stamp and joints by name. Of several messages with one stamp, exact repetitions
 count once, and different ones are paired in their order. Stamps, joints and arrays that only one bag has make a
@@ -12,7 +12,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 from rx90_common.bags.tolerance import GRAMMAR, Tolerances, load_rules, parse_rule
-from rx90_common.bags.topics import FIELDS
+from rx90_common.bags.topics import SERIES_FIELDS
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
@@ -27,13 +27,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag_b", metavar="B", help="bag to compare it with")
     parser.add_argument(
         "--tolerance", action="append", default=[], metavar=GRAMMAR,
-        help="in rad, rad/s or Nm; the most specific one that fits decides; default 0: equal bits",
+        help="in rad, rad/s, Nm or °C; the most specific one that fits decides; default 0: equal bits",
     )  # fmt: skip
     parser.add_argument("--tolerances", metavar="FILE", help="YAML file of tolerances; --tolerance goes before it")
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="compare only these")
     parser.add_argument(
-        "--fields", nargs="+", choices=FIELDS, default=list(FIELDS), metavar="FIELD",
-        help=f"compare only these of {', '.join(FIELDS)}",
+        "--fields", nargs="+", choices=SERIES_FIELDS, default=list(SERIES_FIELDS), metavar="FIELD",
+        help=f"compare only these of {', '.join(SERIES_FIELDS)}",
     )  # fmt: skip
     parser.add_argument("--from", dest="start", metavar="S", help="leave out stamps before this time in s")
     parser.add_argument("--to", dest="end", metavar="S", help="leave out stamps after this time in s")

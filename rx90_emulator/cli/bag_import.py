@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rx90_common.base.errors import ConfigError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import counted, plain
 from rx90_emulator.cli.options import new_folder
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def _import_exact(logs: list[tuple[Path, LogMapping]], args: argparse.Namespace)
         tables = import_exact(logs, args.bag, args.storage, progress, skip_corrupt=args.skip_corrupt)
     for one in tables:
         for topic, joints, messages in one.topics:
-            print(f"{plain(topic)}: {joints} joints, {messages} messages")
+            print(f"{plain(topic)}: {counted(joints, 'joint')}, {counted(messages, 'message')}")
         if one.corrupt:
             print(f"{plain(one.path)}: left out: {corrupt_text(one.corrupt)}")
     print(f"bag: {plain(args.bag)}")

@@ -1,4 +1,4 @@
-"""Draw the joint states of a bag, or of two bags and their difference: a page to zoom in, or a picture.
+"""Draw the joint states or temperatures of a bag, or of two bags and their difference: a page to zoom in, or a picture.
 
 The suffix of --output says which: .html, .png, .svg or .pdf. Without options a page shows joint states, friction and
 tracking error, as far as the bag has them.
@@ -26,10 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=".html, .png, .svg or .pdf (the bag's name with .html, here)")  # fmt: skip
     parser.add_argument("--force", action="store_true", help="replace a file that exists")
     parser.add_argument("--topic", nargs="+", dest="topics", metavar="TOPIC",
-                        help="JointState topics (joint_states; on a page friction, tracking error, too)")  # fmt: skip
+                        help="topics of joint states or temperatures (joint_states; on a page friction, tracking "
+                        "error, too)")  # fmt: skip
     parser.add_argument("--joint", nargs="+", dest="joints", metavar="JOINT", help="joints (all)")
-    parser.add_argument("--align", default="0", metavar="start|trajectory|S",
-                        help="moves the stamps of BAG2, as in compare (%(default)s)")  # fmt: skip
+    parser.add_argument("--align", metavar="start|trajectory|S",
+                        help="moves the stamps of BAG2, as in compare (0)")  # fmt: skip
 
 
 def main(args: argparse.Namespace) -> None:
@@ -42,15 +43,18 @@ def main(args: argparse.Namespace) -> None:
     from rx90_common.bags.plotting.plotting import bag_page, check_suffix, joined, picture_title, plot_bags, robots_text
     from rx90_common.report.still import write_picture
     from rx90_emulator.cli.bag_compare import alignment
+    from rx90_emulator.cli.progress import progress_bar
 
+    if args.align is not None and args.second is None:
+        raise ConfigError(f"--align {plain(args.align)} with one bag; accepted: with two")
     output: Path = args.output or place(f"{args.bag.resolve().name}.html")
     is_page = check_suffix(output)
     if output.exists() and not args.force:
         raise ConfigError(f"{plain(output)} exists; accepted: another name, or --force")
     paths = [args.bag] if args.second is None else [args.bag, args.second]
-    plots = plot_bags(
-        paths, topics=args.topics, joints=args.joints, align=alignment(args.align), most=3 if is_page else 1
-    )
+    align, most = alignment(args.align or "0"), 3 if is_page else 1
+    with progress_bar("reading") as progress:
+        plots = plot_bags(paths, topics=args.topics, joints=args.joints, align=align, most=most, progress=progress)
     if is_page:
         write_text(output, bag_page(paths, plots))
     else:

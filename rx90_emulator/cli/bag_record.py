@@ -13,7 +13,7 @@ from rx90_common.base.quoting import listed, plain
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.interrupts import stop_request
 from rx90_common.process.scheduling import be_nice, run_on
-from rx90_emulator.cli.options import new_folder
+from rx90_emulator.cli.options import new_folder, whole_number
 
 if TYPE_CHECKING:
     from rx90_common.bags.recorder.recording import TopicCount
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "-o", "--output", type=new_folder, required=True, metavar="FOLDER", help="bag to make; must not exist"
     )
     parser.add_argument("-s", "--storage", choices=("mcap", "sqlite3"), default="mcap", help="storage (default: mcap)")
-    parser.add_argument("--nice", type=int, metavar="N", help="niceness: above 0 others come first")
+    parser.add_argument("--nice", type=whole_number, metavar="N", help="niceness: above 0 others come first")
     parser.add_argument("--cpus", metavar="LIST", help="processors to run on, as in 0,2-3")
 
 

@@ -7,7 +7,17 @@ import argparse
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.quoting import one_line
 from rx90_common.description.robot_files import MODEL_FILES
-from rx90_emulator.cli.options import FINITE, POSITIVE, add_node_arguments, add_robot_arguments, new_folder
+from rx90_emulator.cli.options import (
+    FINITE,
+    POSITIVE,
+    STORAGE,
+    add_node_arguments,
+    add_robot_arguments,
+    check_needs,
+    new_folder,
+    node_of,
+    whole_number,
+)
 from rx90_emulator.identification.experiments.excitation.options import QUICK, Criterion, ExcitationOptions, Wall
 
 _EPILOG = """\
@@ -15,6 +25,8 @@ Bags that are complete stay, whatever ends the run. No motion is checked for col
 of the arm with itself and with the planes given by --keep-above and --wall, by the shapes of <collision> in the URDF.
 Set-points keep the joints' ranges and speed limits, and the expected torque keeps what the URDF allows.
 """
+_TIMEOUT = 60.0  # s
+_TYPES = {int: whole_number, float: FINITE}
 _OPTIONS = {
     "criterion": str,
     "runs": int,
@@ -49,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         verb.add_argument("--group", action="append", default=[], metavar="NAME",
                           help="only this group (joint_3, joints_5_6_against ...); may be repeated")  # fmt: skip
         verb.add_argument("--quick", action="store_true", help="fewer speeds, one pose, one micro-oscillation")
-        verb.add_argument("--speeds", type=int, metavar="N",
+        verb.add_argument("--speeds", type=whole_number, metavar="N",
                           help="speeds in each direction (28); the more, the smaller the deviations")  # fmt: skip
         _add_excitation(verb)
         add_robot_arguments(verb, *MODEL_FILES, "poses")
@@ -60,10 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--output", type=new_folder, required=True, metavar="FOLDER", help="folder for the bags; must not exist"
     )
-    run.add_argument(
-        "--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the engine's bags (%(default)s)"
-    )
-    add_node_arguments(run, timeout=60.0)
+    run.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"with --engine: of the bags ({STORAGE})")
+    add_node_arguments(run, _TIMEOUT)
 
 
 def _add_excitation(verb: argparse.ArgumentParser) -> None:
@@ -73,7 +83,8 @@ def _add_excitation(verb: argparse.ArgumentParser) -> None:
     for name, kind in _OPTIONS.items():
         default = getattr(ExcitationOptions, name)
         choices = [str(one) for one in Criterion] if name == "criterion" else None
-        group.add_argument(f"--{name}", type=kind, choices=choices, help=f"{_MEANINGS[name]} ({default})",
+        group.add_argument(f"--{name}", type=_TYPES.get(kind, kind), choices=choices,
+                           help=f"{_MEANINGS[name]} ({default})",
                            metavar=None if choices else kind.__name__[0].upper())  # fmt: skip
     group.add_argument("--keep-above", type=FINITE, metavar="Z", help="a table: links and tool stay above this height "
                        "over the base's origin, m")  # fmt: skip
@@ -124,6 +135,9 @@ def main(options: argparse.Namespace) -> None:
     )
     from rx90_emulator.loop.setup import Setup
 
+    if options.verb == "run":
+        check_needs(options, ("storage",), ("engine",))
+        check_needs(options, ("node", "timeout"), ("nodes",))
     excitation = _excitation_options(options)
     setup = Setup.load(RobotFiles.of_options(options))
     if excitation is None:
@@ -138,7 +152,7 @@ def main(options: argparse.Namespace) -> None:
     if options.verb == "plan":
         return
     if options.engine:
-        record_on_engine(setup, plan, options.output, options.storage)
+        record_on_engine(setup, plan, options.output, options.storage or STORAGE)
     else:
-        record_on_nodes(setup, plan, options.output, options.node, options.timeout)
+        record_on_nodes(setup, plan, options.output, node_of(options), options.timeout or _TIMEOUT)
     print(one_line(f"bags: {options.output}"))

@@ -8,6 +8,7 @@ from pathlib import Path
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.process.interrupts import stop_request
+from rx90_emulator.cli.options import whole_number
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", default=SHIPPED_RIG, help="rig file (%(default)s)")
     parser.add_argument("--link", type=Path, help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--loaded", action="store_true", help="couple the revolute joint")
-    parser.add_argument("--seed", type=int, default=0, help="of all noise (%(default)s)")
+    parser.add_argument("--seed", type=whole_number, default=0, help="of all noise (%(default)s)")
 
 
 def main(options: argparse.Namespace) -> None:

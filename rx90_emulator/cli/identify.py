@@ -49,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         bags.add_argument(f"--{name}", type=Path, nargs="+", default=[], metavar="BAG", help=what)
     bags.add_argument("--bristles", action="store_true", help="with --excitation: try bristles along the motion, too, "
                       "where neither a Stribeck rise nor the rows of reversals ask for them")  # fmt: skip
+    bags.add_argument("--bristle-kinds", action="store_true", help="with micro-oscillations: choose LuGre, "
+                      "elasto-plastic or Maxwell-slip bristles for each joint by what predicts them best, or say that "
+                      "they cannot tell; takes some seconds for each joint (docs/explanation/bristles.md)")  # fmt: skip
     bags.add_argument("--payload", type=Path, metavar="FILE", help="with --excitation: YAML that names the bags whose "
                       "run carried a known body, with its mass, centre and inertia; runs with and without one tell the "
                       "drive gains (docs/explanation/excitation.md)")  # fmt: skip
@@ -70,12 +73,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     result.add_argument("--torque-tolerance", type=POSITIVE, metavar="SHARE",
                         help=f"RMS difference over RMS torque, of each joint ({limits.torque}; with --excitation "
                         f"{wider.joint})")  # fmt: skip
-    result.add_argument("--total-torque-tolerance", type=POSITIVE, default=wider.total, metavar="SHARE",
-                        help="with --excitation: the same of all joints together (%(default)s)")  # fmt: skip
-    result.add_argument("--worst-torque-tolerance", type=POSITIVE, default=limits.worst_torque, metavar="SHARE",
-                        help="largest difference over largest torque, of each joint (%(default)s)")  # fmt: skip
-    result.add_argument("--tip-tolerance", type=POSITIVE, default=limits.tip, metavar="M",
-                        help="largest distance of the tips, m (%(default)s)")  # fmt: skip
+    result.add_argument("--total-torque-tolerance", type=POSITIVE, metavar="SHARE",
+                        help=f"with --excitation: the same of all joints together ({wider.total})")  # fmt: skip
+    result.add_argument("--worst-torque-tolerance", type=POSITIVE, metavar="SHARE",
+                        help=f"without --excitation: largest difference over largest torque, of each joint "
+                        f"({limits.worst_torque})")  # fmt: skip
+    result.add_argument("--tip-tolerance", type=POSITIVE, metavar="M",
+                        help=f"without --excitation: largest distance of the tips, m ({limits.tip})")  # fmt: skip
     add_arm_arguments(parser)
 
 
@@ -90,7 +94,8 @@ def main(options: argparse.Namespace) -> int:
     if options.excitation or _holds_excitation(options):
         confirmed = _excitation(options, robot)
     elif given := _for_excitation_alone(options):
-        raise IdentificationError(f"{given} without excitation runs; accepted: with --excitation BAG ...")
+        other = ", or --bristle-kinds for micro-oscillations" if given == "--bristles" else ""
+        raise IdentificationError(f"{given} without excitation runs; accepted: with --excitation BAG ...{other}")
     elif options.friction is not None:
         confirmed, what = _check(options, robot), options.friction
     else:
@@ -106,8 +111,8 @@ def _for_excitation_alone(options: argparse.Namespace) -> str:
     for name in ("bristles", "load_part"):
         if getattr(options, name):
             return f"--{name.replace('_', '-')}"
-    given = [(name, getattr(options, name)) for name in ("payload", "prior")]
-    return next((f"--{name} {value}" for name, value in given if value is not None), "")
+    given = [(name, getattr(options, name)) for name in ("payload", "prior", "total_torque_tolerance")]
+    return next((f"--{name.replace('_', '-')} {value}" for name, value in given if value is not None), "")
 
 
 def _holds_excitation(options: argparse.Namespace) -> bool:
@@ -125,8 +130,12 @@ def _holds_excitation(options: argparse.Namespace) -> bool:
 
 
 def _tolerances(options: argparse.Namespace) -> ValidationTolerances:
-    torque = options.torque_tolerance or ValidationTolerances.torque
-    return ValidationTolerances(torque, options.worst_torque_tolerance, options.tip_tolerance)
+    usual = ValidationTolerances
+    return usual(
+        options.torque_tolerance or usual.torque,
+        options.worst_torque_tolerance or usual.worst_torque,
+        options.tip_tolerance or usual.tip,
+    )
 
 
 def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
@@ -134,6 +143,15 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
 
     others = [options.folder, *options.sliding, *options.presliding, options.friction, options.report]
     unused = [str(one) for one in others if one is not None]
+    if options.bristle_kinds:
+        raise IdentificationError(
+            "--bristle-kinds with excitation runs; accepted: with --presliding BAG ..., or --bristles, which tries "
+            "LuGre's along such runs"
+        )
+    for name in ("worst_torque_tolerance", "tip_tolerance"):
+        if (value := getattr(options, name)) is not None:
+            told = f"--{name.replace('_', '-')} {value} with excitation runs"
+            raise IdentificationError(f"{told}; accepted: --torque-tolerance and --total-torque-tolerance")
     if unused:
         raise IdentificationError(
             f"{unused[0]} with --excitation; accepted: --validation BAG ... alone, and --output FOLDER"
@@ -143,7 +161,7 @@ def _excitation(options: argparse.Namespace, robot: RobotOptions) -> bool:
     if options.load_part and options.payload is None:
         raise IdentificationError("--load-part without --payload; accepted: with --payload FILE")
     joint = options.torque_tolerance or ExcitationTolerances.joint
-    tolerances = ExcitationTolerances(options.total_torque_tolerance, joint)
+    tolerances = ExcitationTolerances(options.total_torque_tolerance or ExcitationTolerances.total, joint)
     return run_excitation(
         options.excitation, robot, options.validation, tolerances, options.output,
         bristles=options.bristles, payload=options.payload, load_part=options.load_part,
@@ -162,14 +180,17 @@ def _identify(options: argparse.Namespace, robot: RobotOptions) -> bool:
     if options.folder is not None and single:
         raise IdentificationError(f"{options.folder} and {single[0]}; accepted: a folder or single bags, not both")
     bags = options.folder or IdentificationBags.of(options.sliding, options.presliding, options.validation)
-    return run_identification(bags, robot, _tolerances(options), options.output, options.report, force=options.force)
+    return run_identification(
+        bags, robot, _tolerances(options), options.output, options.report,
+        bristle_kinds=options.bristle_kinds, force=options.force,
+    )  # fmt: skip
 
 
 def _check(options: argparse.Namespace, robot: RobotOptions) -> bool:
     from rx90_emulator.identification.job import run_check
 
     others = [options.folder, *options.sliding, *options.presliding, options.output]
-    unused = [str(one) for one in others if one is not None]
+    unused = ["--bristle-kinds"] * options.bristle_kinds + [str(one) for one in others if one is not None]
     if unused:
         raise IdentificationError(
             f"{unused[0]} with --friction; accepted: --validation BAG ... alone, for nothing is identified or written"

@@ -12,7 +12,15 @@ from rx90_common.base.errors import LineError
 from rx90_common.description.branch import SHOULDERS, SIGNS, Branch
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
-from rx90_emulator.cli.options import POSITIVE, add_node_arguments, add_robot_arguments, place
+from rx90_emulator.cli.options import (
+    FINITE,
+    POSITIVE,
+    add_node_arguments,
+    add_robot_arguments,
+    check_needs,
+    node_of,
+    place,
+)
 
 if TYPE_CHECKING:
     from rx90_controller.lines.plan import LinePlan
@@ -23,6 +31,7 @@ _EPILOG = """\
 Positions are those of the tool centre point in base_link; the tool's z axis is the beam, and rpy 0 180 0
 points it down. example: rx90_line --start 0.6 -0.2 0.2 --end 0.6 0.2 0.2 --speed 0.1 --approach
 """
+_TIMEOUT = 30.0  # s
 # Options that go into the task as they are.
 _PLAIN_OPTIONS = (
     "start",
@@ -44,29 +53,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     given = line.add_mutually_exclusive_group()
     given.add_argument("--from-file", metavar="TASK", help="task file; options given beside it win over it")
     given.add_argument("--reference", action="store_true", help="the robot's reference task, its task.yaml, likewise")
-    line.add_argument("--start", type=float, nargs=3, metavar=xyz, help="m")
-    line.add_argument("--end", type=float, nargs=3, metavar=xyz, help="m")
-    line.add_argument("--speed", type=float, help="m/s (0.1)")
-    line.add_argument("--acceleration", type=float, help="m/s^2 (1)")
-    line.add_argument("--tool-rpy", type=float, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
-    line.add_argument("--end-tool-rpy", type=float, nargs=3, metavar=rpy, help="deg, if it turns on the way")
-    line.add_argument("--rest-before", type=float, metavar="S", help="s at rest before the line (0.5)")
-    line.add_argument("--rest-after", type=float, metavar="S", help="s at rest after it (0.5)")
+    line.add_argument("--start", type=FINITE, nargs=3, metavar=xyz, help="m")
+    line.add_argument("--end", type=FINITE, nargs=3, metavar=xyz, help="m")
+    line.add_argument("--speed", type=FINITE, help="m/s (0.1)")
+    line.add_argument("--acceleration", type=FINITE, help="m/s^2 (1)")
+    line.add_argument("--tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, fixed axes (0 180 0: down)")
+    line.add_argument("--end-tool-rpy", type=FINITE, nargs=3, metavar=rpy, help="deg, if it turns on the way")
+    line.add_argument("--rest-before", type=FINITE, metavar="S", help="s at rest before the line (0.5)")
+    line.add_argument("--rest-after", type=FINITE, metavar="S", help="s at rest after it (0.5)")
     posture = parser.add_argument_group("posture")
     posture.add_argument("--shoulder", choices=SHOULDERS)
     posture.add_argument("--elbow", choices=SIGNS, help="sign of joint 3")
     posture.add_argument("--wrist", choices=SIGNS, help="sign of joint 5")
     posture.add_argument(
-        "--singularity-margin", type=float, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
+        "--singularity-margin", type=FINITE, metavar="M", help="closest to a singularity, 0.001 to 1 (0.05)"
     )
     add_robot_arguments(parser, "urdf", "tool", "controller")
     send = parser.add_argument_group("sending")
     send.add_argument("--set-point-rate", type=POSITIVE, default=1000.0, metavar="HZ", help="Hz (1000)")
-    add_node_arguments(send, timeout=30.0)
-    send.add_argument("--start-time", type=float, default=0.0, metavar="S", help="start time, s; 0: now")
+    add_node_arguments(send, _TIMEOUT)
+    send.add_argument("--start-time", type=FINITE, default=0.0, metavar="S", help="start time, s; 0: now")
     send.add_argument("--approach", action="store_true", help="first move to the start, straight in the joints")
-    send.add_argument("--approach-speed", type=float, default=0.25, help="share of the joint speeds (0.25)")
-    send.add_argument("--approach-acceleration", type=float, default=2.0, help="rad/s^2 (2)")
+    send.add_argument("--approach-speed", type=FINITE, help="share of the joint speeds (0.25)")
+    send.add_argument("--approach-acceleration", type=FINITE, help="rad/s^2 (2)")
     send.add_argument("--dry-run", action="store_true", help="plan and print, send nothing")
     send.add_argument("--output", type=place, metavar="FILE", help="write the trajectory as a YAML message")
 
@@ -77,6 +86,7 @@ def main(options: argparse.Namespace) -> None:
     Raises:
         Rx90Error: if the line is refused; as an ExchangeError if it could not be delivered.
     """
+    check_needs(options, ("approach_speed", "approach_acceleration"), ("approach",))
     filed = options.reference or options.from_file is not None
     if not filed and (options.start is None or options.end is None):
         raise LineError("a line needs --start and --end, or --from-file or --reference")
@@ -149,9 +159,11 @@ def _send(plan: LinePlan, limits: JointLimits, options: argparse.Namespace) -> N
     from rx90_controller.lines.approach import Approach
     from rx90_controller.node.trajectory_client import Delivery, deliver
 
-    approach = Approach(options.approach_speed, options.approach_acceleration) if options.approach else None
-    delivery = Delivery(options.node, options.start_time, limits, 1.0 / options.set_point_rate, approach)
-    with client_node("rx90_line", options.timeout, _say, options.ros_args) as client:
+    asked = {"speed": options.approach_speed, "acceleration": options.approach_acceleration}
+    given = {name: value for name, value in asked.items() if value is not None}
+    approach = Approach(**given) if options.approach else None
+    delivery = Delivery(node_of(options), options.start_time, limits, 1.0 / options.set_point_rate, approach)
+    with client_node("rx90_line", options.timeout or _TIMEOUT, _say, options.ros_args) as client:
         deliver(client, plan, delivery)
 
 

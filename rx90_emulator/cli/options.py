@@ -21,6 +21,10 @@ gone, disk full); 130 interrupted; 141 the reader of the output has gone.
 """
 _NEGATIVE = re.compile(r"-((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|inf|infinity|nan)$", re.IGNORECASE)
 _LAST_PORT = 65535
+CONTROLLER = "rx90_controller"
+"""The controller node, where no other is named."""
+STORAGE = "mcap"
+"""Of a bag, where no other is asked for."""
 _LONGEST_DELAY = 0.05  # s; more is a slip of the unit
 
 
@@ -83,6 +87,14 @@ FINITE = number("a finite number")
 POSITIVE = number("a positive number", lambda value: value > 0.0)
 
 
+def whole_number(text: str) -> int:
+    """Return a whole number, as a type for argparse; argparse itself does not say what would be accepted."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{quoted(text)}; accepted: a whole number") from None
+
+
 def place(text: str) -> Path:
     """Return what is to be written, as a type for argparse: refused before any work is done for it.
 
@@ -118,6 +130,30 @@ def new_folder(text: str) -> Path:
 def _check_new(text: str) -> None:
     if os.path.lexists(text):
         raise ConfigError(f"{plain(text)} exists; accepted: a new name")
+
+
+def check_needs(options: argparse.Namespace, names: Sequence[str], others: Sequence[str]) -> None:
+    """Refuse options that count only together with one of some others, where none of these is given.
+
+    Args:
+        options: None or False for what is not given.
+        names: of the options, as attributes.
+        others: the same; of one or more.
+
+    Raises:
+        ConfigError: naming the first such option.
+    """
+
+    def given(name: str) -> bool:
+        value = getattr(options, name)
+        return value is not None and value is not False
+
+    if any(map(given, others)):
+        return
+    for name in filter(given, names):
+        spelt, *accepted = (f"--{each.replace('_', '-')}" for each in (name, *others))
+        one = "it" if len(others) == 1 else "one"
+        raise ConfigError(f"{spelt} without {' or '.join(accepted)}; accepted: with {one}")
 
 
 def add_robot_argument(parser: argparse._ActionsContainer) -> None:
@@ -164,10 +200,14 @@ def _port(text: str) -> int:
 
 
 def add_node_arguments(group: argparse._ActionsContainer, timeout: float) -> None:
-    """Add the options of a command that asks the running nodes, and waits for them for `timeout` s by default."""
-    group.add_argument("--node", default="rx90_controller", metavar="NAME", help="controller node (%(default)s)")
-    group.add_argument("--timeout", type=POSITIVE, default=timeout, metavar="S",
-                       help="s to wait for the nodes (%(default)g)")  # fmt: skip
+    """Add the options of a command that asks the running nodes; None for what was not given."""
+    group.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
+    group.add_argument("--timeout", type=POSITIVE, metavar="S", help=f"s to wait for the nodes ({timeout:g})")
+
+
+def node_of(options: argparse.Namespace) -> str:
+    """Return the name of the controller node that is asked."""
+    return CONTROLLER if options.node is None else str(options.node)
 
 
 def add_arm_arguments(parser: argparse.ArgumentParser) -> None:

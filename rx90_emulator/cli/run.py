@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,9 +14,18 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import one_line
 from rx90_common.base.rates import Rates
-from rx90_emulator.cli.options import FINITE, add_robot_arguments, new_file, new_folder
+from rx90_emulator.cli.options import (
+    FINITE,
+    STORAGE,
+    add_robot_arguments,
+    check_needs,
+    new_file,
+    new_folder,
+    whole_number,
+)
 
 if TYPE_CHECKING:
+    from rx90_emulator.loop.recorded_run import RecordedRun
     from rx90_emulator.loop.result import RunResult
     from rx90_emulator.loop.setup import Setup
 
@@ -47,11 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=new_file, metavar="FILE", help="picture of it (.png, .svg); must not exist")
     parser.add_argument("--output", type=new_folder, help="bag folder to write; must not exist")
     parser.add_argument("--arrays", type=new_file, help="NumPy file to write (.npz), names with units; must not exist")
-    parser.add_argument("--storage", choices=("mcap", "sqlite3"), default="mcap", help="of the bag (%(default)s)")
-    parser.add_argument(
-        "--decimation", type=int, default=1, help="write every n-th message of the 1 kHz topics (%(default)s)"
-    )
-    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of the bag")
+    parser.add_argument("--storage", choices=("mcap", "sqlite3"), help=f"of the bag ({STORAGE})")
+    parser.add_argument("--decimation", type=whole_number, help="write every n-th message of the 1 kHz topics (1)")
+    parser.add_argument("--slow-only", action="store_true", help="leave the two 4 kHz topics out of bag and arrays")
     forward = parser.add_mutually_exclusive_group()
     forward.add_argument(
         "--no-feed-forward",
@@ -63,14 +71,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="D from the measured velocity alone, as the paper draws it",
     )
-    parser.add_argument("--substeps", type=int, default=1, help="plant steps in a tick (%(default)s)")
+    parser.add_argument("--substeps", type=whole_number, default=1, help="plant steps in a tick (%(default)s)")
     parser.add_argument(
-        "--seed", type=int, default=0, metavar="N",
+        "--seed", type=whole_number, metavar="N",
         help="of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits "
-        "(%(default)s)",
+        "(0; with --from-bag that of the bag's run)",
     )  # fmt: skip
-    parser.add_argument("--base-rate", type=int, default=4000, help="Hz (%(default)s)")
-    parser.add_argument("--position-rate", type=int, default=1000, help="Hz (%(default)s)")
+    parser.add_argument("--base-rate", type=whole_number, default=4000, help="Hz (%(default)s)")
+    parser.add_argument("--position-rate", type=whole_number, default=1000, help="Hz (%(default)s)")
+    parser.add_argument(
+        "--temperature-rate", type=whole_number, metavar="HZ",
+        help="of temperatures in bag and arrays, Hz (1; with --from-bag that of the bag's run)",
+    )  # fmt: skip
     add_robot_arguments(parser)
 
 
@@ -88,7 +100,9 @@ def main(options: argparse.Namespace) -> None:
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
 
-    setup = Setup.load(RobotFiles.of_options(options), Rates(options.base_rate, options.position_rate), options.seed)
+    of_temperatures = Rates.temperature_hz if options.temperature_rate is None else options.temperature_rate
+    rates = Rates(options.base_rate, options.position_rate, of_temperatures)
+    setup = Setup.load(RobotFiles.of_options(options), rates, options.seed or 0)
     if options.no_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     if options.no_velocity_feed_forward:
@@ -103,7 +117,7 @@ def main(options: argparse.Namespace) -> None:
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
-        write_bag(result, options.output, options.storage, options.decimation)
+        write_bag(result, options.output, options.storage or STORAGE, options.decimation or 1)
         print(one_line(f"bag: {options.output}"))
     if options.arrays is not None:
         save_arrays(result, options.arrays)
@@ -119,10 +133,14 @@ def _check(options: argparse.Namespace) -> None:
     from rx90_emulator.cli.run_hours import check_hours
 
     check_hours(options)
-    if options.decimation < 1:
+    if options.decimation is not None and options.decimation < 1:
         raise ConfigError(f"--decimation is {options.decimation}; accepted: a whole number >= 1")
+    check_needs(options, ("storage", "decimation"), ("output",))
+    check_needs(options, ("slow_only", "temperature_rate"), ("output", "arrays"))
     if options.from_bag is not None and options.start_time is not None:
         raise ConfigError("--start-time with --from-bag; accepted: the times in the bag")
+    if options.from_bag is not None and options.temperature_rate is not None:
+        raise ConfigError("--temperature-rate with --from-bag; accepted: the rate in the bag")
     if options.initial_position is not None and options.trajectory is None and options.from_bag is None:
         raise ConfigError("--initial-position with a task; accepted: with --trajectory or --from-bag")
 
@@ -162,6 +180,7 @@ def _trajectory_run(
         start = recorded.initial_position
         told = ", ".join(f"{command.start * setup.rates.position_period:.3f} s" for command in recorded.commands)
         print(f"trajectories in {one_line(options.from_bag)}: {len(recorded.commands)}, from {told}")
+        recorded = _with_seed(recorded, options)
         if recorded.changed:
             names = ", ".join(recorded.changed)
             print(
@@ -183,6 +202,19 @@ def _trajectory_run(
         run = partial(simulate, setup, points, start, duration, begin, **how)
     print("begins at rest at", ", ".join(f"{angle:.6g}" for angle in start), "rad")
     return run
+
+
+def _with_seed(recorded: RecordedRun, options: argparse.Namespace) -> RecordedRun:
+    """Return the run with the seed to take, which is that of the bag unless another one is asked for; say which."""
+    told = recorded.seed
+    if options.seed is not None:
+        if told not in (None, options.seed):
+            print(
+                f"rx90_run: warning: the seed of that run was {told}; here --seed {options.seed} holds", file=sys.stderr
+            )
+        return replace(recorded, seed=options.seed)
+    print("seed 0: the bag tells none" if told is None else f"seed {told}, as the bag tells")
+    return recorded
 
 
 def _timed(simulated: Callable[[], Run]) -> Run:

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from rx90_emulator.loop.working_day import RepeatedLine
 
 _ROWS = 12  # of the tables
-_OTHERS = ("trajectory", "from_bag", "initial_position", "start_time", "output", "arrays")
+_OTHERS = (
+    "trajectory", "from_bag", "initial_position", "start_time", "output", "arrays", "storage", "decimation",
+    "slow_only", "temperature_rate",
+)  # fmt: skip
 
 
 def check_hours(options: argparse.Namespace) -> None:
@@ -36,7 +39,8 @@ def check_hours(options: argparse.Namespace) -> None:
     if options.hours is None:
         raise ConfigError("--plot without --hours; accepted: with --hours; rx90_bag plot draws bags")
     for name in _OTHERS:
-        if getattr(options, name) is not None:
+        given = getattr(options, name)
+        if given is not None and given is not False:  # 0 is given, too
             raise ConfigError(f"--{name.replace('_', '-')} with --hours; accepted: --task and --plot")
     if options.plot is not None and options.plot.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(options.plot)}; accepted: a file with {', '.join(PICTURES)}")
@@ -55,7 +59,10 @@ def run_hours(setup: Setup, options: argparse.Namespace) -> None:
     from rx90_emulator.loop.working_day import Day
 
     day = Day(setup, load_task(RobotFiles.of_options(options).required("task")))
-    total = day.whole_cycles(3600.0 * options.hours)
+    try:
+        total = day.whole_cycles(3600.0 * options.hours)
+    except ConfigError as error:
+        raise ConfigError(f"--hours {options.hours:g}: {error}") from error
     try:
         with progress_bar("cycles") as tell:
             while day.advance(total):

@@ -6,10 +6,10 @@ import argparse
 import time
 from pathlib import Path
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, FailureError
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.process.files import write_text
-from rx90_emulator.cli.options import add_robot_argument, new_file, place
+from rx90_emulator.cli.options import add_robot_argument, new_file, place, whole_number
 
 _REPORT = """
 Write a page on a file of results: how the path error is distributed, what each swept parameter does to it, the worst
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument("--report", type=new_file, metavar="FILE", help="page on the results to write as well, .html; new")
     run.add_argument("--resume", action="store_true", help="compute only the runs that the output lacks")
     where = run.add_mutually_exclusive_group()
-    where.add_argument("--workers", type=int, help="processes on this machine (all cores)")
+    where.add_argument("--workers", type=whole_number, help="processes on this machine (all cores)")
     where.add_argument("--scheduler", help="run on the Dask cluster at this address, such as tcp://host:8786")
     run.set_defaults(
         verb=_run,
@@ -80,9 +80,26 @@ def _run(options: argparse.Namespace) -> None:
         print(one_line(f"nothing to do: {options.output} has all {len(sweep)} runs"))
     else:
         done = f"{counts.computed} of {len(sweep)} runs in {elapsed:.1f} s, {counts.failed} failed"
-        print(one_line(f"{done}; {options.output}"))
+        why = f" (rx90_sweep info {options.output} says why)" if counts.failed else ""
+        print(one_line(f"{done}{why}; {options.output}"))
+    if counts.failed == counts.computed:
+        _check_any_done(options.output)
     if options.report is not None:
         _write_page(options.output, options.report)
+
+
+def _check_any_done(file: Path) -> None:
+    """Say so where not one run of a file has results, neither of this call nor of those before it.
+
+    Raises:
+        FailureError: with the reason of the first run.
+    """
+    from rx90_emulator.sweep.execution import read_sweep
+
+    errors = read_sweep(file)["error"]
+    if errors.null_count == 0:
+        told = "the run" if len(errors) == 1 else f"each of the {len(errors)} runs"
+        raise FailureError(f"{told} failed, for example: {errors[0].as_py()}; rx90_sweep info {plain(file)} says more")
 
 
 def _info(options: argparse.Namespace) -> None:

@@ -6,12 +6,13 @@ import argparse
 import sys
 
 from rx90_common.process.children import kill_all
-from rx90_common.process.interrupts import start_that_ends_within
+from rx90_common.process.interrupts import EndLimits, ends_within
+from rx90_common.process.threads import where_threads_are
 from rx90_emulator.cli import view_bags, view_live
 from rx90_emulator.cli.options import add_page_arguments, add_robot_arguments
 
 _PORT = 8080
-_PATIENCE = 1.5  # s, for a start that is interrupted
+_PATIENCE = 1.5, 20.0  # s, from Ctrl-C to the end: of a start, of a page that is shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +33,7 @@ def main(options: argparse.Namespace) -> None:
         KeyboardInterrupt: before the page shows what it was started for; later Ctrl-C is how it ends.
     """
     of_bags = view_bags.wanted(options)
-    with start_that_ends_within(_PATIENCE, _give_up) as start:
+    with ends_within(EndLimits(*_PATIENCE, _give_up, _say_where)) as start:
         import viser  # noqa: F401 - before kernels are compiled for a page that cannot be made
 
         try:
@@ -45,3 +46,9 @@ def main(options: argparse.Namespace) -> None:
 def _give_up() -> None:
     kill_all()
     print("rx90_view: interrupted", file=sys.stderr, flush=True)
+
+
+def _say_where() -> None:
+    kill_all()
+    lines = "; ".join(where_threads_are())
+    print(f"rx90_view: did not end within {_PATIENCE[1]:g} s, and was cut off. {lines}", file=sys.stderr, flush=True)

@@ -9,19 +9,21 @@ from typing import TYPE_CHECKING
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
 from rx90_common.process.scheduling import be_nice
+from rx90_emulator.cli.options import CONTROLLER, node_of, whole_number
 
 if TYPE_CHECKING:
     from rx90_emulator.view.live.tour import Tour
 
 _NICENESS = 10
-_CONTROLLER = "rx90_controller"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the live view."""
     live = parser.add_argument_group("running nodes")
-    live.add_argument("--node", metavar="NAME", help=f"controller node ({_CONTROLLER})")
-    live.add_argument("--nice", type=int, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})")
+    live.add_argument("--node", metavar="NAME", help=f"controller node ({CONTROLLER})")
+    live.add_argument(
+        "--nice", type=whole_number, metavar="N", help=f"niceness: above 0 others come first ({_NICENESS})"
+    )
     live.add_argument(
         "--demo", action="store_true",
         help="start simulation and controller, too, and move along the reference line until Ctrl-C",
@@ -56,7 +58,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     from rx90_emulator.view.panel.panel import DoPanel
 
     files = RobotFiles.of_options(options)
-    controller = _CONTROLLER if options.node is None else options.node
+    controller = node_of(options)
     robot = load_robot(files.urdf, files.tool)
     line = None if files.task is None else load_task(files.task)
     tour = _tour(options, files, controller) if options.demo else None

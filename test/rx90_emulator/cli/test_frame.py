@@ -90,6 +90,22 @@ def test_files_that_help_names_are_shipped(name: str) -> None:
             assert config_path(file).is_file(), f"{action.option_strings or action.dest}: {file}"
 
 
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_what_is_no_number_is_told_what_is(name: str) -> None:
+    """No option leaves it to Python to take a number: its refusal would not say what is accepted."""
+    parser = CommandParser(prog=name)
+    import_module(EXECUTABLES[name]).add_arguments(parser)
+    assert [action.option_strings for action in actions(parser) if action.type in (int, float)] == []
+
+
+@pytest.mark.parametrize("word", ["1e3", "1.0", "a"])
+def test_what_is_no_whole_number_is_refused(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A seed in another notation, or with a fraction, is refused with what is accepted."""
+    assert run("rx90_run", ["--seed", word]) == REFUSED
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line == f"rx90_run: error: argument --seed: {word!r}; accepted: a whole number"
+
+
 LONG = "x" * 5000
 CALLS_WITH_LONG_NAMES = (
     ("rx90_run", "--output"),
