@@ -5,6 +5,8 @@ BIN := .venv/bin
 # The environment is complete in itself: a sourced ROS or another environment must not reach into it.
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH ROS_DISTRO RMW_IMPLEMENTATION
+# Without kept bytecode each worker rewrites the assertions of all tests, and each process compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo view action test test-jazzy bench docs firmware lint clean environment-run environment-dev environment-docs environment-jazzy suitable
 

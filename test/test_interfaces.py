@@ -42,7 +42,7 @@ def hash_in(library: Path, package: str, name: str) -> bytes:
 
 
 @pytest.fixture(scope="module")
-def library(needs_action: None) -> Path:  # noqa: ARG001
+def library(needs_action: None) -> Path:  # noqa: ARG001 - it must be there
     """Return the library of the C structs."""
     import control_msgs
 
@@ -55,7 +55,8 @@ def test_the_types_are_those_of_jazzy(library: Path) -> None:
     assert found == {name: b"\x01" + bytes.fromhex(expected) for name, expected in JAZZY.items()}
 
 
-def test_transforms_are_those_of_jazzy(needs_tf: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("needs_tf")
+def test_transforms_are_those_of_jazzy() -> None:
     """The type hash of the built tf2_msgs/TFMessage is that of Jazzy's, as rosbags has it."""
     import tf2_msgs
 
@@ -64,7 +65,8 @@ def test_transforms_are_those_of_jazzy(needs_tf: None) -> None:  # noqa: ARG001
     assert hash_in(library, "tf2_msgs", "msg/TFMessage") == b"\x01" + bytes.fromhex(expected)
 
 
-def test_the_constants_are_those_of_jazzy(needs_action: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("needs_action")
+def test_the_constants_are_those_of_jazzy() -> None:
     """Result codes and components, which no type hash covers, have Jazzy's values."""
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointComponentTolerance
@@ -76,7 +78,8 @@ def test_the_constants_are_those_of_jazzy(needs_action: None) -> None:  # noqa: 
     assert [getattr(JointComponentTolerance, name) for name in components] == [1, 2, 3, 4, 5]
 
 
-def test_another_reader_understands_the_bytes(needs_action: None) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("needs_action")
+def test_another_reader_understands_the_bytes() -> None:
     """A goal's CDR, read by rosbags with the definitions, has every value where it was put."""
     from control_msgs.action import FollowJointTrajectory
     from control_msgs.msg import JointComponentTolerance, JointTolerance

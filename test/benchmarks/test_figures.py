@@ -50,6 +50,8 @@ def test_a_machine_s_run_is_added() -> None:
     }
     assert json.loads(as_text(measured)) == measured
     assert "| 9 to 12 s |" in with_figures("<!-- figures: main -->\n<!-- end of figures -->", measured)
+    assert "| not measured yet |" in with_figures("<!-- figures: main -->\n<!-- end of figures -->", {})
+    assert "not measured yet s" not in with_figures("<!-- figures: main -->\n<!-- end of figures -->", {})
 
 
 def test_what_cannot_be_used_is_refused() -> None:

@@ -19,7 +19,7 @@ ON_DEMAND = {"/tf": "tf2_msgs/TFMessage", "/tf_static": "tf2_msgs/TFMessage"}
 
 
 @pytest.fixture(scope="module")
-def nodes(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Sequence[NodeReference]:  # noqa: ARG001
+def nodes(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Sequence[NodeReference]:  # noqa: ARG001 - it must be there
     """Return what real nodes have, asked in a process of their own."""
     with pytest.MonkeyPatch.context() as monkeypatch, on_own_domain(monkeypatch, tmp_path_factory.mktemp("ros")):
         asked = Processes().run(sys.executable, "-m", "tools.node_reference", "--json", timeout=400.0)

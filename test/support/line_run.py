@@ -6,6 +6,7 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import yaml
@@ -72,6 +73,7 @@ def run_both_ways(
     file = folder / "task.yaml"
     file.write_text(TASK.replace("0.6,", f"{REACH[files.urdf.parent.name]},"), encoding="utf-8")
     task = load_task(file)
+    setup = replace(setup, rates=replace(setup.rates, temperature_hz=10))
     write_bag(run_line(setup, task, start_time=START, record_fast=True), folder / "closed_loop")
     plan = plan_line(setup.robot, task)
     parameters = folder / "parameters.yaml"
@@ -79,7 +81,7 @@ def run_both_ways(
     of_simulation = {
         "initial_position": pose, "duration": START + plan.duration, "paused": True,
         "real_time_factor": 0.5 if rests else 0.0, "robot": str(files.urdf.parent),
-        "friction": files.text("friction"), "seed": setup.seed, "temperature_rate": 10,
+        "friction": files.text("friction"), "seed": setup.seed, "temperature_rate": setup.rates.temperature_hz,
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
     of_controller |= {f"feed_forward.{name}": True for name in switches}
@@ -91,6 +93,7 @@ def run_both_ways(
     simulation, *_ = [
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
+    simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90_line waits
     line = processes.start("rx90_line", "--robot", files.urdf.parent.name, "--from-file", file, "--start-time", START)
     assert line.wait() == 0
     # Only now: whoever sent the trajectory is gone before anybody records.

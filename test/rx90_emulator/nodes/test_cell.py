@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import signal
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from full_friction import write_with_parts
 from line_run import TOPICS, run_both_ways
 from processes import Processes
 from ros_client import Client, seconds
@@ -46,26 +46,19 @@ def test_one_process_gives_the_closed_loops_bits(
     """With a parameter file for both, every recorded number equals the closed loop without ROS, to the last bit.
 
     So it does when the simulation is deactivated and activated in the middle of the motion, and its pace is changed,
-    with friction elements that have all parts, and a seed of their scatter.
+    with friction elements that have all parts, a seed of their scatter, and temperatures at a rate of their own.
     """
-    parts = {
-        "load": rx.LoadPart(0.05, 0.1),
-        "ripple": rx.RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.1,)),
-        "scatter": rx.ScatterPart(0.05, 0.2),
-        "temperature": rx.TemperaturePart(40.0, 20.0, 90.0, 30.0, 25.0, 0.5, 10.0, 20.0, 0.3, 0.02, 0.01),
-    }
-    file = rx.FrictionFile.read(shipped.friction.file)
-    elements = {name: replace(element, **parts) for name, element in file.elements.items()}
-    (tmp_path / "friction.yaml").write_text(replace(file, elements=elements).text(), encoding="utf-8")
-    setup = rx.load_setup(friction=tmp_path / "friction.yaml", seed=11)
+    friction = write_with_parts(shipped.friction.file, tmp_path / "friction.yaml")
+    setup = rx.load_setup(friction=friction, seed=11)
     comparison = run_both_ways(processes, client, setup, tmp_path, composed=True, rests=3)
+    assert {topic.topic for topic in comparison.topics} == {*TOPICS, "/temperatures"}
     assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
-    assert {topic.topic for topic in comparison.topics} == TOPICS
     recorded, simulated = (_temperatures(tmp_path / name) for name in ("recorded", "closed_loop"))
     names, last = setup.friction.names, comparison.topics[0].range_ns[1]
     stamps = range(0, last + 1, NANOSECONDS // 10)
     assert [(stamp, name) for stamp, name, *_ in recorded] == [(stamp, name) for stamp in stamps for name in names]
-    assert simulated == recorded[:7] == [(0, name, 30.0, 0.0) for name in names]
+    assert simulated == recorded
+    assert recorded[:7] == [(0, name, 30.0, 0.0) for name in names]
     assert all(message[2] != 30.0 for message in recorded[-7:])
 
 

@@ -37,7 +37,8 @@ def misplaced(shipped: Setup, transform: Any, position: Any) -> float:
 
 
 @pytest.mark.ros
-def test_frames_are_where_pinocchio_has_them(needs_tf: None, processes: Processes, shipped: Setup) -> None:  # noqa: ARG001
+@pytest.mark.usefixtures("needs_tf")
+def test_frames_are_where_pinocchio_has_them(processes: Processes, shipped: Setup) -> None:
     """In a namespace each frame of the URDF has one transform, as Pinocchio's of the joint_states of the same stamp.
 
     Also before time runs; then at the rate asked for.

@@ -17,7 +17,7 @@ from rx90_emulator.loop.setup import Setup
 
 
 @pytest.fixture(scope="package")
-def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:  # noqa: ARG001
+def bench(needs_action: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:  # noqa: ARG001 - it must be there
     """Give both nodes, in one process, with time standing still."""
     with ExitStack() as stack:
         patch = stack.enter_context(pytest.MonkeyPatch.context())

@@ -1,4 +1,4 @@
-"""500 goals of one seed over DDS, by clients in another process than the nodes: refused with a reason, or followed.
+"""250 goals of one seed over DDS, by clients in another process than the nodes: refused with a reason, or followed.
 
 The environment variable ACTION_SEED gives other ones.
 """
@@ -28,7 +28,7 @@ from rx90_emulator.loop.setup import Setup
 
 pytestmark = pytest.mark.ros
 
-SEED, GOALS, TOGETHER = int(os.environ.get("ACTION_SEED", "20")), 500, 25
+SEED, GOALS, TOGETHER = int(os.environ.get("ACTION_SEED", "20")), 250, 25
 STEP = 0.01  # s
 NODES = (
     *("-p", "rx90_sim:paused:=true", "-p", f"rx90_sim:step_ticks:={round(STEP * 4000)}"),
@@ -115,7 +115,7 @@ class Run:
 
 
 @pytest.fixture(scope="module")
-def run(needs_action: None, tmp_path_factory: pytest.TempPathFactory, limits: Any) -> Iterator[Run]:  # noqa: ARG001
+def run(needs_action: None, tmp_path_factory: pytest.TempPathFactory, limits: Any) -> Iterator[Run]:  # noqa: ARG001 - it must be there
     """Give the run of all goals."""
     with ExitStack() as stack:
         patch = stack.enter_context(pytest.MonkeyPatch.context())

@@ -77,6 +77,12 @@ def test_a_cancelled_goal_stops_within_the_accelerations_and_holds(
     assert not bench.velocities()[-50:].any()
 
 
+def spin_for(bench: Bench, set_points: int) -> None:
+    """Wait until so many set-points have come, and one."""
+    last = len(bench.set_points) + set_points
+    bench.client.spin_until(lambda: len(bench.set_points) > last, f"{set_points} set-points")
+
+
 def test_cancelling_while_time_runs_gives_one_of_two_ends(bench: Bench) -> None:
     """Cancel and end may cross: the client gets CANCELED or SUCCEEDED, the next goal is followed all the same."""
     from action_client import move
@@ -88,8 +94,7 @@ def test_cancelling_while_time_runs_gives_one_of_two_ends(bench: Bench) -> None:
     for k in range(6):
         handle = bench.goals.send(move(0.02 * (k % 2), 0.25))
         result = bench.goals.result_of(handle)
-        before = len(bench.set_points)
-        bench.client.spin_until(lambda: len(bench.set_points) > before + generator.integers(0, 300), "some ticks")  # noqa: B023
+        spin_for(bench, int(generator.integers(0, 300)))
         bench.goals.cancel(handle)
         ends.add(bench.goals.wait(result).status)
     bench.time.pause(True)
@@ -126,7 +131,7 @@ def test_a_trajectory_on_the_topic_ends_a_goal(bench: Bench) -> None:
         bench.time.run(0.2)
         if points is None:
             stop = bench.client.node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", 1)
-            bench.client.spin_until(lambda: stop.get_subscription_count() > 0, "the controller")  # noqa: B023
+            bench.client.spin_until(lambda: stop.get_subscription_count() > 0, "the controller")  # noqa: B023 - called at once
             stop.publish(JointTrajectory())
         else:
             bench.client.send(points)

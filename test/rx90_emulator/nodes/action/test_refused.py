@@ -70,7 +70,7 @@ def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench
     for name, (make, words) in refusals().items():
         before = bench.cell.output.count("goal rejected")
         assert not bench.others.send(make(bench.now)).accepted, name
-        bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, name)  # noqa: B023
+        bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, name)  # noqa: B023 - called at once
         (line,) = [line for line in bench.cell.output.splitlines() if "goal rejected" in line][before:]
         assert words in line, name
     assert bench.time.until(result).status == SUCCEEDED

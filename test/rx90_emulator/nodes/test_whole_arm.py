@@ -1,0 +1,228 @@
+"""An arm with all that is off in the shipped ones, in running nodes: the bits of the engine, of a reset, of a bag.
+
+One start of simulation and controller serves all tests: a run, a reset, the same run, and time that goes on.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from full_friction import write_with_parts
+from processes import Processes, on_own_domain, running_processes
+from ros_client import JOINTS, Client
+from rosbags.highlevel import AnyReader
+from warm_start import WarmPopen
+
+import rx90_emulator as rx
+from rx90_common.bags.comparison import Verdict, compare_bags
+from rx90_common.bags.reading import read_joint_states
+from rx90_common.bags.tables import comparison_text
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.share import config_path
+from rx90_controller.node.trajectory_client import TrajectoryClient
+from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.cli.frame import run
+from rx90_emulator.loop.closed_loop import simulate_commands
+from rx90_emulator.loop.result import MotionCommand, write_bag
+from rx90_emulator.loop.setup import Setup
+
+pytestmark = pytest.mark.ros
+
+DRIVES = """
+elasticity:
+  stiffness: [1.5e+6, 1.5e+6, 5.0e+5, 1.0e+5, 6.0e+4, 3.0e+4]
+  damping: [300.0, 300.0, 100.0, 20.0, 12.0, 6.0]
+  backlash: [1.0e-4, 1.0e-4, 1.0e-4, 2.0e-4, 2.0e-4, 2.0e-4]
+cogging:
+  harmonic: [6, 36]
+  amplitude: [[0.03, 0.03, 0.02, 0.01, 0.01, 0.01], [0.01, 0.01, 0.01, 0.005, 0.005, 0.005]]
+winding:
+  resistance: [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]
+  thermal_resistance: [20.0, 20.0, 20.0, 20.0, 20.0, 20.0]
+  heat_capacity: [3.0, 3.0, 3.0, 3.0, 3.0, 3.0]
+  ambient: 25.0
+  initial: 100.0
+  derating: 100.0
+  limit: 140.0
+current_sensor:
+  offset: [0.01, -0.01, 0.005, 0.0, 0.005, 0.0]
+  noise: [0.01, 0.01, 0.01, 0.005, 0.005, 0.005]
+  resolution: [0.01, 0.01, 0.005, 0.005, 0.005, 0.005]
+  bandwidth: 800.0
+"""
+SEED = 11
+RATE = 8  # of the temperatures, Hz
+STEP, STEPS = 400, 11  # ticks of one call of ~/step, calls
+DURATION = STEP * STEPS / 4000  # s
+START = 0.15  # s
+POSE = np.array([0.0, 0.5, 0.8, 0.0, 0.5, 0.0])
+THERE = TrajectoryPoints(np.array([0.5]), POSE[None] + 0.1 * np.array([[1, -1, 1, 1, -1, 1]]), np.zeros((1, 6)), None)
+ALL = 10
+"""Topics of joint states, and that of temperatures."""
+
+
+def written(folder: Path) -> Setup:
+    """Write files of the arm and return its setup."""
+    content = yaml.safe_load(config_path("robots/rx90b/drives.yaml").read_text(encoding="utf-8"))
+    blocks = {name: {"provenance": "assumed", "source": "for the tests", **block}
+              for name, block in yaml.safe_load(DRIVES).items()}  # fmt: skip
+    content["motor"]["peak_current"][1] = 3.4  # so little that a warm winding makes itself felt
+    (folder / "drives.yaml").write_text(yaml.safe_dump({**content, **blocks}), encoding="utf-8")
+    files = {
+        "drives": folder / "drives.yaml",
+        "friction": write_with_parts(config_path("robots/rx90b/friction.yaml"), folder / "friction.yaml"),
+    }
+    return rx.load_setup(**files, seed=SEED, rates=rx.Rates(temperature_hz=RATE))
+
+
+class Story(NamedTuple):
+    """What happened.
+
+    Attributes:
+        folder: with the bags `first` and `second`, recorded before and after the reset, and `engine`; and the files.
+        setup: of the arm.
+        output: of the simulation.
+        status: its diagnostics that warn while time runs.
+    """
+
+    folder: Path
+    setup: Setup
+    output: str
+    status: DiagnosticStatus
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
+    """Run the nodes twice, with a reset between, and the engine once."""
+    folder = tmp_path_factory.mktemp("whole_arm")
+    setup = written(folder)
+    simulated = simulate_commands(setup, [MotionCommand(150, THERE)], POSE, DURATION, record_fast=True)
+    write_bag(simulated, folder / "engine")
+    with ExitStack() as held:
+        patch = held.enter_context(pytest.MonkeyPatch.context())
+        held.enter_context(on_own_domain(patch, folder))
+        patch.setattr("subprocess.Popen", WarmPopen)
+        processes = held.enter_context(running_processes())
+        client = held.enter_context(closing(Client()))
+        of_simulation = ("-p", "paused:=true", "-p", "real_time_factor:=0.0", "-p", f"step_ticks:={STEP}")
+        simulation = processes.start(
+            "rx90_sim", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}", *of_simulation,
+            *("-p", f"friction:={folder / 'friction.yaml'}", "-p", f"seed:={SEED}"),
+            *("-p", f"initial_position:={POSE.tolist()}", "-p", f"temperature_rate:={RATE}"),
+        )  # fmt: skip
+        processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
+        _record(processes, client, folder / "first")
+        client.simulation.reset()
+        _record(processes, client, folder / "second")
+        heard = client.listen("/diagnostics", DiagnosticArray)
+        assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
+        client.simulation.pause(False)
+
+        def warning() -> list[DiagnosticStatus]:
+            status = [message.status[0] for message in heard]
+            return [one for one in status if one.name == "rx90_sim" and one.level == DiagnosticStatus.WARN]
+
+        client.spin_until(lambda: any("motor" in one.message for one in warning()), "the warning")
+        status = next(one for one in warning() if "motor" in one.message)
+        yield Story(folder, setup, simulation.output, status)
+
+
+def _record(processes: Processes, client: Client, bag: Path) -> None:
+    """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
+    recorder = processes.start("rx90_bag", "record", "--output", bag)
+    recorder.wait_for("ready: all")
+    client.simulation.step()
+    sender = TrajectoryClient(client.asking, "rx90_controller")
+    sender.wait_for_controller()
+    sender.send(JOINTS, THERE, START)
+    for _ in range(STEPS - 1):
+        client.simulation.step()
+    recorder.signal(signal.SIGINT)
+    assert recorder.wait() == 0
+
+
+def temperatures(bag: Path) -> list[tuple[int, str, float]]:
+    """Return stamp, ns, frame and degrees Celsius of all temperatures in a bag."""
+    with AnyReader([bag]) as reader:
+        messages: list[Any] = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages(c for c in reader.connections if c.topic == "/temperatures")
+        ]
+    return [
+        (m.header.stamp.sec * NANOSECONDS + m.header.stamp.nanosec, m.header.frame_id, m.temperature) for m in messages
+    ]
+
+
+def the_same(one: Path, other: Path) -> None:
+    """Assert that all numbers in two bags have the same bits."""
+    comparison = compare_bags(one, other)
+    assert comparison.verdict is Verdict.SAME, comparison_text(comparison)
+    assert len(comparison.topics) == ALL
+    assert temperatures(one) == temperatures(other)
+
+
+def test_the_nodes_give_the_engines_bits(story: Story) -> None:
+    """With elastic gears, play, cogging, sensors, windings and all parts of friction nodes and engine agree bit by bit.
+
+    So do the temperatures of the seven friction elements and of the six windings, which are named after them.
+    """
+    the_same(story.folder / "first", story.folder / "engine")
+    warm = temperatures(story.folder / "first")
+    names = [*story.setup.friction.names, *(f"motor_{i}" for i in range(1, 7))]
+    stamps = [k * NANOSECONDS // RATE for k in range(round(DURATION * RATE + 0.5))]
+    assert [(stamp, name) for stamp, name, _ in warm] == [(stamp, name) for stamp in stamps for name in names]
+    assert [value for *_, value in warm[:13]] == [30.0] * 7 + [100.0] * 6
+    later = np.array([value for *_, value in warm[-13:]])
+    assert np.all(later[:7] != 30.0)
+    assert later[8] > 104.0
+    assert np.all(later[[7, 9, 10, 11, 12]] < later[8])
+
+
+def test_a_reset_puts_all_of_it_back(story: Story) -> None:
+    """Scatter, noise, twists, temperatures of joints and windings: a run after ~/reset has the bits of the first."""
+    the_same(story.folder / "first", story.folder / "second")
+
+
+def test_the_bag_alone_tells_the_seed(story: Story, capsys: pytest.CaptureFixture[str]) -> None:
+    """`rx90_run --from-bag` takes seed and rate of temperatures of the simulation, and has every bit of the run."""
+    files = [word for name in ("drives", "friction") for word in (f"--{name}", str(story.folder / f"{name}.yaml"))]
+    again = story.folder / "again"
+    assert run("rx90_run", ["--from-bag", str(story.folder / "first"), *files, "--output", str(again)]) == 0
+    assert f"seed {SEED}, as the bag tells\n" in capsys.readouterr().out
+    the_same(story.folder / "first", again)
+
+
+def test_the_current_is_what_the_drives_report(story: Story) -> None:
+    """`motor_current` is the torque of `motor_states` over the torque constant: with offset, noise and steps."""
+    found = read_joint_states(story.folder / "first", "rx90_controller/motor_current").effort
+    torque = read_joint_states(story.folder / "first", "motor_states").effort
+    assert found is not None
+    assert torque is not None
+    assert np.array_equal(found, torque[::40] / story.setup.drives.torque_constant)
+    counts = found / story.setup.drives.current_sensor.resolution
+    assert counts == pytest.approx(np.round(counts), abs=1e-9)
+    commanded = read_joint_states(story.folder / "first", "rx90_controller/commanded_current").effort
+    assert commanded is not None
+    assert np.all(np.ptp(found - commanded, axis=0) > 2.0 * story.setup.drives.current_sensor.resolution)
+
+
+def test_a_warm_winding_is_told(story: Story) -> None:
+    """Log, once, and diagnostics name the motor whose torque its winding limits, how warm it is and what is left."""
+    text = r"motor_2 at (1\d\d\.\d) °C has (\d\d) % of its peak current"
+    said = re.search(text, story.status.message)
+    assert said is not None
+    assert float(said[2]) == pytest.approx(100.0 * (140.0 - float(said[1])) / 40.0 - 0.5, abs=0.7)  # rounded down
+    values = {pair.key: pair.value for pair in story.status.values}
+    assert values["windings, °C"].split()[1] == said[1]
+    assert [int(count) > 0 for count in values["saturated ticks"].split()] == [False, True] + [False] * 4
+    # Once as the first run makes it warm, and once as time goes on after the reset, at the most.
+    assert 1 <= len(re.findall(rf"\[WARN\].*{text}", story.output)) <= 2
