@@ -4,7 +4,7 @@
                          [friction_parts] [perturbation] [lockstep] [composition] [speed] [view] [sweep]
                          [bag_memory] [friction_ramp] [friction_ramp_coverage] [friction_presliding] [identification]
                          [identification_presliding] [identification_time] [excitation_coverage] [excitation_time]
-                         [wrong_zeros] [published_friction] [bristles] [bristle_kinds]
+                         [wrong_zeros] [load_parts] [transmission] [published_friction] [bristles] [bristle_kinds]
 
 Each runs in a process of its own, prints its table and merges its figures as soon as it has them. `python -m
 benchmarks.figures` brings them into README.md and docs/.
@@ -43,6 +43,8 @@ NAMES = (
     "excitation_coverage",
     "excitation_time",
     "wrong_zeros",
+    "load_parts",
+    "transmission",
     "published_friction",
     "bristles",
     "bristle_kinds",

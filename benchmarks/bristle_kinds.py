@@ -1,16 +1,18 @@
-"""How often the presliding experiments tell which kind of bristles a joint has, and how often they are wrong.
+"""How often the presliding experiments tell which kind of bristles an element has, and how often they are wrong.
 
     python -m benchmarks.bristle_kinds [sets]
 
 Random friction sets (every parameter of every element scaled by 0.5 to 1.5) with bristles of each kind in turn, the
 presliding experiments of joints 1 and 2 on the engine, torques with the friction rig's noise, and the sliding regime
-given with errors as it is identified. Merges the figures into out/bench.json.
+given with errors as it is identified. Wrists the same, their three elements with kinds of their own each. How far the
+numbers of bristles are off in their deviations is counted, too. Merges the figures into out/bench.json.
 """
 
 from __future__ import annotations
 
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -23,14 +25,19 @@ from benchmarks.synthetic_sweeps import Noise
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
 from rx90_emulator.identification.experiments.plan import PlanOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
-from rx90_emulator.identification.presliding.group_model import joint_groups
-from rx90_emulator.identification.presliding.kinds import LEAST_MOTIONS, KindChoice, choose_kind
-from rx90_emulator.identification.presliding.micro_motion import find_micro_motions, load_of
+from rx90_emulator.identification.presliding.element_kinds import ElementKind, choose_kinds
+from rx90_emulator.identification.presliding.fit import identify_presliding
 from rx90_emulator.loop.setup import Setup
 
 SETS = 3
-JOINTS = (0, 1)
+WRISTS = 1
+"""Sets of three wrists: one takes more than a minute."""
+JOINTS = ("joint_1", "joint_2")
+WRIST = ("joint_5", "joint_6", "joints_5_6_against")
 KINDS = ("LuGre", "elasto-plastic", "Maxwell slip")
+ANSWERS = (*KINDS, "cannot tell", "not compared")
+TWO = 2.0
+"""Deviations, within which 95 % of the errors should be."""
 
 
 def random_kind(name: str, rng: np.random.Generator) -> BristlesPart | None:
@@ -43,23 +50,45 @@ def random_kind(name: str, rng: np.random.Generator) -> BristlesPart | None:
     return None
 
 
-def choices(setup: Setup, arm: RigidArm, name: str, seed: int) -> list[KindChoice | None]:
-    """Return what is found for each of JOINTS; None where it made too few micro-motions."""
-    rng = np.random.default_rng((seed, KINDS.index(name)))
+def found_kinds(
+    setup: Setup, arm: RigidArm, groups: Sequence[str], kinds: Sequence[str], seed: int
+) -> list[tuple[ElementKind, dict[str, float]]]:
+    """Return what is found for each element that moves, and the true values of its numbers.
+
+    Args:
+        setup: of the shipped robot.
+        arm: its.
+        groups: directions of the experiments.
+        kinds: of the bristles of all seven elements.
+        seed: of friction and noise.
+    """
+    rng = np.random.default_rng((seed, *(KINDS.index(name) for name in kinds)))
     friction = random_bristles(setup.friction, rng)
-    elements = tuple(replace(element, bristles=random_kind(name, rng)) for element in friction.elements)
+    pairs = zip(friction.elements, kinds, strict=True)
+    elements = tuple(replace(element, bristles=random_kind(name, rng)) for element, name in pairs)
     truth = replace(setup, friction=replace(friction, elements=elements))
-    runs = run_presliding(truth, PlanOptions(groups=tuple(f"joint_{joint + 1}" for joint in JOINTS)))
+    runs = run_presliding(truth, PlanOptions(groups=tuple(groups)))
     records = [recorded(setup, run, rng, Noise(Noise.torque)) for run in runs]
     known = measured_sliding([element.without_parts() for element in elements], rng)
-    groups = [group.joints for group in joint_groups(arm)]
-    found: list[KindChoice | None] = []
-    for joint in JOINTS:
-        motions = [m for r in records for m in find_micro_motions(r, arm, groups) if m.joints == (joint,)]
-        largest = sorted(motions, key=lambda m: -load_of(m, np.array([known[joint].tau_c_positive])))
-        enough = len(motions) >= LEAST_MOTIONS
-        found.append(choose_kind(largest, known[joint], elements[joint].c0) if enough else None)
+    fit = identify_presliding(records, arm, known, plant_period=setup.rates.period)
+    moved = {e for group in fit.groups for e in group.elements}
+    found = []
+    for e, (kind, element) in enumerate(zip(choose_kinds(fit, arm), elements, strict=True)):
+        if e in moved and (e < len(JOINTS)) == (groups is JOINTS):
+            numbers = {} if element.bristles is None else element.bristles.numbers()
+            true = {"c0": element.c0, "c1": element.c1, **{f"bristles.{key}": each for key, each in numbers.items()}}
+            found.append((kind, true))
     return found
+
+
+def within(kind: ElementKind, true: dict[str, float]) -> list[tuple[str, bool]]:
+    """Return which numbers of bristles lie within two deviations of the truth; none where LuGre's stay."""
+    if kind.trial is None:
+        return []
+    known = {name: one for name, one in kind.trial.estimates.items() if one.identifiable}
+    if not set(known) <= set(true):  # another number of blocks
+        known = {name: one for name, one in known.items() if "." not in name}
+    return [(name, abs(one.value - true[name]) <= TWO * one.deviation) for name, one in known.items()]
 
 
 def main() -> int:
@@ -67,21 +96,36 @@ def main() -> int:
     sets = int(sys.argv[1]) if len(sys.argv) > 1 else SETS
     setup = Setup.load()
     arm = RigidArm.from_setup(setup)
-    counts: dict[str, Counter[str]] = {name: Counter() for name in KINDS}
-    with tqdm(total=sets * len(KINDS), file=sys.stderr) as bar:
-        for seed, name in product(range(1, sets + 1), KINDS):
-            for choice in choices(setup, arm, name, seed):
-                found = "too few motions" if choice is None else choice.kind or "cannot tell"
-                best = "" if choice is None else min(choice.trials, key=lambda t: t.behind).family.name
-                counts[name].update([found, "best"] if best.startswith(name) else [found])
-                bar.write(f"set {seed}, {name}: {found}; predicts best: {best or 'none'}")
+    counts: dict[tuple[str, str], Counter[str]] = defaultdict(Counter)
+    held: dict[str, list[bool]] = defaultdict(list)
+    robots = [*product(("joints",), range(1, sets + 1), KINDS), *product(("wrist",), range(1, WRISTS + 1), KINDS)]
+    with tqdm(total=len(robots), file=sys.stderr) as bar:
+        for where, seed, first in robots:
+            # Each element of a wrist has another kind.
+            shift = seed if where == "wrist" else 0
+            kinds = [KINDS[(KINDS.index(first) + shift * e) % len(KINDS)] for e in range(len(arm.element_names))]
+            groups = JOINTS if where == "joints" else WRIST
+            for kind, true in found_kinds(setup, arm, groups, kinds, seed):
+                name = kinds[arm.element_names.index(kind.element)]
+                best = "" if kind.choice is None else kind.choice.best.family.name
+                counts[where, name].update([kind.decision, "best"] if best.startswith(name) else [kind.decision])
+                if kind.decision == name:
+                    for number, good in within(kind, true):
+                        held[number.partition("[")[0]].append(good)
+                bar.write(f"set {seed}, {kind.element}, {name}: {kind.text}; predicts best: {best or 'none'}")
             bar.update()
-    shown = (*KINDS, "cannot tell", "too few motions", "best")
-    rows = [(name, *(f"{counts[name][key]}" for key in shown)) for name in KINDS]
-    right = sum(counts[name][name] for name in KINDS)
-    wrong = sum(counts[name][key] for name, key in product(KINDS, KINDS)) - right
-    print_table(("bristles", *KINDS, "cannot tell", "too few motions", "right one best"), rows)
-    merge({"bristle_kinds_right": right, "bristle_kinds_wrong": wrong, "bristle_kinds_all": sets * len(KINDS) * 2})
+    shown = (*ANSWERS, "best")
+    rows = [(f"{name}, {where}", *(f"{count[key]}" for key in shown)) for (where, name), count in counts.items()]
+    print_table(("bristles", *ANSWERS, "right one best"), rows)
+    print_table(
+        ("number", "within two deviations"), [(name, f"{sum(good)} of {len(good)}") for name, good in held.items()]
+    )
+    for where, prefix in (("joints", "bristle_kinds"), ("wrist", "wrist_kinds")):
+        of = {name: count for (there, name), count in counts.items() if there == where}
+        right = sum(count[name] for name, count in of.items())
+        told = sum(count[key] for count in of.values() for key in KINDS)
+        everything = sum(count[key] for count in of.values() for key in ANSWERS)
+        merge({f"{prefix}_right": right, f"{prefix}_wrong": told - right, f"{prefix}_all": everything})
     return 0
 
 

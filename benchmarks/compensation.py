@@ -2,9 +2,11 @@
 
     python -m benchmarks.compensation [--plot FILE]
 
-The plant keeps its parameters, but for the temperatures; the controller's model is right or wrong by what the
-conditions say. For the CS7B's own feed-forward they concern its Coulomb and viscous values. The numbers are exact: the
-closed loop gives the same bits on each run. Speed is in CPU time, in turns.
+The plant keeps its parameters; the controller's model is right or wrong by what the conditions say. For the CS7B's own
+feed-forward they concern its Coulomb and viscous values. Cold and hot are made by the temperature part of the plant's
+friction: as warm as the room, and as warm as hours of work make it; the model has that part, or has the friction at the
+reference temperature. The numbers are exact: the closed loop gives the same bits on each run. Speed is in CPU time, in
+turns.
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ import numpy as np
 
 from benchmarks.measured_bristles import run_measured
 from benchmarks.report import merge, print_table
+from rx90_common.base.arrays import Array
 from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
+from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
 from rx90_common.report.still import write_picture
 from rx90_controller.law.model import ModelFiles
@@ -36,6 +40,7 @@ from rx90_emulator.loop.application import with_parameters
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.line import LineRun, plan_line, run_line
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.loop.working_day import RepeatedLine, repeat_line
 
 LAWS = {
     "CS7B's own": FeedForward(),
@@ -47,13 +52,20 @@ OWN, BOTH = "CS7B's own", "both"
 RIGHT = "right model"
 OFF = {"friction 30 % too low": 0.7, "friction 30 % too high": 1.3}
 LIGHT = "tool half as heavy"
-TEMPERATURES = {
-    # Factors of the viscous friction, of the Stribeck velocity and of the rise from Coulomb to static torque. The
-    # trends are those of Bittencourt and Gunnarsson (2012): with temperature the first falls exponentially, the other
-    # two grow. The factors are assumed.
-    "cold arm": (2.0, 0.6, 0.6),
-    "hot arm": (0.5, 1.5, 1.5),
-}
+COLD, HOT = "cold arm", "hot arm"
+COLD_HALL, HOT_HALL = 10.0, 40.0  # degrees Celsius
+KNOWN = ", temperature in the model"
+WARMTH = TemperaturePart(
+    # Forms, scale and floor are those of Bittencourt and Gunnarsson (2012) at 40 degrees (docs/explanation/
+    # friction_curves.md). All else is assumed; their slopes, 0.04 and 0.07 1/K, hold for a warm gear alone.
+    reference=30.0, lowest=5.0, highest=95.0, start=COLD_HALL, ambient=COLD_HALL, capacity=9000.0, resistance=0.6,
+    viscous_scale=20.7, viscous_floor=0.4, speed_slope=0.02, static_slope=0.02,
+)  # fmt: skip
+RESISTANCES = (0.6, 0.6, 0.6, 2.5, 4.0, 8.0, 6.0)  # K/W of the seven elements; assumed
+TIME_CONSTANT = 5400.0  # capacity times resistance, s; assumed
+WORK_SPEED, WORK_ACCELERATION = 0.6, 4.0  # of the line while the arm works, m/s and m/s^2
+WORK_HOURS = 4.0
+DAY_ROWS = (0.0, 0.5, 1.0, 2.0, 4.0)  # h
 GAINS = (0.0, 30.0)  # of the bristles that follow the measured velocity, 1/s
 ROUNDS = 15
 SETTLED = 300  # position ticks
@@ -104,7 +116,6 @@ class Models:
             RIGHT: self._setup,
             **{name: self._friction(factor) for name, factor in OFF.items()},
             LIGHT: self._with(dataclasses.replace(self._files, tool=self._tool(0.5))),
-            **{name: self._at(*factors) for name, factors in TEMPERATURES.items()},
         }
 
     def _with(self, files: ModelFiles) -> Setup:
@@ -131,20 +142,33 @@ class Models:
         path.write_text(yaml_text(content), encoding="utf-8")
         return path
 
-    def _at(self, viscous: float, velocity: float, rise: float) -> Setup:
-        """Return the setup with an arm at another temperature."""
+    def at(self, hall: float, arm: Array, believed: Array | None) -> Setup:
+        """Return the setup in surroundings of a temperature, degrees Celsius, with joints that begin at others, (7,).
 
-        def there(element: FrictionElement) -> FrictionElement:
-            static = {
-                f"tau_s_{sign}": coulomb + rise * (getattr(element, f"tau_s_{sign}") - coulomb)
-                for sign in ("positive", "negative")
-                for coulomb in [getattr(element, f"tau_c_{sign}")]
-            }
-            return dataclasses.replace(element, c2=viscous * element.c2, omega_s=velocity * element.omega_s, **static)
+        The model's begin at those that it believes; None for a model without temperatures.
+        """
+        warm = dataclasses.replace(self._setup.friction, elements=_warm(self._setup.friction, hall, arm))
+        there = dataclasses.replace(self._setup, friction=warm)
+        if believed is None:
+            return there
+        path = self._folder / f"friction_{hall:g}_{believed.sum():.6f}.yaml"
+        known = dict(zip(warm.names, _warm(warm, hall, believed), strict=True))
+        path.write_text(FrictionFile(known).text(), encoding="utf-8")
+        model = dataclasses.replace(self._files, friction=path)
+        return dataclasses.replace(there, controller=dataclasses.replace(there.controller, model=model))
 
-        friction = self._setup.friction
-        elements = tuple(there(element) for element in friction.elements)
-        return dataclasses.replace(self._setup, friction=dataclasses.replace(friction, elements=elements))
+
+def _warm(friction: FrictionSet, hall: float, start: Array) -> tuple[FrictionElement, ...]:
+    """Return elements that begin at temperatures, degrees Celsius, shape (7,)."""
+    return tuple(
+        dataclasses.replace(
+            element,
+            temperature=dataclasses.replace(
+                WARMTH, start=float(begin), ambient=hall, resistance=resistance, capacity=TIME_CONSTANT / resistance
+            ),
+        )
+        for element, begin, resistance in zip(friction.elements, start, RESISTANCES, strict=True)
+    )
 
 
 def scaled(friction: FrictionSet, factor: float) -> tuple[FrictionElement, ...]:
@@ -212,6 +236,36 @@ def own_budget(setup: Setup, task: LineTask) -> list[tuple[str, float, float]]:
     return [(name, path.worst, path.rms) for name, path in paths.items()]
 
 
+def working_days(models: Models, task: LineTask) -> dict[str, RepeatedLine]:
+    """Return hours of fast work in the hot hall: by the CS7B's own, and by both without and with temperatures."""
+    begin = np.full(7, HOT_HALL)
+    work = dataclasses.replace(
+        task, speed=WORK_SPEED, acceleration=WORK_ACCELERATION, rest_before=0.05, rest_after=0.05
+    )
+    laws = {
+        OWN: with_law(models.at(HOT_HALL, begin, None), LAWS[OWN]),
+        BOTH: with_law(models.at(HOT_HALL, begin, None), LAWS[BOTH]),
+        BOTH + KNOWN: with_law(models.at(HOT_HALL, begin, begin), LAWS[BOTH]),
+    }
+    return {name: repeat_line(setup, work, 3600.0 * WORK_HOURS) for name, setup in laws.items()}
+
+
+def print_days(days: Mapping[str, RepeatedLine]) -> None:
+    """Print path errors over the hours, and how warm the joints and those of the model get."""
+    rows = []
+    for hour in DAY_ROWS:
+        errors = (np.interp(3600.0 * hour, day.times, day.worst) for day in days.values())
+        rows.append((f"{hour:g}", *(f"{error * 1e3:.4f}" for error in errors)))
+    print_table(("fast work, h: worst path error, mm", *days), rows)
+    print()
+    known = days[BOTH + KNOWN]
+    names = known.setup.friction.names
+    degrees = {"the arm": known.temperatures[-1], "the model believes": known.believed[-1]}
+    print_table((f"after {WORK_HOURS:g} h, degrees Celsius", *names),
+                [(who, *(f"{value:.2f}" for value in values)) for who, values in degrees.items()])  # fmt: skip
+    print()
+
+
 def print_budget(title: str, found: Sequence[tuple[str, float, float]]) -> None:
     """Print what is left."""
     print_table((title, "worst, um", "RMS, um"), [(n, f"{w * 1e6:.2f}", f"{r * 1e6:.3f}") for n, w, r in found])
@@ -253,13 +307,15 @@ def speed(setup: Setup, task: LineTask) -> dict[str, float]:
 def draw(runs: Mapping[str, Mapping[str, LineRun]], file: Path) -> None:
     """Draw the path error along the line for the right model and those that are off."""
     panels = []
-    shown = {RIGHT: list(LAWS), **{name: [OWN, BOTH] for name in OFF}, **{name: [OWN, BOTH] for name in TEMPERATURES}}
+    shown = {RIGHT: list(LAWS), **{name: [OWN, BOTH] for name in (*OFF, COLD, HOT)}}
     for condition, laws in shown.items():
         marks: list[Curve | Level] = [Level(TARGET, "0.03 mm", dash="dotted")]
-        for law in laws:
-            path = runs[condition][law].path_accuracy
-            colour = COLOURS[list(LAWS).index(law)]
-            marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, law, colour))
+        curves = [(law, runs[condition][law], COLOURS[list(LAWS).index(law)]) for law in laws]
+        if condition in (COLD, HOT):
+            curves.append((BOTH + KNOWN, runs[condition + KNOWN][BOTH], COLOURS[len(LAWS)]))
+        for name, run, colour in curves:
+            path = run.path_accuracy
+            marks.append(Curve(path.along * 1e3, path.perpendicular * 1e3, name, colour))
         title = condition.capitalize()
         x_label = "along the line, mm" if condition == list(shown)[-1] else ""
         panels.append(Panel(marks, title, x_label, "path error, mm", from_zero=True))
@@ -275,12 +331,21 @@ def main() -> int:
     options = parser.parse_args()
     setup, task = Setup.load(), load_task()
     with tempfile.TemporaryDirectory() as folder:
-        setups = Models(setup, Path(folder)).all()
+        models = Models(setup, Path(folder))
+        days, cold = working_days(models, task), np.full(7, COLD_HALL)
+        hot, believed = days[BOTH + KNOWN].temperatures[-1], days[BOTH + KNOWN].believed[-1]
+        setups = models.all() | {
+            COLD: models.at(COLD_HALL, cold, None),
+            COLD + KNOWN: models.at(COLD_HALL, cold, cold),
+            HOT: models.at(HOT_HALL, hot, None),
+            HOT + KNOWN: models.at(HOT_HALL, hot, believed),
+        }
         runs = {
             name: {law: run_line(with_law(one, switches), task) for law, switches in LAWS.items()}
             for name, one in setups.items()
         }
         print_conditions(runs)
+        print_days(days)
         print_budget("both of the right model, what is left", budget(setup, task))
         print_budget("CS7B's own, what is left", own_budget(setup, task))
         print_measured(setups, task)
@@ -293,6 +358,15 @@ def main() -> int:
             "path_error_inverse_dynamics_mm": runs[RIGHT]["+ inverse dynamics"].path_accuracy.worst * 1e3,
             "path_error_friction_model_mm": runs[RIGHT]["+ friction model"].path_accuracy.worst * 1e3,
             "path_error_model_mm": runs[RIGHT][BOTH].path_accuracy.worst * 1e3,
+            "path_error_model_cold_mm": runs[COLD][BOTH].path_accuracy.worst * 1e3,
+            "path_error_model_cold_known_mm": runs[COLD + KNOWN][BOTH].path_accuracy.worst * 1e3,
+            "path_error_model_hot_mm": runs[HOT][BOTH].path_accuracy.worst * 1e3,
+            "path_error_model_hot_known_mm": runs[HOT + KNOWN][BOTH].path_accuracy.worst * 1e3,
+            **{
+                f"path_error_work_{when}{known}_mm": days[law].worst[row] * 1e3
+                for law, known in ((BOTH, ""), (BOTH + KNOWN, "_known"))
+                for when, row in (("first", 0), ("last", -1))
+            },
             "feed_forward_by_model_real_time": faster["both parts of the model"],
         }
     )

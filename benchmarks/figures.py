@@ -29,6 +29,7 @@ UNMEASURED = "not measured yet"
 
 Measured = Mapping[str, Sequence[float]]
 
+_WITH_UNIT = re.compile(rf"({UNMEASURED}) [^\s|]+(?= \|)")
 _PLACE = re.compile(r"(<!-- figures: (\w+) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL)
 
 
@@ -84,7 +85,7 @@ def with_figures(page: str, measured: Measured) -> str:
     def written(place: re.Match[str]) -> str:
         if place[2] not in known:
             raise ConfigError(f"the table is {place[2]!r}; accepted: {', '.join(known)}")
-        return place[1] + known[place[2]].format_map(ranges) + place[4]
+        return place[1] + _WITH_UNIT.sub(r"\1", known[place[2]].format_map(ranges)) + place[4]
 
     return _PLACE.sub(written, page)
 

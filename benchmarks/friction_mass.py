@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.bristle import load_elements
-from rx90_common.friction.bristles.step import bristles_dtype, bristles_state_dtype, bristles_step
+from rx90_common.friction.bristles.step import bristles_dtype, bristles_step
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parts.bristles import fill_bristles
+from rx90_common.friction.tracing import BRISTLE_STATE_DTYPE
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import lane, load
 
@@ -29,7 +30,7 @@ class Motion(NamedTuple):
 
 def _records(element: FrictionElement) -> tuple[Any, Any, Any]:
     constants = np.zeros(1, bristles_dtype(1))
-    state = np.zeros(1, np.dtype([("z", np.float64, (1,)), ("bristles", bristles_state_dtype(1))], align=True))
+    state = np.zeros(1, BRISTLE_STATE_DTYPE)
     fill_bristles(constants[0], [element.bristles])
     return element_arrays((element,)), constants, state
 

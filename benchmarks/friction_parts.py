@@ -2,8 +2,9 @@
 
     python -m benchmarks.friction_parts
 
-Speed: the reference line without recording of the 4 kHz series, with the same parts in all seven elements; all take
-turns, and times are CPU times of the one thread that works. Convergence: the whole arm with a load part in each
+Speed: the reference line without recording of the 4 kHz series, with the same parts in all seven elements, and with
+them in the controller's model of arm and friction as well; all take turns, and times are CPU times of the one thread
+that works. Convergence: the whole arm with a load part in each
 element, and a ripple in three, under motor torques that jump and reverse the motion, against SciPy's Radau on the same
 law in continuous time, written out once more.
 """
@@ -12,9 +13,12 @@ from __future__ import annotations
 
 import statistics
 import sys
+import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +28,12 @@ from benchmarks.closed_loop import Work
 from benchmarks.report import merge, print_table
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.load import LoadPart
 from rx90_common.friction.parts.ripple import RipplePart
 from rx90_common.friction.parts.scatter import ScatterPart
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_controller.law.parameters import FeedForward
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -45,20 +51,36 @@ STEPS = np.array([1, 2, 4, 8])
 _LOAD, _SCATTER = LoadPart(0.05, 0.08), ScatterPart(0.02, 10.0)
 _WARM = TemperaturePart(40.0, 20.0, 90.0, 25.0, 20.0, 9000.0, 0.4, 20.7, 0.3, 0.03, 0.02)
 _RIPPLE = RipplePart(motor_harmonic=(2.0,), motor_amplitude=(0.05,))
-CASES: dict[str, dict[str, Any]] = {
-    "no part": {},
-    "load": {"load": _LOAD},
-    "load and viscous exponent": {"load": _LOAD, "alpha": 0.7},
-    "load, temperature, viscous exponent": {"load": _LOAD, "temperature": _WARM, "alpha": 0.7},
-    "ripple": {"ripple": _RIPPLE},
-    "scatter": {"scatter": _SCATTER},
-    "load, ripple, scatter": {"load": _LOAD, "ripple": _RIPPLE, "scatter": _SCATTER},
+_ALL_WARM = {"load": _LOAD, "temperature": _WARM, "alpha": 0.7}
+
+
+class Case(NamedTuple):
+    """What all elements have, and whether the controller feeds forward by a model of the arm with the same friction."""
+
+    values: dict[str, Any]
+    known: bool = False
+
+
+CASES = {
+    "no part": Case({}),
+    "load": Case({"load": _LOAD}),
+    "load and viscous exponent": Case({"load": _LOAD, "alpha": 0.7}),
+    "load, temperature, viscous exponent": Case(_ALL_WARM),
+    "ripple": Case({"ripple": _RIPPLE}),
+    "scatter": Case({"scatter": _SCATTER}),
+    "load, ripple, scatter": Case({"load": _LOAD, "ripple": _RIPPLE, "scatter": _SCATTER}),
+    "no part, and the controller's model": Case({}, known=True),
+    "load, in the controller's model, too": Case({"load": _LOAD}, known=True),
+    "load, temperature, viscous exponent, in the controller's model, too": Case(_ALL_WARM, known=True),
 }
 _KEYS = {
     "load": "parts_load",
     "load and viscous exponent": "parts_load_exponent",
     "load, temperature, viscous exponent": "parts_load_temperature_exponent",
     "load, ripple, scatter": "parts_all",
+    "no part, and the controller's model": "parts_none_known",
+    "load, in the controller's model, too": "parts_load_known",
+    "load, temperature, viscous exponent, in the controller's model, too": "parts_load_temperature_exponent_known",
 }
 
 
@@ -68,11 +90,35 @@ def with_elements(setup: Setup, **values: Any) -> Setup:
     return replace(setup, friction=replace(setup.friction, elements=elements))
 
 
+def knowing(setup: Setup, file: Path) -> Setup:
+    """Return a setup whose controller feeds forward by a model with the setup's friction, written to a file."""
+    elements = dict(zip(setup.friction.names, setup.friction.elements, strict=True))
+    file.write_text(FrictionFile(elements).text(), encoding="utf-8")
+    own = setup.controller
+    assert own.model is not None
+    switches = FeedForward(inverse_dynamics=True, friction_model=True)
+    return replace(setup, controller=replace(own, model=replace(own.model, friction=file), feed_forward=switches))
+
+
+def setup_of(case: Case, shipped: Setup, file: Path) -> Setup:
+    """Return the setup of a case; what its controller knows is written to a file."""
+    setup = with_elements(shipped, **case.values)
+    return knowing(setup, file) if case.known else setup
+
+
 def speed(rounds: int = ROUNDS) -> dict[str, list[float]]:
     """Return the seconds per tick of all rounds, by case."""
     work = Work.load()
-    setups = {name: with_elements(work.setup, **values) for name, values in CASES.items()}
-    times: dict[str, list[float]] = {name: [] for name in CASES}
+    with tempfile.TemporaryDirectory() as folder:
+        files = [Path(folder) / f"friction_{number}.yaml" for number in range(len(CASES))]
+        setups = {
+            name: setup_of(case, work.setup, file) for (name, case), file in zip(CASES.items(), files, strict=True)
+        }
+        return _times(setups, work, rounds)
+
+
+def _times(setups: Mapping[str, Setup], work: Work, rounds: int) -> dict[str, list[float]]:
+    times: dict[str, list[float]] = {name: [] for name in setups}
     ticks = work.duration * work.setup.rates.base_hz
     for turn in range(rounds + 1):
         for name, setup in setups.items():

@@ -6,35 +6,49 @@ For each of five kinds of joints so many rigs with friction, presliding and damp
 `friction_presliding` does it, with ramps, loops, a sweep and small cycles. Prints what loops and sliding alone, the
 drift alone, and both decided, and how often that was wrong. Merges the figures into out/bench.json. The exit code is 1
 when a decision is wrong more often than is accepted.
+
+Each rig is a line of out/presliding_rigs.csv as soon as it is measured; those that stand there by the same sources are
+not measured again, so that an interrupt costs one rig.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import sys
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from scipy.stats import binomtest
 from tqdm import tqdm
 
-from benchmarks.report import merge, print_table
+from benchmarks.report import ROOT, merge, print_table
 from friction_bench.presliding.campaign import Campaign
-from friction_bench.presliding.drift import DriftVerdict
+from friction_bench.presliding.drift import CYCLES, DriftVerdict
 from friction_bench.presliding.evaluation import PreslidingResult, evaluate
 from friction_bench.presliding.follow import follow
 from friction_bench.presliding.planning import CampaignPlan, runs
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig, VirtualPort
+from friction_bench.rig.native import firmware_directory
 from friction_bench.rig.plant import JointFriction
 from friction_bench.rig.rig_file import Rig, load_rig
+from rx90_common.base.errors import INTERRUPTED
 from rx90_common.base.share import PRESLIDING_RIG, config_path
+from rx90_common.base.sources import sources_hash, with_imports
 from rx90_common.friction.element import FrictionElement
 from rx90_common.friction.parts.bristles import ElastoPlastic, MaxwellSlip
 
 KINDS = ("Coulomb and viscous", "Stribeck", "LuGre", "elasto-plastic", "Maxwell slip")
 ACCEPTED = 0.05
 """Share of wrong decisions; 'cannot tell' is none."""
+METHODS = ("loops and sliding", "drift", "both")
+VERDICTS = ("right", "cannot tell", "wrong")
+CONFIDENCE = 0.95
+RIGS_FILE = ROOT / "out" / "presliding_rigs.csv"
 STIFF = 1e-6
 """Presliding of a joint whose loops cannot be seen, rad: a twentieth of a count. Its law is LuGre's all the same."""
 
@@ -94,41 +108,101 @@ def _drift_right(kind: str, verdict: DriftVerdict) -> str:
     return "right" if verdict is expected else "wrong"
 
 
+def decided(kind: str, result: PreslidingResult) -> dict[str, str]:
+    """Return what became of each of METHODS, and what was found, in words."""
+    assert result.choice is not None
+    assert result.drift is not None
+    left = result.choice.by_loops
+    return {
+        "loops and sliding": _right(kind, left[0] if len(left) == 1 else "cannot tell"),
+        "drift": _drift_right(kind, result.drift.verdict),
+        "both": _right(kind, result.choice.text),
+        "found": f"{result.choice.text}; loops and sliding: {' or '.join(left)}; drift: {result.drift.reason}",
+    }
+
+
+class RigTable:
+    """What was decided about rigs, as lines of a CSV file; those of other sources, seeds or cycles do not count.
+
+    Args:
+        file: to which lines are added.
+        code, seed, cycles: by which rigs are measured.
+    """
+
+    COLUMNS = ("code", "seed", "cycles", "rig", "joint", *METHODS, "found")
+
+    def __init__(self, file: Path, code: str, seed: int, cycles: int) -> None:
+        self._file = file
+        self._measured_by = {"code": code, "seed": str(seed), "cycles": str(cycles)}
+        self.rows: dict[tuple[int, str], dict[str, str]] = {}
+        if file.is_file():
+            with file.open(newline="", encoding="utf-8") as stream:
+                for row in csv.DictReader(stream):
+                    if None not in row.values() and self._measured_by.items() <= row.items():
+                        self.rows[int(row["rig"]), row["joint"]] = row
+
+    def add(self, number: int, kind: str, verdicts: Mapping[str, str]) -> None:
+        """Add a rig."""
+        row = {**self._measured_by, "rig": str(number), "joint": kind, **verdicts}
+        self.rows[number, kind] = row
+        self._file.parent.mkdir(exist_ok=True)
+        with self._file.open("a", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, self.COLUMNS)
+            if stream.tell() == 0:
+                writer.writeheader()
+            writer.writerow(row)
+
+
+def sources() -> str:
+    """Return a hash of all that a rig's verdict follows from."""
+    firmware = sorted(firmware_directory().rglob("*.[ch]"))
+    return sources_hash([*with_imports([Path(__file__)]), config_path(PRESLIDING_RIG), *firmware])
+
+
+def count(rows: Sequence[Mapping[str, str]]) -> dict[str, float]:
+    """Print what became of rigs, and return which share of them each of METHODS decided wrongly."""
+    table = []
+    for kind in KINDS:
+        verdicts = {method: [row[method] for row in rows if row["joint"] == kind] for method in METHODS}
+        table.append((kind, *(" / ".join(str(verdicts[m].count(one)) for one in VERDICTS) for m in METHODS)))
+    print_table(("joint", *(f"{method}: {' / '.join(VERDICTS)}" for method in METHODS)), table)
+    shares = {}
+    for method in METHODS:
+        wrong = [row for row in rows if row[method] == "wrong"]
+        test = binomtest(len(wrong), len(rows), alternative="less")
+        shares[method], most = len(wrong) / len(rows), 100.0 * test.proportion_ci(CONFIDENCE).high
+        print(f"{method}: {len(wrong)} of {len(rows)} wrong; below {most:.1f} % with {100 * CONFIDENCE:g} % confidence")
+        for row in wrong:
+            print(f"  rig {row['rig']}, {row['joint']}: {row['found']}")
+    return shares
+
+
 def main() -> int:
     """Measure all rigs and print what was decided."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", type=int, default=8, help="of each kind (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cycles", type=int, default=10_000)
+    parser.add_argument("--cycles", type=int, default=CYCLES)
     options = parser.parse_args()
-    methods = ("loops and sliding", "drift", "both")
-    counted = {
-        (kind, method): dict.fromkeys(("right", "cannot tell", "wrong"), 0) for kind in KINDS for method in methods
-    }
-    for number, kind in tqdm([(n, kind) for n in range(options.rigs) for kind in KINDS], disable=None):
-        result = measured(random_rig(options.seed, number, kind), number, options.cycles)
-        assert result.choice is not None
-        left = result.choice.by_loops
-        loops = left[0] if len(left) == 1 else "cannot tell"
-        assert result.drift is not None
-        for method, verdict in (
-            ("loops and sliding", _right(kind, loops)),
-            ("drift", _drift_right(kind, result.drift.verdict)),
-            ("both", _right(kind, result.choice.text)),
-        ):
-            counted[kind, method][verdict] += 1
-            if verdict == "wrong":
-                what = result.drift.verdict.value if method == "drift" else f"{loops}; {result.choice.text}"
-                tqdm.write(f"rig {number}, {kind}, {method}: {what} ({result.drift.reason})")
-    rows = [(kind, *(" / ".join(map(str, counted[kind, method].values())) for method in methods)) for kind in KINDS]
-    print_table(("joint", *(f"{method}: right / cannot tell / wrong" for method in methods)), rows)
-    total = options.rigs * len(KINDS)
-    wrong = {method: sum(counted[kind, method]["wrong"] for kind in KINDS) / total for method in methods}
-    print(", ".join(f"{method}: {100 * share:.1f} % wrong" for method, share in wrong.items()), f"of {total} rigs")
-    keys = ("loops", "drift", "both")
-    shares = {f"presliding_wrong_{key}": share for key, share in zip(keys, wrong.values(), strict=True)}
-    merge({"presliding_rigs": float(total), **shares})
-    return int(max(wrong.values()) > ACCEPTED)
+    table = RigTable(RIGS_FILE, sources(), options.seed, options.cycles)
+    wanted = [(number, kind) for number in range(options.rigs) for kind in KINDS]
+    missing = [rig for rig in wanted if rig not in table.rows]
+    interrupted = False
+    try:
+        for number, kind in tqdm(missing, initial=len(wanted) - len(missing), total=len(wanted), disable=None):
+            result = measured(random_rig(options.seed, number, kind), number, options.cycles)
+            table.add(number, kind, decided(kind, result))
+    except KeyboardInterrupt:
+        interrupted = True
+    rows = [table.rows[rig] for rig in wanted if rig in table.rows]
+    if not rows:
+        return INTERRUPTED
+    shares = count(rows)
+    if interrupted:
+        return INTERRUPTED
+    figures = {f"presliding_wrong_{method.split()[0]}": share for method, share in shares.items()}
+    merge({"presliding_rigs": len(rows), **figures})
+    return int(max(shares.values()) > ACCEPTED)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """Load parts from runs with and without a known payload: errors, coverage and false findings over seeded arms.
 
-    python -m benchmarks.load_parts [--arms N]
+    python -m benchmarks.load_parts [--arms N] [--runs N]
 
-The shipped arms with rotors, springs and coupled wrist; the inertias count as unknown. Each element has coefficients of
-its own for both directions, 2 to 12 %, or none has any. Torques are Pinocchio's with Coulomb and viscous friction, and
-noise of 1 % of each joint's standard deviation.
+The shipped arms without their tools, with rotors, springs and coupled wrist; the inertias count as unknown. Each
+element has coefficients of its own for both directions, 2 to 12 %, or none has any. The motions are those that
+`rx90_experiment run --excitation` plans for the loaded arm; each is run without and with the payload. Torques are
+Pinocchio's with Coulomb and viscous friction, and noise of 1 % of each joint's standard deviation. Beside the errors
+stands the least standard deviation that an unbiased estimate from these torques can have (Cramer and Rao), inertias
+and other friction unknown.
 """
 
 from __future__ import annotations
@@ -12,84 +15,114 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 import rx90_emulator as rx
+from benchmarks.report import merge
 from rx90_common.base.arrays import Array
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.description.wrist import element_matrix
+from rx90_emulator.identification.excitation.base_groups import BaseGroups
+from rx90_emulator.identification.excitation.columns import StandardColumns
 from rx90_emulator.identification.excitation.filtering import Bandwidths, filter_record
 from rx90_emulator.identification.excitation.friction.load_parts import identify_load_parts
 from rx90_emulator.identification.excitation.load_parts import LoadParts
 from rx90_emulator.identification.excitation.payload import Payload
 from rx90_emulator.identification.excitation.problem import ExcitationProblem, Motion
+from rx90_emulator.identification.experiments.excitation.design import plan_excitation
+from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
 from rx90_emulator.identification.model.rigid_arm import RigidArm
 from rx90_emulator.identification.records.record import JointRecord
 from rx90_emulator.loop.setup import Setup
 
-MASS = {"rx90b": 9.0, "tx40": 2.0}
-"""Of the payload, kg."""
+MASS = {"rx90b": 6.0, "tx40": 2.0}
+"""Of the payload, kg: what the arms are rated for."""
 NOISE = 0.01
-_HARMONICS = np.arange(1, 6)
-_BASE = 2.0 * np.pi * 1.6 / 15.0  # rad/s
+RATE = 200.0
+"""Samples per second."""
 _WITHIN = 0.05  # of the coefficient
 
 
 def payload_of(mass: float) -> Payload:
-    """Return a body beside and before the flange."""
-    return Payload(mass, [0.03, -0.02, 0.12], np.diag([0.03, 0.02, 0.025]) * mass / 4.0)
+    """Return a body before the flange and 0.09 m beside the last axis, so that the wrist carries a load, too."""
+    return Payload(mass, [0.08, -0.05, 0.12], np.diag([0.03, 0.02, 0.025]) * mass / 4.0)
 
 
-def motion_of(seed: int, duration: float, rate: float) -> Motion:
-    """Return five sines in each joint, to 1.5 rad."""
-    rng = np.random.default_rng((seed, 5))
-    phase, size = rng.uniform(0.0, 2.0 * np.pi, (6, 5)), rng.uniform(0.5, 1.0, (6, 5)) / np.sqrt(_HARMONICS)
-    size *= 1.5 / size.sum(axis=1, keepdims=True)
-    turn = _BASE * _HARMONICS
-    angle = np.arange(0.0, duration, 1.0 / rate)[:, None, None] * turn + phase
-    return (
-        (size * np.sin(angle)).sum(axis=2),
-        (size * turn * np.cos(angle)).sum(axis=2),
-        (-size * turn**2 * np.sin(angle)).sum(axis=2),
-    )
+def loaded(model: pin.Model, body: Payload) -> pin.Model:
+    """Return the model of an arm with a body at its last link."""
+    other = model.copy()
+    other.inertias[6] += pin.Inertia(body.mass, np.asarray(body.centre), np.asarray(body.inertia))
+    return other
+
+
+def planned_motions(setup: Setup, body: Payload, runs: int) -> list[Motion]:
+    """Return the periodic parts of the runs that `rx90_experiment run --excitation` plans for the arm with a body."""
+    heavier = replace(setup, robot=replace(setup.robot, model=loaded(setup.robot.model, body)))
+    options = ExcitationOptions(runs=runs, validation=False)
+    time = np.arange(round(RATE * options.period * options.periods)) / RATE
+    return [run.series.at(time) for run in plan_excitation(heavier, options).runs]
+
+
+def transmitted_of(setup: Setup, motion: Motion, body: Payload | None) -> tuple[Array, Array]:
+    """Return the joints' torques without friction, shape (m, 6), and what the elements transmit of them, (m, 7); Nm."""
+    drives, model = setup.drives, setup.robot.model if body is None else loaded(setup.robot.model, body)
+    rigid = rigid_torque(model, drives.rotor_matrix, drives.spring_torque, *motion)
+    link = rigid - motion[2] @ drives.rotor_matrix
+    # Motor 6 turns joint 5 as well, so that the gear of joint 5 carries the rest.
+    return rigid, np.column_stack([link[:, :4], link[:, 4] - link[:, 5], link[:, 5], link[:, 5]])
 
 
 def torque_of(setup: Setup, motion: Motion, body: Payload | None, coefficients: Array) -> Array:
     """Return joint torques, Nm: rigid bodies, rotors, springs, and friction with load parts, shape (7, 2)."""
-    model, drives, matrix = setup.robot.model.copy(), setup.drives, element_matrix()
-    if body is not None:
-        model.inertias[6] = model.inertias[6] + pin.Inertia(
-            body.mass, np.asarray(body.centre), np.asarray(body.inertia)
-        )
-    inputs, laws = motion[1] @ matrix.T, setup.friction.elements
-    rigid = rigid_torque(model, drives.rotor_matrix, drives.spring_torque, *motion)
-    link = rigid - motion[2] @ drives.rotor_matrix
-    # Motor 6 turns joint 5 as well, so that the gear of joint 5 carries the rest.
-    carried = np.column_stack([link[:, :4], link[:, 4] - link[:, 5], link[:, 5], link[:, 5]])
+    matrix, laws = element_matrix(), setup.friction.elements
+    inputs, (rigid, carried) = motion[1] @ matrix.T, transmitted_of(setup, motion, body)
     share = np.where(carried * inputs >= 0.0, coefficients[:, 0], coefficients[:, 1])
     coulomb = [law.tau_c_positive for law in laws] + share * np.abs(carried)
     return np.asarray(rigid + (np.sign(inputs) * coulomb + inputs * [law.c2 for law in laws]) @ matrix)
 
 
+def least_deviation(setup: Setup, motions: Sequence[Motion], body: Payload, coefficients: Array) -> Array:
+    """Return the Cramer-Rao bounds of the coefficients' standard deviations, shape (7, 2).
+
+    Unknown besides are base parameters, Coulomb and viscous torques; what the elements transmit counts as known.
+    """
+    arm, share = RigidArm.from_setup(setup), element_matrix().T
+    standard = StandardColumns.with_springs_on(arm, [n for n, k in zip(arm.names, arm.spring, strict=True) if k])
+    leading = list(BaseGroups.of(standard).leading)
+    information: Array | float = 0.0
+    for motion in motions:
+        rigid, inputs = standard.torque(*motion)[:, :, leading], motion[1] @ share
+        for carried_body in (None, body):
+            torque = torque_of(setup, motion, carried_body, coefficients)
+            load = transmitted_of(setup, motion, carried_body)[1]
+            size, drives = np.sign(inputs) * np.abs(load), load * inputs >= 0.0
+            own = np.stack([np.sign(inputs), inputs, size * drives, size * ~drives], axis=2)
+            friction = (share[None, :, :, None] * own[:, None]).reshape(*torque.shape, -1)
+            rows = np.concatenate([rigid, friction], axis=2) / (NOISE * torque.std(axis=0))[:, None]
+            flat = rows.reshape(-1, rows.shape[2])
+            information = information + flat.T @ flat
+    variance = np.diag(np.linalg.pinv(np.asarray(information), hermitian=True))
+    return np.asarray(np.sqrt(variance[-28:].reshape(7, 4)[:, 2:]))
+
+
 def problem_of(
-    robot: str, seed: int, coefficients: Array, runs: int = 4, duration: float = 20.0, rate: float = 200.0
+    setup: Setup, seed: int, coefficients: Array, motions: Sequence[Motion], mass: float
 ) -> ExcitationProblem:
-    """Return the equations of runs, every second one with the payload."""
-    setup, body = rx.load_setup(robot=robot), payload_of(MASS[robot])
+    """Return the equations of motions that are run without and then with a payload of a mass, kg."""
     rng = np.random.default_rng((seed, 6))
     records, carried = [], []
-    for number in range(runs):
-        carried.append(body if number % 2 else None)
-        motion = motion_of(1000 * seed + number, duration, rate)
-        torque = torque_of(setup, motion, carried[-1], coefficients)
-        torque = torque + NOISE * torque.std(axis=0) * rng.normal(size=torque.shape)
-        time = np.arange(len(torque)) / rate
-        name = f"run_{number}"
-        records.append(JointRecord(setup.robot.joint_names, time, motion[0], motion[1], torque, Path(name), name))
+    for number, motion in enumerate(motions):
+        for body in (None, payload_of(mass)):
+            torque = torque_of(setup, motion, body, coefficients)
+            torque = torque + NOISE * torque.std(axis=0) * rng.normal(size=torque.shape)
+            time = np.arange(len(torque)) / RATE
+            name = f"run_{number}{'' if body is None else '_loaded'}"
+            records.append(JointRecord(setup.robot.joint_names, time, motion[0], motion[1], torque, Path(name), name))
+            carried.append(body)
     bandwidths = Bandwidths.of(records)
     filtered = [filter_record(record, bandwidths) for record in records]
     bodies = [body for body, pieces in zip(carried, filtered, strict=True) for _ in pieces]
@@ -103,6 +136,30 @@ def coefficients_of(seed: int) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Experiment:
+    """What all arms of a kind go through."""
+
+    setup: Setup
+    motions: Sequence[Motion]
+    mass: float
+
+    @classmethod
+    def of(cls, robot: str, runs: int) -> Experiment:
+        """Return so many planned motions of a shipped robot without its tool, and the payload that it is rated for."""
+        setup = rx.load_setup(robot=robot, tool="none")
+        return cls(setup, planned_motions(setup, payload_of(MASS[robot]), runs), MASS[robot])
+
+    def outcome(self, seed: int, *, there: bool) -> Outcome:
+        """Return what is found on a seeded arm with load parts on all elements, or on none."""
+        true = coefficients_of(seed) if there else np.zeros((7, 2))
+        return Outcome(true, identify_load_parts(problem_of(self.setup, seed, true, self.motions, self.mass), ()))
+
+    def bound(self) -> Array:
+        """Return the Cramer-Rao bounds of an arm in the middle of the coefficients, shape (7, 2)."""
+        return least_deviation(self.setup, self.motions, payload_of(self.mass), np.full((7, 2), 0.07))
+
+
+@dataclass(frozen=True, eq=False)
 class Outcome:
     """One arm: what is true, shape (7, 2), and what was found."""
 
@@ -110,15 +167,12 @@ class Outcome:
     found: LoadParts
 
 
-def outcome(robot: str, seed: int, *, there: bool) -> Outcome:
-    """Return what is found on a seeded arm with load parts on all elements, or on none."""
-    true = coefficients_of(seed) if there else np.zeros((7, 2))
-    return Outcome(true, identify_load_parts(problem_of(robot, seed, true), ()))
-
-
-def report(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome]) -> list[str]:
+def report(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome], bound: Array) -> list[str]:
     """Return lines with what was found, by element."""
-    lines = [f"{robot}: element, load RMS Nm, found, median and largest error, within 5 %, in their 95 % interval"]
+    lines = [
+        f"{robot}: element, load RMS Nm, found, median and largest error, within 5 %, in their 95 % interval, "
+        "RMS error and its Cramer-Rao bound in % of the load"
+    ]
     for e in range(7):
         have = [one for one in with_parts if e in one.found.kept]
         errors = np.array([one.found.value[e] - one.true[e] for one in have]).reshape(-1, 2)
@@ -126,9 +180,11 @@ def report(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome]
         inside = np.abs(errors) <= 1.96 * np.array([one.found.deviation[e] for one in have]).reshape(-1, 2)
         size = np.mean([one.found.transmitted[e] for one in with_parts])
         if have:
+            rms = np.sqrt(np.mean(errors**2))
             lines.append(
                 f"{e + 1:>3} {size:8.2f} {len(have):>4} of {len(with_parts)} {np.median(share):8.1%} "
-                f"{share.max():8.1%} {np.mean(share <= _WITHIN):6.0%} {np.mean(inside):6.0%}"
+                f"{share.max():8.1%} {np.mean(share <= _WITHIN):6.0%} {np.mean(inside):6.0%} {100.0 * rms:8.3f} "
+                f"{100.0 * np.sqrt(np.mean(bound[e] ** 2)):.3f}"
             )
         else:
             lines.append(f"{e + 1:>3} {size:8.2f}    0 of {len(with_parts)}")
@@ -136,14 +192,37 @@ def report(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome]
     return [*lines, f"    without load parts: {false} found of {7 * len(without)}"]
 
 
+def figures(robot: str, with_parts: Sequence[Outcome], without: Sequence[Outcome]) -> dict[str, float]:
+    """Return the figures for out/bench.json: of the coefficients that were found, and of false findings."""
+    errors, widths, true = (
+        np.array([pick(one)[e] for one in with_parts for e in one.found.kept]).reshape(-1, 2)
+        for pick in (lambda o: np.abs(o.found.value - o.true), lambda o: 1.96 * o.found.deviation, lambda o: o.true)
+    )
+    return {
+        f"load_parts_{robot}_found": len(errors) / (7 * len(with_parts)),
+        f"load_parts_{robot}_within_5_percent": float(np.mean(errors <= _WITHIN * true)),
+        f"load_parts_{robot}_largest": float(np.max(errors / true, initial=0.0)),
+        f"load_parts_{robot}_coverage": float(np.mean(errors <= widths)),
+        f"load_parts_{robot}_false": sum(len(one.found.kept) for one in without) / (7 * len(without)),
+    }
+
+
 def main() -> int:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--arms", type=int, default=10, help="of each kind (%(default)s)")
-    arms = parser.parse_args().arms
+    """Print the tables and merge the figures."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.load_parts", description=(__doc__ or "").splitlines()[0]
+    )
+    parser.add_argument("--arms", type=int, default=6, help="of each kind (%(default)s)")
+    parser.add_argument("--runs", type=int, default=6, help="motions, each without and with the payload (%(default)s)")
+    options = parser.parse_args()
     for robot in MASS:
-        found = [[outcome(robot, seed, there=there) for seed in range(arms)] for there in (True, False)]
-        print("\n".join(report(robot, *found)), flush=True)
+        experiment = Experiment.of(robot, options.runs)
+        found = [[experiment.outcome(seed, there=there) for seed in range(options.arms)] for there in (True, False)]
+        print("\n".join(report(robot, *found, experiment.bound())), flush=True)
+        all_found = figures(robot, *found)
+        largest, inside = (all_found[f"load_parts_{robot}_{name}"] for name in ("largest", "coverage"))
+        print(f"    largest error of all coefficients {largest:.1%}, in their interval {inside:.1%}", flush=True)
+        merge(all_found)
     return 0
 
 

@@ -16,9 +16,11 @@ import numpy as np
 
 from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_joint, to_motor_torque
+from rx90_common.friction.arm_elements import add_to_joints, element_inputs
 from rx90_common.friction.bristle import bristle_step, load_elements
+from rx90_common.friction.element import element_arrays
 from rx90_common.kernels.compiled import kernel
-from rx90_common.kernels.lanes import append, first, lane, load, store
+from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.loops import position_loop, velocity_loop
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import PathAccuracy, path_accuracy, plan_line
@@ -59,7 +61,14 @@ def run_measured(setup: Setup, task: LineTask, gain: float) -> tuple[PathAccurac
     model = setup.controller.model
     assert model is not None
     work = np.zeros(1, WORKSPACE)
-    arguments = (plant.constants, plant.state, controller.law, controller.state, model.constants.friction, work)
+    arguments = (
+        plant.constants,
+        plant.state,
+        controller.law,
+        controller.state,
+        element_arrays(model.constants.friction),
+        work,
+    )
     _run(*arguments, setpoints, rates.ratio, gain, rates.period, position)
     times = np.arange(count) * rates.position_period
     return path_accuracy(setup.robot, task, times, position), position
@@ -98,12 +107,8 @@ def _run(
 
 @kernel
 def _add_friction(elements: Any, own: Any, gear: Array, gain: float, period: float) -> None:
-    velocity = append(load(own.velocity, 6), own.velocity[4] + own.velocity[5])
-    error = append(load(own.error, 6), own.error[4] + own.error[5])
-    z, torque = bristle_step(load_elements(elements, 7), load(own.z, 7), velocity, period)
-    store(own.z, z + gain * period * error)
-    store(own.joint, first(torque, 6))
-    wrist = lane(torque, 6)
-    own.joint[4] += wrist
-    own.joint[5] += wrist
+    z, torque = bristle_step(load_elements(elements, 7), load(own.z, 7), element_inputs(own.velocity), period)
+    store(own.z, z + gain * period * element_inputs(own.error))
+    own.joint[:] = 0.0
+    add_to_joints(own.joint, torque)
     to_motor_torque(gear, own.joint, own.motor)

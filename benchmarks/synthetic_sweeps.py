@@ -63,9 +63,12 @@ def drive_torque(setup: Setup, friction: FrictionSet, motion: tuple[Array, Array
     coarse = rigid_torque(model, np.zeros((6, 6)), np.zeros(6), q[few], v[few], np.zeros((len(few), 6)))
     torque = np.column_stack([np.interp(np.arange(len(q)), few, column) for column in coarse.T])
     torque += setup.drives.spring_torque * np.sin(q)
-    inputs = v @ INPUT.T
+    # Friction once for each stretch of constant velocity.
+    first = np.flatnonzero(np.append(True, np.any(np.diff(v, axis=0) != 0.0, axis=1)))
+    inputs = v[first] @ INPUT.T
     sliding = np.column_stack([e.steady_torque(inputs[:, k]) for k, e in enumerate(friction.elements)])
-    return torque + np.where(inputs == 0.0, STUCK, sliding) @ INPUT
+    stretch = np.where(inputs == 0.0, STUCK, sliding) @ INPUT
+    return torque + np.repeat(stretch, np.diff(np.append(first, len(v))), axis=0)
 
 
 def sweep(start: Array, velocity: Array, travel: float, longest: float) -> tuple[Array, Array]:

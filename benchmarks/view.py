@@ -6,6 +6,9 @@
 With and without take turns within one run of the nodes, so that whatever else the machine does meets both. A page in
 Chromium draws in software where there is no graphics card, and takes the processors from the nodes: the page that only
 listens to the server's web socket tells what the server and its listening cost.
+
+A shared machine may be half as fast a few seconds later. A round counts only if the speeds before and after the look
+differ by less than a tenth: what happens in between is not asked.
 """
 
 from __future__ import annotations
@@ -30,9 +33,12 @@ from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import client_node
 from rx90_common.exchange.environment import prepare
 from rx90_common.process.children import ChildProcess, ProcessGroup, executable
+from rx90_common.process.interrupts import terminations_as_interrupts
 
 ROUNDS = 9
 WINDOW = 3.0  # s of wall time
+_STEADY = 0.1  # largest difference of the speeds before and after a look, as a share of their mean
+_TRIES = 5  # as many rounds as shall count, at most
 _TIMEOUT = 60.0
 _SAMPLES = 40  # of the memory
 _SETTLED = 0.3  # share of a long look in which caches fill
@@ -147,10 +153,10 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
     """Return the figures for out/bench.json: of the nodes with a viewer, against those around without one.
 
     Raises:
-        ExchangeError: if the nodes do not run.
+        ExchangeError: if the nodes do not run, or the machine is too restless for so many rounds.
     """
     looks: dict[str, Callable[[str], AbstractContextManager[Any]]] = {"socket": socket_alone, "page": chromium}
-    found: dict[str, list[float]] = {}
+    figures: dict[str, float] = {}
     for arrangement, executables in (
         ("two_processes", ("rx90_sim", "rx90_controller")),
         ("one_process", ("rx90_cell",)),
@@ -162,25 +168,43 @@ def measure(rounds: int = ROUNDS) -> dict[str, float]:
             pace = Pace(nodes)
             try:
                 pace.window()  # warm
-                for _ in range(rounds):
-                    for name, look in looks.items():
-                        speed, cost = _against(pace, look)
-                        print(f"{arrangement}, {name}: speed {speed:.3f}, processor time {cost:.3f}", flush=True)
-                        found.setdefault(f"view_{name}_{arrangement}_speed", []).append(speed)
-                        found.setdefault(f"view_{name}_{arrangement}_processor_time", []).append(cost)
+                for name, look in looks.items():
+                    speeds, costs = zip(*_steady_rounds(pace, look, rounds, f"{arrangement}, {name}"), strict=True)
+                    figures[f"view_{name}_{arrangement}_speed"] = statistics.median(speeds)
+                    figures[f"view_{name}_{arrangement}_processor_time"] = statistics.median(costs)
             finally:
                 pace.close()
-    return {key: statistics.median(values) for key, values in found.items()}
+    return figures
 
 
-def _against(pace: Pace, look: Callable[[str], AbstractContextManager[Any]]) -> tuple[float, float]:
-    """Return speed and processor time of the nodes with a viewer and a page, as shares of those without."""
+def _steady_rounds(
+    pace: Pace, look: Callable[[str], AbstractContextManager[Any]], rounds: int, name: str
+) -> list[tuple[float, float]]:
+    """Return speed and processor time with a viewer, as shares of those without, of so many rounds that count."""
+    counted: list[tuple[float, float]] = []
+    for _ in range(_TRIES * rounds):
+        speed, cost, unrest = _against(pace, look)
+        steady = unrest <= _STEADY
+        verdict = "" if steady else f", not counted: the speeds without differ by {unrest:.0%}"
+        print(f"{name}: speed {speed:.3f}, processor time {cost:.3f}{verdict}", flush=True)
+        if steady:
+            counted.append((speed, cost))
+        if len(counted) == rounds:
+            return counted
+    raise ExchangeError(
+        f"{name}: {len(counted)} of {_TRIES * rounds} rounds were steady; accepted: {rounds}, on a quieter machine"
+    )
+
+
+def _against(pace: Pace, look: Callable[[str], AbstractContextManager[Any]]) -> tuple[float, float, float]:
+    """Return speed and processor time with a viewer and a page, as shares of those without, and how these differ."""
     before = pace.window()
     with viewer() as (_, address), look(address):
         time.sleep(1.0)
         during = pace.window()
     after = pace.window()
-    return tuple(2.0 * x / (a + b) for x, a, b in zip(during, before, after, strict=True))  # type: ignore[return-value]
+    speed, cost = (2.0 * x / (a + b) for x, a, b in zip(during, before, after, strict=True))
+    return speed, cost, 2.0 * abs(before[0] - after[0]) / (before[0] + after[0])
 
 
 def watch_memory(seconds: float) -> dict[str, float]:
@@ -219,7 +243,8 @@ def main() -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     prepare()
-    figures = measure(options.rounds) if options.memory is None else watch_memory(options.memory)
+    with terminations_as_interrupts():  # who is ended leaves no nodes behind
+        figures = measure(options.rounds) if options.memory is None else watch_memory(options.memory)
     print_table(("figure", "value"), [(key, f"{value:.3f}") for key, value in figures.items()])
     merge(figures)
     return 0

@@ -36,7 +36,7 @@ def _linked(text: str) -> str:
     return re.sub(r"\w+", lambda word: f":obj:`{word[0]}`" if word[0] in rx90_emulator.__all__ else word[0], text)
 
 
-def _rewrite(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:  # noqa: ARG001
+def _rewrite(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:  # noqa: ARG001 - Sphinx hands them over
     if what == "module":
         lines[:] = _overview(lines)
         return
