@@ -34,7 +34,12 @@ _FLAGS = (
 )
 _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel
 # What the page's software says of itself; nothing is wrong.
-_USUAL = ("THREE.Clock: This module has been deprecated", "GPU stall due to ReadPixels")
+# The last one is said where the page tries, by a picture that `_SELDOM` leaves out, in which format it can read pixels.
+_USUAL = (
+    "THREE.Clock: This module has been deprecated",
+    "GPU stall due to ReadPixels",
+    "This browser does not support reading pixels from",
+)
 _MATRIX = "name => window.__viserMutable?.nodeRefFromName[name]?.matrixWorld.elements"
 # A sixtieth of a second after a frame the page would draw the next one, which in software takes a processor's time.
 # Here it makes ten frames a second at most. The first ones are drawn, which shows errors of drawing, and then one in

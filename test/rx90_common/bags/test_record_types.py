@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from bag_making import STORAGES
-from processes import Processes
+from processes import TIMEOUT, Processes, wait_until
 from ros_client import own_node
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
@@ -39,6 +39,7 @@ def test_controller_state_and_transforms_are_recorded(
     """
     from control_msgs.msg import JointTrajectoryControllerState
     from geometry_msgs.msg import TransformStamped
+    from rclpy.duration import Duration
     from rclpy.qos import DurabilityPolicy, QoSProfile
     from sensor_msgs.msg import JointState
     from tf2_msgs.msg import TFMessage
@@ -54,6 +55,9 @@ def test_controller_state_and_transforms_are_recorded(
         fixed.publish(TFMessage(transforms=[TransformStamped(child_frame_id="tool0")]))
         recorder = processes.start("rx90_bag", "record", "-o", tmp_path / "bag", *TOPICS)
         recorder.wait_for("ready: all 4 topics")
+        publishers = (fixed, moving, joints, states)
+        # A publisher may hear of a listener later than the listener of it.
+        wait_until(lambda: all(publisher.get_subscription_count() for publisher in publishers), "the recorder")
         for nanosec in (10, 20, 30):
             clock, state = (
                 JointState(name=["a"], position=[0.5]),
@@ -65,6 +69,7 @@ def test_controller_state_and_transforms_are_recorded(
             for publisher, message in ((states, state), (moving, TFMessage(transforms=[one, one])), (joints, clock)):
                 publisher.publish(message)
         moving.publish(TFMessage())
+        assert all(publisher.wait_for_all_acked(Duration(seconds=TIMEOUT)) for publisher in publishers)
         recorder.signal(signal.SIGINT)
         assert recorder.wait() == 0
     found: dict[str, list[tuple[int, Any]]] = {}
