@@ -93,9 +93,8 @@ class SeriesBuilder:
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
 
-    @property
-    def whole(self) -> bool:
-        """Return whether the last row is whole: always, as it is one message."""
+    def begins_row(self, _message: bytes) -> bool:
+        """Return whether this message, as the next one, would begin a row: always, as it is one."""
         return True
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:

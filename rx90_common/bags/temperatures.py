@@ -41,10 +41,13 @@ class TemperatureBuilder:
         self._rows: list[dict[str, float]] = []
         self._moment: int | None = None  # of the last row, by the header
 
-    @property
-    def whole(self) -> bool:
-        """Return whether the last row has all names, so that the next message begins another."""
-        return not self._rows or len(self._rows[-1]) == len(self._names)
+    def begins_row(self, message: bytes) -> bool:
+        """Return whether this message, as the next one, would begin a row.
+
+        Raises:
+            BagError: if it is no Temperature.
+        """
+        return self._begins_row(*self._moment_and_name(self._deserialize(message)))
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
@@ -57,13 +60,20 @@ class TemperatureBuilder:
             BagError: if it is no Temperature.
         """
         read = self._deserialize(message)
-        name, moment = str(read.header.frame_id), message_time_ns(read.header.stamp)
-        if moment != self._moment or name in self._rows[-1]:
+        moment, name = self._moment_and_name(read)
+        if self._begins_row(moment, name):
             self._moment = moment
             self._stamps.append(moment if stamp_ns is None else stamp_ns)
             self._rows.append({})
         self._names.setdefault(name)
         self._rows[-1][name] = float(read.temperature)
+
+    @staticmethod
+    def _moment_and_name(message: Any) -> tuple[int, str]:
+        return message_time_ns(message.header.stamp), str(message.header.frame_id)
+
+    def _begins_row(self, moment: int, name: str) -> bool:
+        return moment != self._moment or name in self._rows[-1]
 
     def build(self) -> list[JointSeries]:
         """Return the series; none without messages."""

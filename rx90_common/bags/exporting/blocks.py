@@ -21,31 +21,50 @@ def read_blocks(bag: BagReader, topics: Sequence[BagTopic]) -> Iterator[JointSer
     Raises:
         BagError: if the bag is damaged, or a topic carries several sets of joints or arrays.
     """
-    collected = {topic: _Collector(bag, topic) for topic in topics}
+    names = temperature_names(bag, topics)
+    collected = {topic: _Collector(bag, topic, names.get(topic, ())) for topic in topics}
     for topic, _, data in bag.messages(topics):
         collector = collected[topic]
-        if collector.add(data):
+        if collector.is_full_before(data):
             yield collector.take()
+        collector.add(data)
     for collector in collected.values():
         if collector.count:
             yield collector.take()
 
 
+def temperature_names(bag: BagReader, topics: Sequence[BagTopic]) -> dict[BagTopic, tuple[str, ...]]:
+    """Return of what each Temperature topic tells, in the order of the first messages.
+
+    A message holds one name, so the whole topic says which columns its table has.
+
+    Raises:
+        BagError: if the bag is damaged.
+    """
+    warm = [topic for topic in topics if not topic.is_joint_state]
+    found: dict[BagTopic, dict[str, None]] = {topic: {} for topic in warm}
+    for topic, _, data in bag.messages(warm) if warm else ():
+        found[topic].setdefault(str(bag.deserialize(topic, data).header.frame_id))
+    return {topic: tuple(names) for topic, names in found.items()}
+
+
 class _Collector:
     """The messages of a topic that are still to be handed on."""
 
-    def __init__(self, bag: BagReader, topic: BagTopic) -> None:
+    def __init__(self, bag: BagReader, topic: BagTopic, names: Sequence[str]) -> None:
         self.count = 0
         self._bag, self._topic = bag, topic
         self._first: JointSeries | None = None
-        self._builder = series_builder(bag, topic)
+        self._builder = series_builder(bag, topic, names)
 
-    def add(self, data: bytes) -> bool:
-        """Add a message; return whether the block is full."""
+    def is_full_before(self, data: bytes) -> bool:
+        """Return whether the block is full, and this message belongs to no row of it."""
+        return self.count >= _BLOCK and self._builder.begins_row(data)
+
+    def add(self, data: bytes) -> None:
+        """Add a message."""
         self._builder.add(data)
         self.count += 1
-        # A name that has no messages any more leaves all rows incomplete: one of them is then cut in two.
-        return self.count >= _BLOCK and (self._builder.whole or self.count >= 2 * _BLOCK)
 
     def take(self) -> JointSeries:
         """Return the block and begin another."""

@@ -121,16 +121,26 @@ def test_temperatures_come_back_from_csv(
     assert "/temperatures: same, 21 messages compared" in capsys.readouterr().out
 
 
-def test_a_name_that_falls_silent_does_not_keep_a_bag_in_memory(
+def test_names_that_come_and_go_leave_blocks_short_and_rows_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Blocks stay short where no row is whole any more, and hold every message once."""
+    """One that falls silent, and one first told of after many blocks, have a column from the first row to the last."""
     monkeypatch.setattr(blocks, "_BLOCK", 10)
-    told = [(stamp, name, 20.0) for k, stamp in enumerate(STAMPS) for name in NAMES if k < 4 or name != "motor_1"]
-    with BagReader(write(tmp_path / "silent", told)) as bag:
-        lengths = [one.messages for one in blocks.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE])]
-    assert max(lengths) <= 2 * 10
-    assert sum(lengths) == len(told)
+    told = [
+        (stamp, name, float(VALUES[k, column]))
+        for k, stamp in enumerate(STAMPS)
+        for column, name in enumerate(NAMES)
+        if {"joint_1": True, "joint_5_6": k >= 15, "motor_1": k < 4}[name]
+    ]
+    with BagReader(write(tmp_path / "run", told)) as bag:
+        found = list(blocks.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE]))
+    assert {one.names for one in found} == {("joint_1", "motor_1", "joint_5_6")}
+    assert max(one.messages for one in found) <= 10 + 2
+    assert np.concatenate([one.stamp_ns for one in found]).tolist() == STAMPS
+    expected = np.full((20, 3), np.nan)
+    expected[:, 0], expected[:4, 1], expected[15:, 2] = VALUES[:, 0], VALUES[:4, 2], VALUES[15:, 1]
+    columns = [one.temperature for one in found if one.temperature is not None]
+    assert np.concatenate(columns).tobytes() == expected.tobytes()
 
 
 def test_tables_of_temperatures_have_names_and_units(bag: Path, tmp_path: Path) -> None:
