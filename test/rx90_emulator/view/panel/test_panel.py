@@ -254,23 +254,34 @@ def _another_element_is_chosen(shown: BrowserPage, page: Page, title: str) -> No
     shown.wait_until(doubled, "its curves")
 
 
-def test_a_factor_given_right_after_its_parameter_is_chosen_is_kept() -> None:
-    """The factor goes back to 1 with another parameter, but not one that was given before the page took the choice."""
+def test_what_is_given_right_after_a_choice_is_kept() -> None:
+    """The factor goes back to 1 with another parameter, and the fields to the file's values with another element.
+
+    But not what a user gave before the page took the choice.
+    """
     page = Page("test", port=0)
     file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
     form = ElementForm(page, file, lambda _: None)
-    inputs = [field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "value")]
-    chosen, factor = (next(f for f in inputs if f.label == label) for label in ("slide", "times the file's"))
-    for parameter, given, left in (("c2", 2.0, 2.0), ("c1", 2.0, 1.0)):
-        put(chosen, parameter)
-        put(factor, given)
-        for wanted in (chosen, factor):
-            for callback in wanted._impl.update_cb:
+    inputs = {field.label: field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "label")}
+
+    def give(**changes: object) -> None:
+        fields = [next(inputs[label] for label in inputs if label.startswith(key)) for key in changes]
+        for field, given in zip(fields, changes.values(), strict=True):
+            put(field, given)
+        for field in fields:
+            for callback in field._impl.update_cb:
                 with suppress(StopIteration):  # a coroutine that waits for nothing
                     callback(SimpleNamespace(client_id=1)).send(None)
         while not page._handed_over.empty():
             page._handed_over.get()()
-        assert factor.value == left
+
+    give(slide="c2", times=2.0)
+    assert inputs["times the file's"].value == 2.0
+    give(slide="c1")
+    assert inputs["times the file's"].value == 1.0
+    give(element="joint_3", tau_c="31")
+    assert inputs["tau_c, Nm"].value == "31"
+    assert inputs["tau_s, Nm"].value == f"{file.elements['joint_3'].tau_s_positive:g}"
     form.close()
     page.close()
 
