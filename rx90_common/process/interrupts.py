@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import _weakrefset
 import atexit
 import os
 import signal
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.machinery import ExtensionFileLoader
@@ -19,15 +21,19 @@ from rx90_common.process.exit_code import end_with
 
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _RETRY = 0.02
-_IMPORTLIB = "<frozen importlib._bootstrap>"  # its only `cb` is the callback of a weak reference
+_WEAK = {  # functions that are called back by a weak reference, by their files
+    "<frozen importlib._bootstrap>": {"cb"},
+    _weakrefset.__file__: {"_remove"},
+    weakref.__file__: {"remove", "__call__"},
+}
 
 
 def raise_where_heard() -> None:
     """From now on let Ctrl-C wait while Python is where an exception gets lost or becomes another one.
 
-    That is in the compiler's callbacks, which come whenever it loads a kernel from its cache, in destructors, where the
-    import system forgets the lock of a module, and while an extension module initialises itself, where numpy makes an
-    ImportError of it: likely in the first seconds.
+    That is in the compiler's callbacks, which come whenever it loads a kernel from its cache, in destructors, in
+    callbacks of weak references, as where the import system forgets the lock of a module, and while an extension module
+    initialises itself, where numpy makes an ImportError of it: likely in the first seconds.
     """
     signal.signal(signal.SIGINT, _raise_where_heard)
 
@@ -38,7 +44,7 @@ def _raise_where_heard(_number: int, frame: FrameType | None) -> None:
         if (
             "llvmlite" in code.co_filename
             or code.co_name == "__del__"
-            or (code.co_name == "cb" and code.co_filename == _IMPORTLIB)
+            or code.co_name in _WEAK.get(code.co_filename, ())
             or (code.co_name.endswith("_module") and isinstance(frame.f_locals.get("self"), ExtensionFileLoader))
         ):
             again = threading.Timer(_RETRY, os.kill, [os.getpid(), signal.SIGINT])

@@ -9,7 +9,8 @@ shows once, when it is made, and has its functions called on that thread:
 - `page.every(period, function)` calls `function(now)` again and again while the page runs, `now` from
   `time.monotonic()`. Read, compute and draw there.
 - viser calls back (`on_click`, `on_update`) on threads of its own. Such a callback does nothing but hand over:
-  `page.later(function)` has it called once on the page's thread. So no part needs a lock.
+  `page.later(function)` has it called once on the page's thread. So no part needs a lock. A field that the page
+  changes, too, goes through `on_change` of `changes.py`, which loses nothing that a user gives at the same time.
 - `ArmScene(page, "/second", robot, ghost=(0, 114, 178)).show(position)` draws an arm in a pose; `LineScene` a line with
   the laser spot and its coloured trace; `RollingPlot` and `LoopPlot` plots, of which nothing grows without end.
 - `ArmState` is what a part that reads (nodes, a bag) hands to one that draws.
@@ -18,4 +19,4 @@ Subfolders are such parts: `live/` reads running nodes. A part that needs nodes 
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
 
-__all__ = ["announcement", "arm", "line", "page", "plots", "state"]
+__all__ = ["announcement", "arm", "changes", "line", "page", "plots", "state"]

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from time import monotonic
 
 import viser
 
 from rx90_emulator.view.bags.playback import Playback
+from rx90_emulator.view.changes import from_user, on_change, put
 from rx90_emulator.view.page import Page
 
 _SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
-_STEP = 1e-3  # s, of the slider
+_STEP, _DIGITS = 1e-3, 3  # s, of the slider
 _HOLDS_STILL = 0.4  # s after the slider was moved by hand, in which it is not moved by the page
 _MOST_MARKS = 12
 
@@ -36,7 +38,8 @@ class PlayControls:
         self._play = gui.add_button("Play", icon=viser.Icon.PLAYER_PLAY)
         self._speed = gui.add_dropdown("speed", _SPEEDS, initial_value="1", hint="recorded seconds in each second")
         self._loop = gui.add_checkbox("loop", initial_value=False, hint="begin again at the end")
-        self._play.on_click(lambda _: page.later(self._toggle))
+        on_change(self._slider, self._scrubbed, page)
+        self._play.on_click(from_user(self._toggle, page))
 
     def go_to(self, time: float) -> None:
         """Show a time, s, and stay there."""
@@ -48,11 +51,8 @@ class PlayControls:
         """Take what was chosen on the page, and show what the playback does; `now` is the steady clock's time, s."""
         self._playback.speed = float(self._speed.value)
         self._playback.loop = bool(self._loop.value)
-        # Looked at here and not in a callback, which might come after the page has moved the slider on.
-        if self._slider.value != self._set_to:
-            self._set_to, self._moved_at = self._slider.value, now
-            self._playback.seek(self._set_to)
-        elif now - self._moved_at > _HOLDS_STILL:
+        # Another value than was set is one that a user has just chosen, and is taken first.
+        if self._slider.value == self._set_to and now - self._moved_at > _HOLDS_STILL:
             self._set(self._playback.time)
         label = "Pause" if self._playback.playing else "Play"
         if self._play.label != label:
@@ -60,9 +60,12 @@ class PlayControls:
             self._play.icon = viser.Icon.PLAYER_PAUSE if self._playback.playing else viser.Icon.PLAYER_PLAY
 
     def _set(self, time: float) -> None:
-        self._set_to = round(time / _STEP) * _STEP
-        # mypy does not find the setter, which viser defines apart from its property.
-        self._slider.value = self._set_to  # type: ignore[misc]
+        self._set_to = round(time, _DIGITS)
+        put(self._slider, self._set_to)
+
+    def _scrubbed(self) -> None:
+        self._set_to, self._moved_at = self._slider.value, monotonic()
+        self._playback.seek(self._set_to)
 
     def _toggle(self) -> None:
         if self._playback.playing:

@@ -13,11 +13,12 @@ from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
 from rx90_common.process.files import write_text
+from rx90_emulator.view.changes import from_user, on_change, put
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
 from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.panel.widgets import from_user, put, sentence
+from rx90_emulator.view.panel.widgets import sentence
 from rx90_emulator.view.plots import COLOURS
 
 _INTERVAL = 0.05
@@ -60,11 +61,12 @@ class ElementForm:
             sentence("A simulation reads its friction when it is configured: time begins again at 0.")
         )
         self._drawing: NewestOnly[tuple[int, str, tuple[str, ...], float]] = NewestOnly(self._compute, _INTERVAL)
-        self._element.on_update(from_user(self._chosen, page))
-        self._slid_one.on_update(from_user(self._slide_another, page))
-        self._factor.on_update(from_user(self._slid, page))
-        for field in (*self._fields, self._way):
-            field.on_update(from_user(self._give, page))  # type: ignore[attr-defined]
+        on_change(self._element, self._chosen, page)
+        on_change(self._slid_one, self._slide_another, page)
+        on_change(self._factor, self._slid, page)
+        on_change(self._way, self._give, page)
+        for field in self._fields:
+            on_change(field, self._give, page)
         self._write.on_click(from_user(lambda: self._save(start=False), page))
         self._start.on_click(from_user(lambda: self._save(start=True), page))
         self._chosen()

@@ -9,10 +9,11 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_controller.lines.task import LineTask
+from rx90_emulator.view.changes import from_user, on_change
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.newest import NewestOnly
 from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
-from rx90_emulator.view.panel.widgets import from_user, sentence
+from rx90_emulator.view.panel.widgets import sentence
 
 _INTERVAL = 0.1  # s from one check to the next while somebody types
 _STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked
@@ -64,7 +65,7 @@ class LineForm:
         ]
         self._checking: NewestOnly[tuple[int, TypedLine, Array | None]] = NewestOnly(self._check, _INTERVAL)
         for field in self._fields:
-            field.on_update(from_user(self._typed, page))
+            on_change(field, self._typed, page)
         self._button.on_click(from_user(self._pressed, page))
         self._typed()
 

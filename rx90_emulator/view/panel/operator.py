@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rx90_common.base.errors import ExchangeError
 from rx90_common.exchange.client_node import ClientNode, client_node
-from rx90_common.exchange.managing import NodeWatch, hear_log, parameter_request, transition_request
+from rx90_common.exchange.managing import NodeWatch, hear_log, parameter_request, state_request, transition_request
 from rx90_common.exchange.service_calls import Outcome, ServiceCalls, ServiceRequest
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
@@ -97,17 +97,18 @@ class Operator:
         """Set a parameter of the simulation that is read at its start, and start it again, at time 0."""
         node = self.names.simulation
 
-        def begin(nodes: _NodeClients) -> None:
-            state = nodes.simulation.state
-            if state not in _PATH:
-                self._heard.said(node, f"its state is {state or 'unknown'}; accepted: a simulation that runs", True)
+        def begin(nodes: _NodeClients, state: str | ExchangeError) -> None:
+            if isinstance(state, ExchangeError) or state not in _PATH:
+                known = "unknown" if isinstance(state, ExchangeError) else state
+                self._heard.said(node, f"its state is {known}; accepted: a simulation that runs", True)
                 return
             steps = [transition_request(node, label) for label in _PATH[state]]
             steps.append(parameter_request(node, parameter, value))
             steps += [transition_request(node, label) for label in ("configure", "activate")]
             nodes.one_by_one(steps)
 
-        self._put(begin)
+        # Asked for: what was heard of its transitions may be older than the answer to the last one.
+        self._put(lambda nodes: nodes.calls.ask(state_request(node), lambda state: begin(nodes, state)))
 
     def _put(self, request: Callable[[_NodeClients], None]) -> None:
         self._waiting.put(request)

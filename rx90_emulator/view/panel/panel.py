@@ -10,6 +10,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.law.parameters import load_controller
 from rx90_controller.lines.task import TOOL_DOWN, USUAL_ACCELERATION, USUAL_SPEED, LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.view.changes import from_user
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_form import ElementForm
 from rx90_emulator.view.panel.jog_sliders import JogSliders
@@ -17,7 +18,6 @@ from rx90_emulator.view.panel.line_form import LineForm
 from rx90_emulator.view.panel.node_controls import NodeControls, NodeLog
 from rx90_emulator.view.panel.operator import Heard, NodeNames, Operator
 from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview
-from rx90_emulator.view.panel.widgets import from_user
 from rx90_emulator.view.state import ArmState
 
 _PERIOD = 0.2  # s

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import processes as module
@@ -56,17 +55,22 @@ def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children() -> None:
     wait_until(lambda: ended(child) and ended(stubborn.pid), "both processes to be gone", 10.0)
 
 
-def test_more_interrupts_leave_no_child_behind() -> None:
+def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where Ctrl-C and SIGTERM come again while the children end, these are ended all the same."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     group = ProcessGroup(grace=0.5)
     stubborn = group.start("stubborn", [sys.executable, "-c", STUBBORN])
+    wait = stubborn.wait
+
+    def interrupted(timeout: float) -> int:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.raise_signal(number)
+        return wait(timeout)
 
     def leave() -> None:
         with group:
             stubborn.wait_for("child")
-            for number in (signal.SIGINT, signal.SIGTERM):
-                threading.Timer(0.2, os.kill, (os.getpid(), number)).start()
+            monkeypatch.setattr(stubborn, "wait", interrupted)
 
     try:
         with pytest.raises(KeyboardInterrupt):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from rx90_controller.lines.approach import Approach
 from rx90_controller.trajectory import TrajectoryGenerator, TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.panel import jog_sliders
 from rx90_emulator.view.panel.jog_sliders import JogSliders
 from rx90_emulator.view.panel.jogging import JogTarget, jog, slider_range
 from rx90_emulator.view.panel.newest import NewestOnly
@@ -130,37 +132,97 @@ class _Slider:
     """Stands for viser's slider: a value, limits, and who is called when a user changes it."""
 
     def __init__(self, low: float, high: float, value: float) -> None:
-        self.min, self.max, self.value, self.disabled = low, high, value, True
-        self.changed: Callable[[object], None] = lambda _: None
+        self.min, self.max, self.disabled = low, high, True
+        self.sent = [value]  # to the page, or by it
+        self.changed: Callable[[object], Any] = lambda _: None
 
-    def on_update(self, callback: Callable[[object], None]) -> None:
+    @property
+    def value(self) -> float:
+        """Return what was sent last."""
+        return self.sent[-1]
+
+    @value.setter
+    def value(self, value: float) -> None:
+        if value != self.value:
+            self.sent.append(value)
+
+    def on_update(self, callback: Callable[[object], Any]) -> None:
         """Keep who is called."""
         self.changed = callback
 
+    def move(self, value: float) -> None:
+        """Change it as a user does."""
+        self.value = value
+        with suppress(StopIteration):  # a coroutine that waits for nothing
+            self.changed(SimpleNamespace(client_id=1)).send(None)
 
+
+class _Jogs:
+    """Sliders, what they hand to the page's thread, and what they send; the clock stands unless it is moved."""
+
+    def __init__(self, setup: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.sliders: list[_Slider] = []
+        self.waiting: list[Callable[[], None]] = []
+        self.sent: queue.Queue[TrajectoryPoints] = queue.Queue()
+        self.now = 100.0
+        monkeypatch.setattr(jog_sliders, "time", SimpleNamespace(monotonic=lambda: self.now))
+
+        def add_slider(_: str, low: float, high: float, __: float, value: float, **___: object) -> _Slider:
+            self.sliders.append(_Slider(low, high, value))
+            return self.sliders[-1]
+
+        page: Any = SimpleNamespace(gui=SimpleNamespace(add_slider=add_slider), later=self.waiting.append)
+        self.parts = JogSliders(page, setup.controller.limits(setup.robot), self.sent.put)
+
+    def follow(self, angle: float) -> Any:
+        """Have them follow an arm with all joints at an angle, rad; return it."""
+        arm: Any = SimpleNamespace(position=np.full(6, angle), velocity=ZERO)
+        self.parts.follow(arm, ready=True)
+        return arm
+
+
+@pytest.mark.parametrize("overwritten", [False, True])
 @pytest.mark.parametrize("joint", [0, 1, 4])
-def test_a_slider_that_a_user_has_moved_is_not_put_back(shipped: Setup, joint: int) -> None:
-    """The arm's state that comes between a user's change and its taking does not overwrite it: the joint goes there."""
-    sliders: list[_Slider] = []
-    waiting: list[Callable[[], None]] = []
-    sent: queue.Queue[TrajectoryPoints] = queue.Queue()
+def test_a_slider_that_a_user_has_moved_is_not_put_back(
+    shipped: Setup, monkeypatch: pytest.MonkeyPatch, joint: int, overwritten: bool
+) -> None:
+    """The arm's state that comes between a user's change and its taking does not overwrite it: the joint goes there.
 
-    def add_slider(_: str, low: float, high: float, __: float, value: float, **___: object) -> _Slider:
-        sliders.append(_Slider(low, high, value))
-        return sliders[-1]
-
-    page: Any = SimpleNamespace(gui=SimpleNamespace(add_slider=add_slider), later=waiting.append)
-    jogs = JogSliders(page, shipped.controller.limits(shipped.robot), sent.put)
-    arm: Any = SimpleNamespace(position=np.full(6, 0.1), velocity=ZERO)
-    jogs.follow(arm, ready=True)
-    assert sliders[joint].value == 5.7  # 0.1 rad in tenths of a degree
-    sliders[joint].value = 12.3
-    sliders[joint].changed(SimpleNamespace(client_id=1))
-    jogs.follow(arm, ready=True)
-    waiting.pop()()
-    target = sent.get(timeout=60.0).position[-1]
-    jogs.follow(arm, ready=True)
-    jogs.close()
+    Nor does one that was on its way to the slider when the change came.
+    """
+    jogs = _Jogs(shipped, monkeypatch)
+    arm = jogs.follow(0.1)
+    slider = jogs.sliders[joint]
+    assert slider.value == 5.7  # 0.1 rad in tenths of a degree
+    slider.move(12.3)
+    if overwritten:
+        slider.value = 5.8
+    jogs.follow(0.1)
+    jogs.waiting.pop()()
+    target = jogs.sent.get(timeout=60.0).position[-1]
+    jogs.follow(0.1)
+    jogs.parts.close()
     np.testing.assert_allclose(np.degrees(target[joint]), 12.3)
     np.testing.assert_array_equal(np.delete(target, joint), arm.position[1:])
-    assert sliders[joint].value == 12.3
+    assert slider.value == 12.3
+
+
+def test_a_page_that_may_show_something_older_is_told_again(shipped: Setup, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a user gives while the slider is on the move is sent again half a second after, and only then."""
+    for waited, again in ((0.5, True), (10.0, False)):
+        jogs = _Jogs(shipped, monkeypatch)
+        jogs.follow(0.1)
+        jogs.now += waited
+        slider = jogs.sliders[2]
+        slider.move(12.3)
+        jogs.waiting.pop()()
+        sent = len(slider.sent)
+        for _ in range(4):
+            jogs.now += 0.1
+            jogs.follow(0.1)
+        assert len(slider.sent) == sent
+        for _ in range(4):
+            jogs.now += 0.1
+            jogs.follow(0.1)
+        jogs.parts.close()
+        assert slider.sent[sent:] == ([slider.min, 12.3] if again else [])

@@ -6,6 +6,7 @@ import re
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,14 +24,15 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_controller.lines.plan import plan_line
 from rx90_controller.lines.task import TOOL_DOWN, LineTask
 from rx90_emulator.loop.setup import Setup
+from rx90_emulator.view.changes import put
 from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel import element_form
 from rx90_emulator.view.panel.element_form import ElementForm
+from rx90_emulator.view.panel.newest import NewestOnly
 from rx90_emulator.view.panel.operator import NodeNames
 from rx90_emulator.view.panel.panel import DoPanel
 from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
-from rx90_emulator.view.panel.widgets import put
 from rx90_emulator.view.state import ArmState
 
 Open = Callable[..., BrowserPage]
@@ -79,12 +81,12 @@ def test_what_is_done_on_the_page_happens(
     """A line is refused or followed, a joint jogged, time stopped, an element changed; the nodes' end is told."""
     page, cell, sent = panel
     shown = open_page(page.address, SIZE)
-    _no_verdict_is_of_other_values(shown, monkeypatch)
-    _the_line_is_followed(shown, shipped, sent)
-    _a_slider_moves_its_joint(shown)
+    _no_verdict_is_of_other_values(shown, page, monkeypatch)
+    _the_line_is_followed(shown, page, shipped, sent)
+    _a_slider_moves_its_joint(shown, page)
     press(shown, "Pause")
     shown.wait_until(lambda: "time stands still" in shown.text(), "the simulation's answer")
-    _an_element_is_changed(shown, monkeypatch)
+    _an_element_is_changed(shown, page, monkeypatch)
     cell.signal(signal.SIGINT)
     press(shown, "Move")
     shown.wait_until(lambda: "cannot be sent: there is no /rx90_controller" in shown.text(), "the reason")
@@ -92,7 +94,7 @@ def test_what_is_done_on_the_page_happens(
     assert (shown.complaints, shown.foreign_requests) == ([], [])
 
 
-def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_verdict_is_of_other_values(shown: BrowserPage, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """While a line is planned the form says so, and what was planned for other values is not shown."""
     press(shown, "Move")
     verdict = re.compile(r"[\d.]+ m in ([\d.]+) s")
@@ -107,13 +109,20 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.Monke
             assert may_end[typed.speed].wait(60.0)
         return plan(checker, typed, here)
 
+    give, taken = NewestOnly.give, list[str]()
+
+    def note(self: NewestOnly[Any], item: Any) -> None:
+        give(self, item)
+        taken.extend(part.speed for part in item if isinstance(part, TypedLine))
+
     monkeypatch.setattr(LineChecker, "preview", slowly)
-    fill(shown, "speed", "0.2")
+    monkeypatch.setattr(NewestOnly, "give", note)
+    fill(shown, page, "speed", "0.2")
     assert begun["0.2"].wait(60.0)
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
     assert verdict.search(shown.text()) is None
-    fill(shown, "speed", "0.4")  # while the first is planned
-    shown.page.wait_for_timeout(200)
+    fill(shown, page, "speed", "0.4")  # while the first is planned
+    wait_until(lambda: "0.4" in taken, "the page's look at the other speed")
     may_end["0.2"].set()
     assert begun["0.4"].wait(60.0)  # after the verdict on the first, which nobody must see
     shown.page.wait_for_timeout(200)
@@ -121,18 +130,19 @@ def _no_verdict_is_of_other_values(shown: BrowserPage, monkeypatch: pytest.Monke
     may_end["0.4"].set()
     shown.wait_until(lambda: "checking" not in shown.text(), "the verdict")
     monkeypatch.setattr(LineChecker, "preview", plan)
+    monkeypatch.setattr(NewestOnly, "give", give)
 
 
-def _the_line_is_followed(shown: BrowserPage, setup: Setup, sent: list[LineTask]) -> None:
+def _the_line_is_followed(shown: BrowserPage, page: Page, setup: Setup, sent: list[LineTask]) -> None:
     press(shown, "Move")
     send = shown.page.get_by_role("button", name="Send the line")
-    fill(shown, "start, m", "{} {} {}".format(*START))
-    fill(shown, "end, m", "{} {} {}".format(*END))
-    fill(shown, "acceleration", "2")
-    fill(shown, "speed", "0.25 fast")
+    fill(shown, page, "start, m", "{} {} {}".format(*START))
+    fill(shown, page, "end, m", "{} {} {}".format(*END))
+    fill(shown, page, "acceleration", "2")
+    fill(shown, page, "speed", "0.25 fast")
     shown.wait_until(lambda: "speed is '0.25 fast'; accepted: a number, m/s" in shown.text(), "the refusal")
     shown.wait_until(lambda: not send.is_enabled(), "no line to send")
-    fill(shown, "speed", f"{SPEED}")
+    fill(shown, page, "speed", f"{SPEED}")
     length = float(np.linalg.norm(END - START))
     said = f"{length:.3f} m in {length / SPEED + SPEED / 2.0:.2f} s, after an approach of"
     shown.wait_until(lambda: said in shown.text() and send.is_enabled(), "the line with its approach")
@@ -174,7 +184,7 @@ class _RestsAt:
         return seconds(newest) >= self._since + 0.5
 
 
-def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
+def _a_slider_moves_its_joint(shown: BrowserPage, page: Page) -> None:
     client = Client()
     heard = client.listen("joint_states", depth=1)
     client.spin_until(lambda: bool(heard), "the arm")
@@ -182,30 +192,26 @@ def _a_slider_moves_its_joint(shown: BrowserPage) -> None:
     client.spin_until(rests, "the arm at rest after the line")
     before = np.degrees(heard[-1].position)
     asked = round(float(before[0]) + 5.0, 1)
+    fill(shown, page, "joint", f"{asked}")
+    client.spin_until(
+        lambda: bool(abs(np.degrees(heard[-1].position[0]) - asked) < 0.01) and rests(), "joint 1 where its slider is"
+    )
     field = shown.page.locator(FIELD.format("joint")).first
-
-    def moved() -> bool:
-        # A slider that follows the arm's last tremor takes away what is being typed into it.
-        if abs(float(field.input_value() or "nan") - asked) > 0.05:
-            field.fill(f"{asked}")
-            shown.page.keyboard.press("Enter")
-        return bool(abs(np.degrees(heard[-1].position[0]) - asked) < 0.01) and rests()
-
-    client.spin_until(moved, "joint 1 where its slider is")
+    shown.wait_until(lambda: field.input_value() == f"{asked}", "the slider where its joint is")
     # A joint that was not touched goes to where its slider stood, a tenth of a degree at most from it.
     np.testing.assert_allclose(np.degrees(heard[-1].position)[1:], before[1:], atol=0.02)
     client.close()
 
 
-def _an_element_is_changed(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) -> None:
+def _an_element_is_changed(shown: BrowserPage, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     press(shown, "Element")
     title = "steady torque [Nm]"
     shown.wait_until(lambda: title in shown.plots() and len(shown.plots()[title]["data"][0]) > 2, "the curve")
-    fill(shown, "tau", "40")
+    fill(shown, page, "tau", "40")
     text = "tau_s_positive is 32.0; accepted: a number >= tau_c_positive = 40.0 Nm"
     shown.wait_until(lambda: text in shown.text(), "the element's refusal")
     shown.wait_until(lambda: not shown.page.get_by_role("button", name="Write the file").is_enabled(), "no file")
-    fill(shown, "tau", "20 28")
+    fill(shown, page, "tau", "20 28")
     shown.wait_until(lambda: "changed by hand: joint_1.tau_c_positive from 25 to 20 Nm" in shown.text(), "the change")
     shown.wait_until(lambda: "tau_c: {positive: 20.0, negative: 28.0}" in shown.text(), "the YAML")
     shown.wait_until(lambda: not np.equal(*shown.plots()[title]["data"][1:]).all(), "the other curve")
@@ -216,7 +222,7 @@ def _an_element_is_changed(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) 
         assert np.interp(at, velocity, before) == pytest.approx(np.sign(at) * 25.0 + 14.0 * at, abs=0.02)
     may_end, curve = threading.Event(), element_form.stribeck_curve
     monkeypatch.setattr(element_form, "stribeck_curve", lambda *given: (may_end.wait(60.0), curve(*given))[1])
-    fill(shown, "tau", "20 27")
+    fill(shown, page, "tau", "20 27")
     shown.wait_until(lambda: "checking ..." in shown.text(), "the form at work")
     write = shown.page.get_by_role("button", name="Write the file")
     shown.wait_until(lambda: not write.is_enabled(), "no file of other values")
@@ -226,10 +232,10 @@ def _an_element_is_changed(shown: BrowserPage, monkeypatch: pytest.MonkeyPatch) 
     press(shown, "Write the file")
     shown.wait_until(Path("friction_changed.yaml").is_file, "the file")
     monkeypatch.setattr(element_form, "stribeck_curve", curve)
-    _another_element_is_chosen(shown, title)
+    _another_element_is_chosen(shown, page, title)
 
 
-def _another_element_is_chosen(shown: BrowserPage, title: str) -> None:
+def _another_element_is_chosen(shown: BrowserPage, page: Page, title: str) -> None:
     """The fields, the curves and the file are of the element that is chosen, and the slider changes what it names."""
     file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
     viscous = file.elements["joint_3"].c2
@@ -237,8 +243,7 @@ def _another_element_is_chosen(shown: BrowserPage, title: str) -> None:
     tau = shown.page.locator(FIELD.format("tau")).first
     shown.wait_until(lambda: tau.input_value() == f"{file.elements['joint_3'].tau_c_positive:g}", "its Coulomb torque")
     choose(shown, "slide", "c2")
-    fill(shown, "times the file's", "2")
-    shown.page.keyboard.press("Enter")
+    fill(shown, page, "times the file's", "2")
     said = f"changed by hand: joint_3.c2 from {viscous:g} to {2.0 * viscous:g} "
     shown.wait_until(lambda: said in shown.text(), "the change of the third joint")
 
@@ -249,22 +254,34 @@ def _another_element_is_chosen(shown: BrowserPage, title: str) -> None:
     shown.wait_until(doubled, "its curves")
 
 
-def test_a_factor_given_right_after_its_parameter_is_chosen_is_kept() -> None:
-    """The factor goes back to 1 with another parameter, but not one that was given before the page took the choice."""
+def test_what_is_given_right_after_a_choice_is_kept() -> None:
+    """The factor goes back to 1 with another parameter, and the fields to the file's values with another element.
+
+    But not what a user gave before the page took the choice.
+    """
     page = Page("test", port=0)
     file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
     form = ElementForm(page, file, lambda _: None)
-    inputs = [field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "value")]
-    chosen, factor = (next(f for f in inputs if f.label == label) for label in ("slide", "times the file's"))
-    for parameter, given, left in (("c2", 2.0, 2.0), ("c1", 2.0, 1.0)):
-        put(chosen, parameter)
-        put(factor, given)
-        for wanted in (chosen, factor):
-            for callback in wanted._impl.update_cb:
-                callback(SimpleNamespace(client_id=1))
+    inputs = {field.label: field for field in page.gui._gui_input_handle_from_uuid.values() if hasattr(field, "label")}
+
+    def give(**changes: object) -> None:
+        fields = [next(inputs[label] for label in inputs if label.startswith(key)) for key in changes]
+        for field, given in zip(fields, changes.values(), strict=True):
+            put(field, given)
+        for field in fields:
+            for callback in field._impl.update_cb:
+                with suppress(StopIteration):  # a coroutine that waits for nothing
+                    callback(SimpleNamespace(client_id=1)).send(None)
         while not page._handed_over.empty():
             page._handed_over.get()()
-        assert factor.value == left
+
+    give(slide="c2", times=2.0)
+    assert inputs["times the file's"].value == 2.0
+    give(slide="c1")
+    assert inputs["times the file's"].value == 1.0
+    give(element="joint_3", tau_c="31")
+    assert inputs["tau_c, Nm"].value == "31"
+    assert inputs["tau_s, Nm"].value == f"{file.elements['joint_3'].tau_s_positive:g}"
     form.close()
     page.close()
 
@@ -275,9 +292,15 @@ def choose(shown: BrowserPage, label: str, option: str) -> None:
     shown.page.get_by_role("option", name=option, exact=True).click()
 
 
-def fill(shown: BrowserPage, label: str, text: str) -> None:
-    """Type into the field whose label begins so; the page breaks labels at _ and /."""
+def fill(shown: BrowserPage, page: Page, label: str, text: str) -> None:
+    """Type into the field whose label begins so, until the server has it; the page breaks labels at _ and /.
+
+    Of what is changed within 50 ms the page sends the first and the last alone, and nobody types as fast as this.
+    """
     shown.page.locator(FIELD.format(label)).first.fill(text)
+    fields = page.gui._gui_input_handle_from_uuid.values()
+    field = next(field for field in fields if getattr(field, "label", "").startswith(label))
+    shown.wait_until(lambda: field.value == type(field.value)(text), f"{text!r} as {label}")
 
 
 def press(shown: BrowserPage, name: str) -> None:
