@@ -21,8 +21,8 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
 from rig_bench import PatientRig
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from friction_bench.rig.emulated import EmulatedRig
