@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from typing import ClassVar
 
 import pytest
 from processes import wait_until
@@ -17,7 +18,8 @@ from friction_bench.protocol.errors import RigLostError, RigRefusedError, RigRes
 from friction_bench.protocol.messages import State
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig import link
-from friction_bench.rig.client import RigClient
+from friction_bench.rig.client import RigClient, Sample
+from friction_bench.rig.link import RigLink
 
 
 def test_unplugging_is_survived_and_needs_arming(bench: Bench) -> None:
@@ -74,6 +76,29 @@ def test_reset_is_reported_once_and_needs_arming(bench: Bench) -> None:
     wait_until(lambda: bench.link.connected and bench.state == State.DISARMED, "the greeting")
     assert sum("restarted" in text for text in bench.troubles) == 1
     bench.arm()
+
+
+def test_last_report_is_asked_for_while_the_link_forgets_it(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who asks for the last report while the rig is greeted anew gets the one that was, or none, and no error."""
+    client = bench.link.client
+    assert client is not None
+    sample = client.last
+
+    class Forgetful:
+        """A client that is greeted between two looks at its last reading."""
+
+        answers: ClassVar = [None, sample]
+
+        @property
+        def last(self) -> Sample | None:
+            """Return the reading once."""
+            return self.answers.pop()
+
+    monkeypatch.setattr(RigLink, "client", Forgetful())
+    last = bench.link.last
+    monkeypatch.undo()
+    assert sample is not None
+    assert last == sample.report
 
 
 def test_second_opener_is_turned_away(bench: Bench) -> None:
