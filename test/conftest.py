@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from hypothesis import HealthCheck, settings
 
 # Small matrices: a second thread of the BLAS waits in a loop, and takes the core from the worker beside this one. NumPy
 # reads this once, when it is imported, and so do the processes that tests start.
@@ -20,6 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rx90_common.base.requirements import missing_module
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
+
+# The same examples in each run, however slow the machine: a failure comes from a change. New ones are searched for by
+# `--hypothesis-profile=default`.
+settings.register_profile("same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("same")
 
 pytest_plugins = ["browser", "report_pages", "processes", "lugre_oracle"]
 

@@ -43,7 +43,7 @@ def colcon(*arguments: object, folder: Path) -> str:
         capture_output=True,
         encoding="utf-8",
         check=False,
-        timeout=TIMEOUT,
+        timeout=5 * TIMEOUT,  # a build on a machine that is four times slower; more is a hang
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

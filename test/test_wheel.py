@@ -37,7 +37,7 @@ def run(*command: object, folder: Path) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=TIMEOUT,
+        timeout=5 * TIMEOUT,  # a build or a first compilation on a machine that is four times slower; more is a hang
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

@@ -162,7 +162,8 @@ class RigLink:
     def last(self) -> Report | None:
         """Return the latest report, None without a connection."""
         client = self.client
-        return client.last.report if client is not None and client.last is not None else None
+        last = None if client is None else client.last  # once: the link's thread forgets it at a reset
+        return None if last is None else last.report
 
     @property
     def damage(self) -> tuple[int, int]:

@@ -84,9 +84,10 @@ class PtyRig:
     def close(self) -> None:
         """End the rig: for its opener, this is an unplugged cable."""
         self._stop.set()
-        self._thread.join(2.0)
+        self._thread.join()  # as late as it may be: it must not write to what has got the descriptor's number since
+        # The link first: the name that it points to may soon be another program's pseudo-terminal.
+        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.path:
+            self._link.unlink(missing_ok=True)  # unless another rig has taken the name over
         for descriptor in (self._slave, self._master):
             with contextlib.suppress(OSError):
                 os.close(descriptor)
-        if self._link is not None and self._link.is_symlink() and str(self._link.readlink()) == self.path:
-            self._link.unlink(missing_ok=True)  # unless another rig has taken the name over

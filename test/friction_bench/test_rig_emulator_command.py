@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,22 @@ def test_link_goes_with_the_rig_that_has_it(rig: Rig, tmp_path: Path) -> None:
     assert str(link.readlink()) == second.path
     second.close()
     assert not link.is_symlink()
+
+
+def test_link_is_gone_before_the_name_it_points_to_is_free(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody opens another program's pseudo-terminal by a link that is left: it goes before the descriptors do."""
+    made = PtyRig(EmulatedRig(rig, 1), tmp_path / "rig")
+    close, left = os.close, []
+
+    def watched(descriptor: int) -> None:
+        left.append((tmp_path / "rig").is_symlink())
+        close(descriptor)
+
+    monkeypatch.setattr(os, "close", watched)
+    made.close()
+    assert left == [False, False]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import signal
 import subprocess
 import time
@@ -22,15 +21,18 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
+from rig_bench import PatientRig
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from friction_bench.rig.emulated import EmulatedRig
-from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig
-from rx90_common.process.children import executable
+from rx90_common.process.children import TIMEOUT, executable
 
 pytestmark = pytest.mark.ros
+
+FAR_FROM_THE_END = 100
+"""A code that the ramp of `run_ramp` goes beyond."""
 
 
 class Session:
@@ -38,7 +40,7 @@ class Session:
 
     def __init__(self, rig: Rig, folder: Path, namespace: str = "", *arguments: str) -> None:
         self.name = f"{namespace}/friction_bench"
-        self.pty = PtyRig(EmulatedRig(rig, 1), folder / "rig")
+        self.pty = PatientRig(EmulatedRig(rig, 1), folder / "rig")
         self.log = folder / "log"
         self.arguments = ["--ros-args", "-p", f"port:={folder / 'rig'}", *arguments]
         self.start()
@@ -57,7 +59,7 @@ class Session:
         with self.log.open("a") as stream:
             self.process = subprocess.Popen(executable("friction_bench", *self.arguments), stdout=stream, stderr=stream)
 
-    def until(self, condition: Callable[[], bool], timeout: float = 40.0) -> None:
+    def until(self, condition: Callable[[], bool], timeout: float = TIMEOUT) -> None:
         """Listen until a condition holds."""
         end = time.monotonic() + timeout
         while not condition():
@@ -89,6 +91,17 @@ class Session:
             self.call("stop")
             self.call("clear")
         pytest.fail(f"{names} never succeeded:\n{self.log.read_text()}")
+
+    def lose_the_host(self, signal_number: signal.Signals) -> None:
+        """Send the node, which has armed the rig, a signal that silences it; the rig takes that for what it is."""
+        for _ in range(10):
+            with self.pty.standing_still():  # so that the ramp, if there is one, cannot come to its end before
+                if self.pty.emulated.board.stage_on and self.pty.emulated.board.dac < FAR_FROM_THE_END:
+                    self.pty.patient = False
+                    self.process.send_signal(signal_number)
+                    return
+            self.insist("arm", "run_ramp")
+        pytest.fail(f"the rig never kept its torque:\n{self.log.read_text()}")
 
     def ramp(self) -> None:
         """Run a ramp until its torque is seen; again where the machine stood still and the rig went off."""
@@ -182,9 +195,10 @@ def test_ramp_runs_and_stops_by_service(session: Session) -> None:
 def test_fault_stands_on_diagnostics_until_cleared(session: Session) -> None:
     """A frozen node loses the torque; afterwards the fault is on /diagnostics, and clear and arm work."""
     session.insist("arm")
-    os.kill(session.process.pid, signal.SIGSTOP)
+    session.lose_the_host(signal.SIGSTOP)
     session.until(lambda: not session.pty.emulated.board.stage_on)
-    os.kill(session.process.pid, signal.SIGCONT)
+    session.pty.patient = True
+    session.process.send_signal(signal.SIGCONT)
     session.until(lambda: bool(session.diagnostics) and "silent" in session.diagnostics[-1].status[0].message)
     assert not session.call("arm").success
     session.insist("clear", "arm")
@@ -219,8 +233,9 @@ def test_parameters_that_are_no_torque_are_refused_in_one_line(session: Session)
 def test_node_that_is_killed_loses_the_torque_and_can_be_started_again(session: Session) -> None:
     """After kill -9 in a ramp the firmware takes the torque away, and a new node finds the fault latched."""
     session.insist("arm", "run_ramp")
-    session.process.kill()
+    session.lose_the_host(signal.SIGKILL)
     session.until(lambda: not session.pty.emulated.board.stage_on)
+    session.pty.patient = True
     session.process.wait()
     session.start()
     session.until(lambda: bool(session.diagnostics) and "silent" in session.diagnostics[-1].status[0].message)
@@ -229,9 +244,10 @@ def test_node_that_is_killed_loses_the_torque_and_can_be_started_again(session: 
 
 
 def test_interrupt_leaves_the_rig_without_torque(session: Session) -> None:
-    """Ctrl-C ends the node with 0 and the rig disarmed, by a stop and not by the watchdog."""
+    """Ctrl-C ends the node with 0 and the rig disarmed, by a stop: its watchdog would wait for ever."""
     session.insist("arm")
+    assert session.pty.emulated.board.stage_on
     session.process.send_signal(signal.SIGINT)
-    assert session.process.wait(20) == 0
+    assert session.process.wait(TIMEOUT) == 0
     session.until(lambda: not session.pty.emulated.board.stage_on)
     assert "Traceback" not in session.log.read_text()

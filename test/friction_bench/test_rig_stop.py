@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
-import sys
 import time
 import tty
-from collections.abc import Iterator
 
 import pytest
-from processes import wait_until
-from rig_bench import Bench
+from processes import TIMEOUT, wait_until
+from rig_bench import Bench, read_some
 
 from friction_bench.protocol.codec import Frame, FrameDecoder, encode
 from friction_bench.protocol.errors import RigLostError, RigRefusedError
@@ -42,22 +39,12 @@ def test_stop_overtakes_a_command_under_way(client: RigClient, emulated: Emulate
     assert not emulated.board.stage_on
 
 
-@pytest.fixture
-def load() -> Iterator[None]:
-    """Keep twice as many processes busy as there are processors."""
-    count = 2 * (os.cpu_count() or 1)
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
-
-
-@pytest.mark.usefixtures("load")
 def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
-    """On a loaded machine, with commands under way, each of ten stops takes the stage off within 100 ms of the rig."""
+    """With commands under way, each of ten stops takes the stage off within 100 ms of the rig.
+
+    The rig's time stands still until the stop is on its line, however busy this computer is: a stop that waited for
+    the rig, for its answer to the command under way or for its reading of the line, would never come.
+    """
     emulated = bench.pty.emulated
     run, off_at = emulated.board.run, [0.0]
 
@@ -68,18 +55,17 @@ def test_stop_reaches_the_rig_within_100_ms_of_its_time(bench: Bench) -> None:
             off_at[0] = emulated.time
 
     emulated.board.run = watched  # type: ignore[method-assign]
-    stopped = 0
     for _ in range(10):
-        bench.arm_again()
+        bench.arm()
         busy = bench.link.submit(lambda client: client.torque(30))
-        asked_at = emulated.time
-        bench.link.stop_rig()
+        with bench.pty.standing_still():
+            asked_at = emulated.time
+            bench.link.stop_rig()
+            bench.pty.hear(Command.STOP)
         wait_until(lambda: not emulated.board.stage_on, "the stage to go off")
-        assert off_at[0] - asked_at < 0.1
-        stopped += off_at[0] >= asked_at  # before, it was the watchdog: nobody kept it alive on the busy machine
-        busy.exception(10.0)
-        wait_until(lambda: bench.state in (State.DISARMED, State.FAULT), "a rig that is off")
-    assert stopped
+        assert asked_at <= off_at[0] < asked_at + 0.1
+        busy.exception(TIMEOUT)
+        wait_until(lambda: bench.state == State.DISARMED, "a rig that is off, and not by its watchdog")
 
 
 def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig) -> None:
@@ -96,12 +82,13 @@ def test_stop_does_not_wait_for_a_line_that_takes_nothing(rig: Rig) -> None:
                 written += 100
         assert written > 4096
         RigClient(port, rig).line.urgent_stop()
-        got = b""
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                got += os.read(master, 4096)
-        assert len(got) < written
-        assert [frame.type for frame in FrameDecoder().feed(got)] == [Command.STOP, Command.STOP]
+        stops, decoder, got = [], FrameDecoder(), 0
+        while len(stops) < 2:
+            data = read_some(master)
+            got += len(data)
+            stops += [frame.type for frame in decoder.feed(data)]
+        assert got < written
+        assert stops == [Command.STOP, Command.STOP]
         port.close()
     finally:
         os.close(master)
@@ -123,7 +110,10 @@ def test_write_that_has_succeeded_is_not_lost_however_late(rig: Rig, monkeypatch
 
         monkeypatch.setattr(os, "write", write_and_stand_still)
         port.write(b"twelve bytes")
-        assert os.read(master, 100) == b"twelve bytes"
+        got = b""
+        while len(got) < 12:
+            got += read_some(master)
+        assert got == b"twelve bytes"
         port.close()
     finally:
         os.close(master)

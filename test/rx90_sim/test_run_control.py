@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import random
 import threading
-import time
+
+from processes import TIMEOUT, wait_until
 
 from rx90_sim.node.run_control import RunControl, Turn
 
@@ -15,6 +16,7 @@ class Ticking:
     def __init__(self, last_tick: int | None = None) -> None:
         self.control = RunControl(paused=True, wake=lambda: None, last_tick=last_tick)
         self.tick = 0
+        self.waits = 0
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
@@ -26,14 +28,14 @@ class Ticking:
             elif turn is Turn.STEP:
                 self.tick += 1
                 self.control.step_done()
+            else:
+                self.waits += 1
 
     def still(self) -> int:
         """Return the tick at which time stands, once the one that was under way is done."""
-        before = -1
-        while before != self.tick:
-            before = self.tick
-            time.sleep(0.02)
-        return before
+        seen = self.waits
+        wait_until(lambda: self.waits > seen, "a tick that is not due")
+        return self.tick
 
 
 def test_steps_are_exact_and_a_pause_holds_in_whatever_order_requests_come() -> None:
@@ -45,25 +47,23 @@ def test_steps_are_exact_and_a_pause_holds_in_whatever_order_requests_come() -> 
             for _ in range(dice.randrange(6)):
                 request = dice.choice(("pause", "resume", "step", "reset"))
                 if request == "step":
-                    assert control.step(dice.randint(1, 50), 10.0)
+                    assert control.step(dice.randint(1, 50), TIMEOUT)
                 elif request == "reset":
-                    assert control.reset(10.0)
+                    assert control.reset(TIMEOUT)
                 else:
                     getattr(control, request)()
             control.pause()
             before = ticking.still()
             steps = dice.randint(1, 200)
-            assert control.step(steps, 10.0)
+            assert control.step(steps, TIMEOUT)
             assert ticking.still() == before + steps
             assert control.paused
         control.resume()
-        before, deadline = ticking.tick, time.monotonic() + 10.0
-        while ticking.tick == before and time.monotonic() < deadline:
-            time.sleep(0.001)
-        assert ticking.tick > before
+        before = ticking.tick
+        wait_until(lambda: ticking.tick > before, "ticks")
     finally:
         control.stop()
-        ticking.thread.join(10.0)
+        ticking.thread.join(TIMEOUT)
     assert not ticking.thread.is_alive()
 
 
@@ -73,7 +73,7 @@ def test_steps_beyond_the_last_tick_do_not_wait_for_their_timeout() -> None:
     answers: list[bool] = []
     asking = threading.Thread(target=lambda: answers.append(ticking.control.step(1000, 3600.0)), daemon=True)
     asking.start()
-    ticking.thread.join(30.0)
-    asking.join(30.0)
+    ticking.thread.join(TIMEOUT)
+    asking.join(TIMEOUT)
     assert answers == [False]
     assert ticking.tick == 100

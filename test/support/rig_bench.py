@@ -1,17 +1,18 @@
-"""A link to an emulated rig behind a pseudo-terminal, both on threads of the test."""
+"""A rig behind a pseudo-terminal that bears a busy machine, and a link to it, both on threads of the test."""
 
 from __future__ import annotations
 
-import contextlib
 import os
+import select
 import threading
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from processes import TIMEOUT, wait_until
 
-from friction_bench.protocol.errors import RigError
-from friction_bench.protocol.messages import ResetCause, State
+from friction_bench.protocol.codec import FrameDecoder
+from friction_bench.protocol.messages import Command, ResetCause, State
 from friction_bench.protocol.serial_port import SerialPort
 from friction_bench.rig.client import RigClient
 from friction_bench.rig.emulated import EmulatedRig
@@ -19,6 +20,50 @@ from friction_bench.rig.link import RigLink
 from friction_bench.rig.native import NativeBoard
 from friction_bench.rig.pty_rig import PtyRig
 from friction_bench.rig.rig_file import Rig
+
+PATIENCE = 0.06
+"""Silence of its host, s of its own time, that an armed rig bears before its time stands still; half the watchdog's."""
+
+
+def read_some(descriptor: int) -> bytes:
+    """Return what comes next at this end of a pseudo-terminal: the system moves it there in its own time."""
+    assert select.select([descriptor], [], [], TIMEOUT)[0], "waited in vain for bytes"
+    return os.read(descriptor, 4096)
+
+
+class PatientRig(PtyRig):
+    """A rig with its stage on that waits for the host: on a busy machine only this one's clock goes on without it.
+
+    Attributes:
+        patient: it waits; without that, the firmware's watchdog trips 120 ms after the host's last frame.
+    """
+
+    def __init__(self, emulated: EmulatedRig, link: Path) -> None:
+        self.patient = True
+        self._heard_at = 0.0
+        super().__init__(emulated, link)
+
+    def _exchange(self, seconds: float) -> None:
+        rig = self.emulated
+        if select.select([self._master], [], [], 0.0)[0]:
+            self._heard_at = rig.time
+        elif self.patient and rig.board.stage_on and rig.time + seconds > self._heard_at + PATIENCE:
+            return
+        super()._exchange(seconds)
+
+    @contextmanager
+    def standing_still(self) -> Iterator[None]:
+        """Let no time pass for the rig."""
+        with self._lock:
+            yield
+
+    def hear(self, command: Command) -> None:
+        """Put on a rig that stands still what its host sends, up to a command of this kind."""
+        decoder, heard = FrameDecoder(), False
+        while not heard:
+            data = read_some(self._master)
+            self.emulated.board.write(data)
+            heard = any(frame.type == command for frame in decoder.feed(data))
 
 
 class Bench:
@@ -51,7 +96,7 @@ class Bench:
 
     def plug(self) -> None:
         """Plug a rig in."""
-        self.pty = PtyRig(EmulatedRig(self.rig, 1), self.path)
+        self.pty = PatientRig(EmulatedRig(self.rig, 1), self.path)
 
     @property
     def board(self) -> NativeBoard:
@@ -68,12 +113,12 @@ class Bench:
 
     def reset(self) -> None:
         """Let the rig restart by itself."""
-        with self.pty._lock:
+        with self.pty.standing_still():
             self.board.reset(ResetCause.WATCHDOG)
 
     def say(self, data: bytes) -> None:
         """Put bytes on the line from the rig's side; of two writers at the same time one would be turned away."""
-        with self.pty._lock:
+        with self.pty.standing_still():
             os.write(self.pty._master, data)
 
     def listen(self, count: int) -> None:
@@ -83,25 +128,12 @@ class Bench:
 
     def arm(self) -> None:
         """Arm the rig and wait until it says so."""
-        self.link.submit(RigClient.arm).result(10.0)
+        self.link.submit(RigClient.arm).result(TIMEOUT)
         wait_until(lambda: self.state == State.ARMED, "an armed rig")
 
-    def arm_again(self) -> None:
-        """Arm a rig that was switched off, perhaps by its watchdog, which a busy machine may bring to do it again."""
-        deadline = time.monotonic() + TIMEOUT
-        while time.monotonic() < deadline:
-            with contextlib.suppress(RigError):  # what it reported is no more
-                if self.state == State.FAULT:
-                    self.link.submit(RigClient.clear).result(10.0)
-                self.link.submit(RigClient.arm).result(10.0)
-            heard = self.samples
-            wait_until(lambda heard=heard: self.state == State.ARMED or self.samples > heard + 1, "readings")
-            if self.state == State.ARMED:
-                return
-        raise AssertionError(f"the rig stays {self.state}")
-
     def abandon(self) -> None:
-        """Stop saying that the link's owner is alive."""
+        """Stop saying that the link's owner is alive; the rig takes it for what it is."""
+        self.pty.patient = False
         self._dead.set()
 
     def close(self) -> None:
@@ -109,5 +141,5 @@ class Bench:
         self.link.close()
         self.abandon()
         for thread in self._threads:
-            thread.join(10.0)
+            thread.join()
         self.pty.close()

@@ -14,7 +14,7 @@ from typing import Any
 
 import numba
 import pytest
-from processes import wait_until
+from processes import TIMEOUT, wait_until
 
 from rx90_common.base.sources import PACKAGES, ROOT, importers_of, with_imports
 from rx90_common.kernels import code_cache
@@ -64,7 +64,7 @@ def run(program: str, folder: Path, **variables: str) -> subprocess.CompletedPro
         env=environment,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=TIMEOUT,
         check=True,
     )
 
@@ -169,7 +169,7 @@ def test_of_two_processes_one_compiles_and_the_other_waits(tmp_path: Path) -> No
     first = start("slow")
     wait_until((tmp_path / "begun").exists, "the next one")
     second = start("")
-    assert [one.communicate(timeout=60.0)[0] for one in (first, second)] == ["2.0 1\n", "2.0 0\n"]
+    assert [one.communicate(timeout=TIMEOUT)[0] for one in (first, second)] == ["2.0 1\n", "2.0 0\n"]
     assert not list((tmp_path / "cache").rglob("*.lock"))
 
 

@@ -19,6 +19,7 @@ from rx90_common.kernels import elementary
 from rx90_common.kernels.elementary import arctangent, exponential, power, signed_power, sine_cosine
 from rx90_common.kernels.elementary_arrays import angles_of, exponential_less_one_of
 from rx90_common.kernels.lanes import load, store
+from rx90_common.process.children import TIMEOUT
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,7 @@ def samples() -> Array:
 def test_the_constants_are_those_that_the_script_derives() -> None:
     """The script in tools/ gives every constant of the polynomials and of the reduction to the last bit."""
     script = ROOT / "tools" / "elementary_coefficients.py"
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=TIMEOUT, check=True)
     derived = {
         assignment.targets[0].id: ast.literal_eval(assignment.value)
         for assignment in ast.parse(done.stdout).body
@@ -184,5 +185,5 @@ def test_a_processor_without_vector_and_fma_instructions_gives_the_same_bits(tmp
     )
     folders = [str(tmp_path), str(Path(__file__).parent), str(Path(__file__).parents[3])]
     plain = {**os.environ, "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-    subprocess.run([sys.executable, "-c", code, *folders], check=True, env=plain, timeout=120)
+    subprocess.run([sys.executable, "-c", code, *folders], check=True, env=plain, timeout=TIMEOUT)
     assert np.load(tmp_path / "out.npy").tobytes() == here.tobytes()

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rx90_common.process.children import executable
+from rx90_common.process.children import TIMEOUT, executable
 from rx90_emulator.cli.frame import run
 from rx90_emulator.sweep.plan_file import load_sweep_plan
 from rx90_emulator.sweep.store import parts_folder, read_results
@@ -63,12 +63,12 @@ def start() -> Iterator[Start]:
     for process in started:
         with contextlib.suppress(ProcessLookupError):  # nothing of its session is left
             os.killpg(process.pid, signal.SIGKILL)
-        process.communicate(timeout=30)
+        process.communicate(timeout=TIMEOUT)
 
 
 def until(condition: Callable[[], object], process: subprocess.Popen[str] | None = None) -> None:
-    """Wait until a condition holds; fail if it does not within two minutes, or the process ends before."""
-    deadline = time.monotonic() + 120.0
+    """Wait until a condition holds; fail if it does not within TIMEOUT, or the process ends before."""
+    deadline = time.monotonic() + TIMEOUT
     while not condition():
         assert time.monotonic() < deadline
         assert process is None or process.poll() is None, process.communicate()
@@ -107,7 +107,7 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
     first = start("run", plan_file, "--output", output, "--workers", "2")
     until(lambda: parts(output), first)
     os.killpg(first.pid, signal.SIGINT)
-    _, error = first.communicate(timeout=60)
+    _, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130
     assert error.splitlines() == [
         "rx90_sweep: interrupted; what is done is kept; go on with: "
@@ -120,7 +120,7 @@ def test_interrupt_and_kill_keep_what_is_done(tmp_path: Path, plan_file: Path, s
     until(lambda: parts(output), second)
     workers = [int(pid) for pid in Path(f"/proc/{second.pid}/task/{second.pid}/children").read_text().split()]
     second.send_signal(signal.SIGKILL)
-    second.wait(timeout=30)
+    second.wait(timeout=TIMEOUT)
     assert len(workers) == 2
     until(lambda: not any(alive(pid) for pid in workers))
     assert assert_true_rows(output, plan_file) > kept

@@ -18,6 +18,7 @@ import pytest
 
 from rx90_common.base.errors import FAILED, ConfigError, FailureError, SweepError
 from rx90_common.description.robot_files import RobotFiles
+from rx90_common.process.children import TIMEOUT
 from rx90_emulator.sweep import execution
 from rx90_emulator.sweep.execution import dask_pool, local_pool, run_sweep
 from rx90_emulator.sweep.plan import Block, SweepBase, SweepPlan, SweptParameter
@@ -102,7 +103,7 @@ def test_a_cluster_that_loses_a_process_goes_on(
         chunks = [[index] for index in range(len(sweep))]
         futures = [pool.submit(chunk) for chunk in chunks]
         os.kill(victim, signal.SIGKILL)
-        outcomes = [outcome for future in futures for outcome in future.result(timeout=120)]
+        outcomes = [outcome for future in futures for outcome in future.result(timeout=TIMEOUT)]
     assert_same(table_of(sweep, schema_of(sweep), outcomes), expected)
 
 
@@ -177,7 +178,7 @@ def test_a_lost_worker_is_said(sweep: Sweep) -> None:
         with local_pool(sweep, 1) as pool:
             (worker,) = set(active_children()) - set(before)
             worker.kill()
-            pool.submit([0]).result(timeout=60)
+            pool.submit([0]).result(timeout=TIMEOUT)
 
     with pytest.raises(SweepError, match="a worker process died"):
         lose()
