@@ -36,13 +36,24 @@ class Bench:
         """Return simulated time, s."""
         return self.time.ran
 
-    def follow(self, message: Any) -> Any:
-        """Send a goal that is followed; return its result, once there is one."""
+    def begin(self, message: Any) -> tuple[Any, Any]:
+        """Send a goal; return its handle and the result to come, once the controller follows it."""
         before = self.cell.output.count("goal accepted")
         handle = self.goals.send(message)
         # The client hears of it before the controller begins: a step in between would not be the goal's.
         self.client.spin_until(lambda: self.cell.output.count("goal accepted") > before, "the goal")
-        return self.time.until(self.goals.result_of(handle))
+        return handle, self.goals.result_of(handle)
+
+    def follow(self, message: Any) -> Any:
+        """Send a goal that is followed; return its result, once there is one."""
+        _, result = self.begin(message)
+        return self.time.until(result)
+
+    def listen(self, topic: str, kind: type) -> list[Any]:
+        """Return a list that grows with the messages of a topic of the controller, from its next one on."""
+        heard = self.client.listen(f"rx90_controller/{topic}", kind)
+        self.client.known_to("rx90_controller")
+        return heard
 
     def begin_anew(self) -> None:
         """Reset the simulation."""
@@ -66,8 +77,17 @@ class Bench:
     def heard(self) -> list[Any]:
         """Return the set-points, once the newest has come."""
         newest = self.now - 1e-3 - 1e-9
-        self.client.spin_until(lambda: seconds(self.set_points[-1]) >= newest, f"the set-point of {newest} s", 10.0)
+        self._wait_for(self.set_points, newest)
         return self.set_points
+
+    def state(self, states: list[Any]) -> Any:
+        """Return the newest of the messages of controller_state, which come 50 times a second, once it has come."""
+        self._wait_for(states, self.now - 0.02 - 1e-9)
+        return states[-1]
+
+    def _wait_for(self, heard: list[Any], newest: float) -> None:
+        """Wait for a message of this stamp, s, or a later one: the answer to a step may come before it."""
+        self.client.spin_until(lambda: bool(heard) and seconds(heard[-1]) >= newest, f"the message of {newest} s")
 
     def set_points_from(self, begin: float, count: int) -> NDArray[np.float64]:
         """Return the positions of the ticks after a time, rad, shape (count, 6)."""

@@ -65,8 +65,8 @@ def run_both_ways(
 
     `around` is the command line before those of the simulation and the controller, `composed` puts both into one
     process. So many `burners` take the processors while the simulation runs, which is deactivated and activated so many
-    times in between: `rests`. Then it is paced, and the pace is changed each time. `switches` of the feed-forward are
-    on, in the setup too.
+    times in between: `rests`. Then it is paced, slowly while it is to be met on its way, and the pace is changed each
+    time. `switches` of the feed-forward are on, in the setup too.
     """
     files = setup.files
     assert files is not None
@@ -80,7 +80,7 @@ def run_both_ways(
     pose = [float(angle) for angle in plan.start_pose]
     of_simulation = {
         "initial_position": pose, "duration": START + plan.duration, "paused": True,
-        "real_time_factor": 0.5 if rests else 0.0, "robot": str(files.urdf.parent),
+        "real_time_factor": 0.1 if rests else 0.0, "robot": str(files.urdf.parent),
         "friction": files.text("friction"), "seed": setup.seed, "temperature_rate": setup.rates.temperature_hz,
     }  # fmt: skip
     of_controller = {"robot": files.urdf.parent.name, "controller": files.text("controller")}
@@ -90,7 +90,7 @@ def run_both_ways(
         yaml.safe_dump({node: {"ros__parameters": values} for node, values in sections.items()}), encoding="utf-8"
     )
     names = ["rx90_cell"] if composed else ["rx90_sim", "rx90_controller"]
-    simulation, *_ = [
+    simulation, *others = [
         processes.start(*around, *executable(name), "--ros-args", "--params-file", parameters) for name in names
     ]
     simulation.wait_for("]: ready: ")  # kernels that are compiled first take longer than rx90_line waits
@@ -109,7 +109,8 @@ def run_both_ways(
         joints = client.listen("joint_states")
         client.spin_until(lambda heard=joints: len(heard) > 2, "the newest sample again")  # type: ignore[misc]
         assert len({seconds(message) for message in joints}) == 1
-        assert client.set_parameters("rx90_sim", real_time_factor=0.6 + 0.1 * rest) == [""]
+        pace = 0.12 + 0.02 * rest if rest < rests - 1 else 1.0
+        assert client.set_parameters("rx90_sim", real_time_factor=pace) == [""]
         assert client.transition("rx90_sim", "activate")
     assert simulation.wait() == 0
     stops = re.findall("inactive: time stands still at (.*) s", simulation.output)
@@ -117,6 +118,9 @@ def run_both_ways(
     assert all(START < float(stop) < START + plan.duration for stop in stops)
     for burner in burning:
         burner.signal(signal.SIGKILL)
+    for other in others:  # what its last tick has brought about is sent after the command that the simulation waits for
+        other.signal(signal.SIGINT)
+        assert other.wait() == 0
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
     return compare_bags(folder / "recorded", folder / "closed_loop")

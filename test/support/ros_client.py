@@ -65,6 +65,15 @@ class Client:
         self.node.create_subscription(kind, topic, heard.append, depth)
         return heard
 
+    def known_to(self, *nodes: str) -> None:
+        """Wait until these nodes send to all that listens here: each may hear of a listener later than that of it.
+
+        Nodes hear of what a participant makes in the order in which it was made; the answer comes to a client that was
+        made last.
+        """
+        for node in nodes:
+            self.state(node)
+
     def spin_until(self, condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
         """Listen until a condition holds; fail the test when it does not."""
         deadline = time.monotonic() + timeout

@@ -1,7 +1,8 @@
-"""Publish all topics of the suite as its nodes do, with numbers of the tick: `publisher.py DEPTH`.
+"""Publish all topics of the suite as its nodes do, with numbers of the tick: `publisher.py DEPTH LISTENERS`.
 
 Every line on standard input, `TICKS RATE`, makes it publish ticks at a rate in Hz (0: as fast as it goes)
-once it has a subscriber; it prints where it is and `done` behind each, and ends with its input.
+once it has so many subscriptions on its topics together: who listens may know that before. It prints where it is and,
+once all has arrived, `done` behind each, and ends with its input.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import rclpy
 from rcl_interfaces.msg import ParameterEvent
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState, Temperature
@@ -44,23 +46,27 @@ def main() -> None:
     qos = QoSProfile(depth=int(sys.argv[1]))
     publishers = {topic: node.create_publisher(JointState, topic, qos) for topic in (*FAST, *SLOW)}
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    node.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    described = node.create_publisher(String, "robot_description", latched)
+    described.publish(String(data="<robot/>"))
     event = ParameterEvent(
         node="/rx90_sim", changed_parameters=[Parameter("pace", value=[2.0, 0.5]).to_parameter_msg()]
     )
     event.stamp.nanosec = 200_000_000
     for topic in ("rx90_sim/parameters", "rx90_controller/parameters"):
-        node.create_publisher(ParameterEvent, topic, latched).publish(event)
+        told = publishers[topic] = node.create_publisher(ParameterEvent, topic, latched)
+        told.publish(event)
     accepted = node.create_publisher(JointTrajectory, "rx90_controller/trajectory_accepted", latched)
     temperatures = node.create_publisher(Temperature, "temperatures", qos)
     trajectory = node.create_publisher(JointTrajectory, "rx90_controller/joint_trajectory", qos)
     fast = [publishers[topic].publish for topic in FAST]
     slow = [publishers[topic].publish for topic in SLOW]
+    each = (*publishers.values(), described, accepted, temperatures, trajectory)
+    listeners = int(sys.argv[2])
     print("there", flush=True)
     tick = 0
     for line in sys.stdin:
         ticks, rate = map(int, line.split())
-        while not any(publisher.get_subscription_count() for publisher in publishers.values()):
+        while sum(publisher.get_subscription_count() for publisher in each) < listeners:
             time.sleep(0.01)
         message = JointTrajectory(joint_names=list(NAMES))
         message.header.stamp.nanosec = 100_000_000
@@ -70,6 +76,8 @@ def main() -> None:
         temperatures.publish(warm)
         publish(range(tick, tick + ticks), rate, fast, slow)
         tick += ticks
+        for publisher in each:
+            publisher.wait_for_all_acked(Duration(seconds=60.0))
         print("done", flush=True)
 
 

@@ -107,9 +107,9 @@ def start_recorder(start: Start, output: Path, *arguments: str, **options: Any) 
     return start("-m", "rx90_emulator", "rx90_bag", "record", "-o", str(output), *arguments, **options)
 
 
-def start_publisher(start: Start, depth: int = 20_000) -> Process:
-    """Start the publisher and wait until its topics are there."""
-    publisher = start(str(Path(__file__).parent / "publisher.py"), str(depth))
+def start_publisher(start: Start, depth: int = 20_000, listeners: int = 1) -> Process:
+    """Start the publisher, which waits for so many subscriptions before it publishes; its topics are there then."""
+    publisher = start(str(Path(__file__).parent / "publisher.py"), str(depth), str(listeners))
     publisher.wait_for("there")
     return publisher
 
@@ -123,7 +123,7 @@ def catches_sigterm(process: Process) -> bool:
 
 def record_suite(start: Start, folder: Path, storage: str) -> Path:
     """Record a run of the publisher with the default topics; return the bag."""
-    publisher = start_publisher(start)
+    publisher = start_publisher(start, listeners=len(SUITE_TOPICS))
     recorder = start_recorder(start, folder / "bag", "--storage", storage)
     recorder.wait_for(f"ready: all {len(SUITE_TOPICS)} topics are matched")
     publisher.tell(f"{TICKS} 4000")
@@ -323,6 +323,7 @@ take = stream.Stream.take
 def stuck(self):
     taken = take(self)
     if self.counter.received == 400 and not len(taken.messages):
+        print("stuck", flush=True)
         threading.Event().wait()
     return taken
 stream.Stream.take = stuck
@@ -335,7 +336,7 @@ def test_a_middleware_that_does_not_return_ends_the_recorder(tmp_path: Path, sta
     """When a call into DDS never returns, Ctrl-C still leaves a whole bag; the recorder says so and ends with 3."""
     publisher, recorder = start_recorded_by(STUCK, tmp_path / "bag", start)
     publisher.tell("400 4000")
-    publisher.wait_for("done")
+    recorder.wait_for("stuck")
     recorder.signal(signal.SIGINT)
     code, out, err = recorder.finish()
     assert (code, out) == (3, "")

@@ -47,7 +47,7 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     done = processes.run("rx90_line", *line)
     assert done.returncode == 0, done.stderr
     assert "time stands still at 0 s: the arm moves when it runs on" in done.stdout
-    assert "a trajectory waits for the simulation's first tick" in controller.output
+    controller.wait_for("a trajectory waits for the simulation's first tick")
     client.asking.call(SetBool, "/cell_1/rx90_sim/pause", SetBool.Request(data=False))
     controller.wait_for("ready: rx90b, .* trajectories on /cell_1/rx90_controller/joint_trajectory")
     controller.wait_for("trajectory accepted")
@@ -56,6 +56,10 @@ def test_a_paused_pair_is_heard_and_takes_a_trajectory(processes: Processes, cli
     client.spin_until(lambda: len(raw) > 5 and len(set(raw[-4:])) == 1, "the last sample again and again")
     assert len(set(sampled)) > 1
     assert {cdr_stamp_ns(sample) % 10_000_000 for sample in sampled} == {0}  # a hundred times a second
-    names = {(status.name, status.hardware_id) for message in diagnostics for status in message.status}
-    assert names == {(f"cell_1/{node}", "cell_1/rx90_emulator") for node in ("rx90_sim", "rx90_controller")}
+
+    def names() -> set[tuple[str, str]]:
+        return {(status.name, status.hardware_id) for message in diagnostics for status in message.status}
+
+    client.spin_until(lambda: len(names()) >= 2, "diagnostics of both nodes")
+    assert names() == {(f"cell_1/{node}", "cell_1/rx90_emulator") for node in ("rx90_sim", "rx90_controller")}
     assert simulation.output.count("ready: ") == controller.output.count("ready: ") == 1

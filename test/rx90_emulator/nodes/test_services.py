@@ -17,6 +17,7 @@ def test_step_runs_exactly_the_ticks_asked_for_and_reset_begins_again(processes:
     processes.start("rx90_sim", *PAUSED)
     processes.start("rx90_controller")
     states = client.listen("motor_states")
+    client.known_to("rx90_sim", "rx90_controller")  # which are up then: a step waits five seconds for its commands
     for _ in range(2):
         client.simulation.step()
     client.spin_until(lambda: len({seconds(m) for m in states}) == 16, "16 ticks")

@@ -18,7 +18,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from full_friction import write_with_parts
 from processes import Processes, on_own_domain, running_processes
-from ros_client import JOINTS, Client
+from ros_client import JOINTS, Client, seconds
 from rosbags.highlevel import AnyReader
 from warm_start import WarmPopen
 
@@ -28,6 +28,7 @@ from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.tables import comparison_text
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.share import config_path
+from rx90_common.process.children import ChildProcess
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.cli.frame import run
@@ -119,10 +120,10 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
             *("-p", f"friction:={folder / 'friction.yaml'}", "-p", f"seed:={SEED}"),
             *("-p", f"initial_position:={POSE.tolist()}", "-p", f"temperature_rate:={RATE}"),
         )  # fmt: skip
-        processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
-        _record(processes, client, folder / "first")
+        controller = processes.start("rx90_controller", "--ros-args", "-p", f"drives:={folder / 'drives.yaml'}")
+        _record(processes, client, controller, folder / "first")
         client.simulation.reset()
-        _record(processes, client, folder / "second")
+        _record(processes, client, controller, folder / "second")
         heard = client.listen("/diagnostics", DiagnosticArray)
         assert client.set_parameters("rx90_sim", real_time_factor=0.05) == [""]
         client.simulation.pause(False)
@@ -136,16 +137,21 @@ def story(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Story]:
         yield Story(folder, setup, simulation.output, status)
 
 
-def _record(processes: Processes, client: Client, bag: Path) -> None:
+def _record(processes: Processes, client: Client, controller: ChildProcess, bag: Path) -> None:
     """Record a run that begins at time 0, of a trajectory that is sent in its midst."""
     recorder = processes.start("rx90_bag", "record", "--output", bag)
     recorder.wait_for("ready: all")
+    reference = client.listen("rx90_controller/reference", depth=1)
+    client.known_to("rx90_controller")
     client.simulation.step()
     sender = TrajectoryClient(client.asking, "rx90_controller")
     sender.wait_for_controller()
     sender.send(JOINTS, THERE, START)
+    controller.wait_for("trajectory accepted")  # it has come, but ticks and messages have a thread each
     for _ in range(STEPS - 1):
         client.simulation.step()
+    # The controller publishes after its command, with which the step is done.
+    client.spin_until(lambda: bool(reference) and seconds(reference[-1]) > DURATION - 1.5e-3, "the last set-point")
     recorder.signal(signal.SIGINT)
     assert recorder.wait() == 0
 

@@ -62,10 +62,8 @@ class Run:
         self._clients = [GoalClient(client), GoalClient(client)]
         self._time = Stepper(client, STEP)
         self._heard: list[bytes] = []
-        self._topic = client.node.create_subscription(
-            JointState, "rx90_controller/reference", self._heard.append, 5000, raw=True
-        )
-        client.spin_until(lambda: self._topic.get_publisher_count() > 0, "the set-points")
+        client.node.create_subscription(JointState, "rx90_controller/reference", self._heard.append, 5000, raw=True)
+        client.known_to("rx90_controller")
         self._time.run(STEP)
         self._generator = np.random.default_rng(SEED)
         self.sent: list[Sent] = []

@@ -149,8 +149,7 @@ def test_cancelling_before_the_start_and_after_the_end(bench: Bench) -> None:
     from action_client import move
 
     bench.home()
-    handle = bench.goals.send(move(0.1, 0.5, start=bench.now + 0.2))
-    result = bench.goals.result_of(handle)
+    handle, result = bench.begin(move(0.1, 0.5, start=bench.now + 0.2))
     bench.time.run(0.05)
     bench.goals.cancel(handle)
     assert bench.goals.wait(result).status == CANCELED

@@ -60,6 +60,7 @@ def test_a_goal_is_followed_better_by_a_model_of_the_friction(bench: Bench) -> N
         bench.home()
         ended = bench.follow(move(0.05, 0.4, start=bench.now + STEP))
         assert (ended.status, ended.result.error_code) == (SUCCEEDED, 0)
+        bench.client.spin_until(lambda: len(bench.goals.feedback) >= 8, "what was told of it")
         return max(float(np.abs(feedback.error.positions).max()) for feedback in bench.goals.feedback)
 
     without = worst()
