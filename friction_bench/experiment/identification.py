@@ -161,14 +161,17 @@ def identify_ramps(records: Sequence[RampRecord], scale_uncertainty: float) -> R
     if len(slopes_of(window.record for window in windows)) < 2:
         return _one_slope(records, scale_uncertainty)
     fit = fit_sliding(windows)
-    bent = _bent([window.record for window in windows], fit)
+    asymptotes, bent = _asymptotes([window.record for window in windows], fit)
     if bent:
         unused += bent.values()
         windows = [window for window in windows if window.record.label not in bent]
         if len(slopes_of(window.record for window in windows)) < 2:
             raise IdentificationError(unused[0] + _and_more(unused))
         fit = fit_sliding(windows)
-    return _from_fit(windows, fit, scale_uncertainty, tuple(unused))
+    _refuse_unphysical(fit)
+    if bent:
+        asymptotes = [_asymptote(window.record, fit) for window in windows]
+    return _from_fit(windows, fit, asymptotes, scale_uncertainty, tuple(unused))
 
 
 def _windows(records: Sequence[RampRecord]) -> tuple[list[SlidingWindow], list[str]]:
@@ -206,15 +209,17 @@ def _one_slope(records: Sequence[RampRecord], scale: float) -> RampIdentificatio
     return RampIdentification(tuple(ramps), source, None, None, 1.0, None, tuple(unused))
 
 
-def _bent(records: Sequence[RampRecord], fit: RampsFit) -> dict[str, str]:
-    """Return by label why the velocity of a ramp follows no straight asymptote, of the ramps long enough to tell."""
+def _asymptotes(records: Sequence[RampRecord], fit: RampsFit) -> tuple[list[RampFit | None], dict[str, str]]:
+    """Return the asymptotes, None for a ramp that is too short or bent, and by label why a velocity is no line."""
+    found: list[RampFit | None] = []
     reasons = {}
     for record in records:
         try:
-            _asymptote(record, fit)
+            found.append(_asymptote(record, fit))
         except IdentificationError as error:
+            found.append(None)
             reasons[record.label] = str(error)
-    return reasons
+    return found, reasons
 
 
 def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
@@ -226,20 +231,28 @@ def _asymptote(record: RampRecord, fit: RampsFit) -> RampFit | None:
         return None
 
 
-def _from_fit(
-    windows: Sequence[SlidingWindow], fit: RampsFit, scale: float, unused: tuple[str, ...]
-) -> RampIdentification:
-    coulomb, viscous, inertia = (float(value) for value in fit.values)
+def _refuse_unphysical(fit: RampsFit) -> None:
+    _, viscous, inertia = (float(value) for value in fit.values)
     if not (viscous > 0.0 and inertia > 0.0):
         raise IdentificationError(
             f"the ramps give a viscous friction of {viscous:.3g} Nm s/rad and an inertia of {inertia:.3g} kg m²; "
             "accepted: > 0"
         )
+
+
+def _from_fit(
+    windows: Sequence[SlidingWindow],
+    fit: RampsFit,
+    of_ramps: Sequence[RampFit | None],
+    scale: float,
+    unused: tuple[str, ...],
+) -> RampIdentification:
+    coulomb, viscous, inertia = (float(value) for value in fit.values)
     ramps = []
-    for window, velocity in zip(windows, fit.velocities, strict=True):
+    for window, velocity, asymptote in zip(windows, fit.velocities, of_ramps, strict=True):
         model = RampModel(coulomb, viscous, inertia, window.record.slope)
         start = break_away(window.record, model)
-        ramps.append(UsedRamp(window.record, start, window.time, velocity, _asymptote(window.record, fit)))
+        ramps.append(UsedRamp(window.record, start, window.time, velocity, asymptote))
     asymptotes = [ramp.asymptote for ramp in ramps if ramp.asymptote is not None]
     square, freedom = fit.chi_square()
     return RampIdentification(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ class RampRecord:
         if not self.angle_step > 0.0:
             raise RecordError(f"{self.label}: encoder step is {self.angle_step:g} rad; accepted: a number > 0")
 
-    @property
+    @cached_property
     def tick(self) -> float:
         """Return the usual time between readings, s."""
         return float(np.median(np.diff(self.time)))

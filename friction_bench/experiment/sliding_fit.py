@@ -179,7 +179,7 @@ def fit_sliding(windows: Sequence[SlidingWindow]) -> RampsFit:
     values = sum(w * v for w, v, _ in used)
     covariance = sum(w * (c + np.outer(v - values, v - values)) for w, v, c in used)
     best = cells[int(np.argmax(weights))]
-    grams = np.array([part.gram for part in fit.parts(best.point, best.stribeck, noise)])
+    grams = np.array([part.gram for part in fit.parts(best.point, _shares(best.point, best.stribeck), noise)])
     likely = 1.0 - float(weights[0])
     return RampsFit(np.asarray(values), np.asarray(covariance), likely, best.point.speeds, best.point.shared, grams)
 
@@ -224,7 +224,7 @@ class _Fit:
         """Return the intensity of the torque noise by restricted maximum likelihood, after any Stribeck effect."""
         T = float(point.shared[2])
         halves = []
-        for window, whole in zip(self.windows, self._columns(point, Stribeck()), strict=True):
+        for window, whole in zip(self.windows, self._columns(point, _shares(point, Stribeck())), strict=True):
             half = window.time.size // 2
             time, columns = window.time[half:], whole[:, half:].copy()
             columns[SPEED] = -T * np.expm1(-(time - time[0]) / T)  # of a velocity that is free at the half
@@ -240,11 +240,11 @@ class _Fit:
         best = min(NOISE_RANGE, key=misfit)
         return math.exp(float(minimize_scalar(misfit, bounds=(best - 2.0, best + 2.0), method="bounded").x))
 
-    def _columns(self, point: _Point, stribeck: Stribeck) -> list[Array]:
+    def _columns(self, point: _Point, shares: Sequence[Array]) -> list[Array]:
         """Return the rows of `derivatives` for each ramp."""
         return [
-            derivatives(window.time, window.angle, window.torque, stribeck.share(speeds), point.shared, start)
-            for window, speeds, start in zip(self.windows, point.speeds, point.starts, strict=True)
+            derivatives(window.time, window.angle, window.torque, share, point.shared, start)
+            for window, share, start in zip(self.windows, shares, point.starts, strict=True)
         ]
 
     def _part(self, time: Array, columns: Array, T: float, noise: float) -> _Part:
@@ -252,14 +252,15 @@ class _Fit:
         gram, starts, more = eliminate(white)
         return _Part(gram, starts, determinant + more)
 
-    def parts(self, point: _Point, stribeck: Stribeck, noise: float) -> list[_Part]:
+    def parts(self, point: _Point, shares: Sequence[Array], noise: float) -> list[_Part]:
         """Reduce each ramp to what it says about the shared parameters."""
-        pairs = zip(self.windows, self._columns(point, stribeck), strict=True)
+        pairs = zip(self.windows, self._columns(point, shares), strict=True)
         return [self._part(window.time, columns, float(point.shared[2]), noise) for window, columns in pairs]
 
     def _step(self, point: _Point, stribeck: Stribeck, noise: float, used: list[int]) -> _Cell:
         """Take one Gauss-Newton step in the parameters `used`; T changes at most by a factor of two."""
-        parts = self.parts(point, stribeck, noise)
+        shares = _shares(point, stribeck)
+        parts = self.parts(point, shares, noise)
         gram = np.sum([part.gram for part in parts], axis=0)
         indices = np.array(used) - 1
         prior = np.zeros(4)
@@ -276,9 +277,14 @@ class _Fit:
         shared[2] = np.clip(shared[2], max(T / 2, self.shortest), 2 * T)
         speeds = []
         for k, window in enumerate(self.windows):
-            final = shared[0] * window.torque - shared[1] - shared[3] * stribeck.share(point.speeds[k])
+            final = shared[0] * window.torque - shared[1] - shared[3] * shares[k]
             speeds.append(respond(window.time, final, starts[k, 1], shared[2])[1])
         return _Cell(stribeck, _Point(shared, starts, speeds), covariance, evidence)
+
+
+def _shares(point: _Point, stribeck: Stribeck) -> list[Array]:
+    """Return what is left of a Stribeck effect in each ramp at a point."""
+    return [stribeck.share(speeds) for speeds in point.speeds]
 
 
 def _solve(gram: Array, used: list[int], prior: Array, at: Array) -> tuple[Array, Array, float]:

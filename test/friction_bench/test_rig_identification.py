@@ -232,6 +232,25 @@ def saturating(duration: float) -> RampRecord:
     return replace(record, angle=np.cumsum(speed))
 
 
+def test_a_bent_ramp_is_left_out_as_if_it_had_not_been_run() -> None:
+    """One ramp of five whose velocity bends is named; each of the others has its own asymptote, by T without it."""
+    slopes = (0.03, 0.05, 0.03, 0.05)
+    straight = [ideal_record(replace(MODEL, slope=m), 20.0, label=f"ramp {k}") for k, m in enumerate(slopes)]
+    speed = np.diff(straight[1].angle, prepend=0.0)
+    speed[500:] -= 0.1 * (speed[500:] - speed[500])
+    found = identify_ramps([replace(straight[1], angle=np.cumsum(speed), label="bent"), *straight], 0.0)
+    assert [reason.partition(":")[0] for reason in found.unused] == ["bent"]
+    assert [ramp.record.label for ramp in found.ramps] == [record.label for record in straight]
+    assert found.exact is not None
+    assert found.exact.inertia is not None
+    T = found.exact.inertia.value / found.exact.viscous.value
+    for ramp in found.ramps:
+        own = fit_asymptote(ramp.record, T)
+        assert ramp.asymptote is not None
+        assert ramp.asymptote.record is ramp.record
+        assert (ramp.asymptote.a, ramp.asymptote.b) == pytest.approx((own.a, own.b), rel=1e-12)
+
+
 def with_torques(command: Callable[[Any], Any], measured: Callable[[Any], Any]) -> RampRecord:
     """Return an ideal ramp with these torque columns."""
     record = ideal_record(MODEL, 10.0)

@@ -197,7 +197,7 @@ def listener(ros_domain: int, request: pytest.FixtureRequest) -> Iterator[Listen
 
 @pytest.fixture
 def start_line(ros_domain: int) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Return a function that starts `rx90_line` on the reference task; what is left of it is ended."""
+    """Return a function that starts `rx90_line` on the reference task, cold but for tests with `warm`; it is ended."""
     assert ros_domain
     started: list[subprocess.Popen[str]] = []
 
@@ -246,6 +246,7 @@ def test_a_controller_that_comes_later_gets_the_whole_trajectory(
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("warm")
 def test_approach_comes_first_where_the_arm_stands_elsewhere(
     shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
 ) -> None:
@@ -268,6 +269,7 @@ def test_approach_comes_first_where_the_arm_stands_elsewhere(
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("warm")
 def test_without_approach_an_arm_elsewhere_is_refused(
     shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]
 ) -> None:
@@ -284,6 +286,7 @@ def test_without_approach_an_arm_elsewhere_is_refused(
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("warm")
 def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.Popen[str]]) -> None:
     """Without a controller the tool gives up with one line and status 3."""
     process = start_line("--start-time", "1", "--timeout", "1")
@@ -293,6 +296,7 @@ def test_no_controller_within_the_timeout(start_line: Callable[..., subprocess.P
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("warm")
 def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) -> None:
     """Ctrl-C ends the wait with one line, no traceback, and status 130."""
     process = start_line("--timeout", str(PATIENCE))
@@ -307,6 +311,7 @@ def test_ctrl_c_while_waiting(start_line: Callable[..., subprocess.Popen[str]]) 
 
 
 @pytest.mark.ros
+@pytest.mark.usefixtures("warm")
 @pytest.mark.parametrize("listener", ["/cell"], indirect=True)
 def test_a_controller_in_a_namespace_has_its_arm_beside_it(
     shipped: Setup, listener: Listener, start_line: Callable[..., subprocess.Popen[str]]

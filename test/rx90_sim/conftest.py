@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +17,6 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.decoupled import decoupled_setup, negligible_element
 from rx90_common.base.rates import Rates
-from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
@@ -35,12 +36,18 @@ class ArmOracle:
 
     setup: Setup
 
+    @cached_property
+    def _data(self) -> Any:
+        """Return Pinocchio's workspace: one for all calls of a solver."""
+        return self.setup.robot.model.createData()
+
     def mass_and_bias(self, q: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-        """Return M with rotors and coupling, and h with the spring: the answers to unit accelerations, and to none."""
-        robot, drives = self.setup.robot, self.setup.drives
-        state = (np.tile(np.asarray(x, float), (7, 1)) for x in (q, v))
-        torque = rigid_torque(robot.model, drives.rotor_matrix, drives.spring_torque, *state, np.eye(7, 6, -1))
-        return (torque[1:] - torque[0]).T, torque[0]
+        """Return M with rotors and coupling, and h with the spring."""
+        model, drives, position = self.setup.robot.model, self.setup.drives, np.asarray(q, float)
+        upper = np.triu(pin.crba(model, self._data, position))
+        links = upper + np.triu(upper, 1).T
+        bias = pin.nonLinearEffects(model, self._data, position, np.asarray(v, float))
+        return links + drives.rotor_matrix, bias + drives.spring_torque * np.sin(position)
 
     def energy(self, q: Array, v: Array) -> float:
         """Return kinetic energy (rotors included) plus potential energy (spring included), J."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,14 @@ class LuGreOracle:
 
     elements: Sequence[FrictionElement]
 
+    @cached_property
+    def _table(self) -> dict[str, Array]:
+        """Return the elements' values by name, each shape (n,): a solver asks for them a hundred thousand times."""
+        names = [field.name for field in fields(FrictionElement) if field.type == "float"]
+        return {name: np.array([getattr(element, name) for element in self.elements]) for name in names}
+
     def _values(self, name: str) -> Array:
-        return np.array([getattr(element, name) for element in self.elements])
+        return self._table[name]
 
     def stribeck(self, v: Array) -> Array:
         """Return c0 g(v), equation 19."""
