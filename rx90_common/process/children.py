@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
 from collections.abc import Sequence
@@ -20,6 +22,8 @@ from rx90_common.process.interrupts import interrupts_later
 
 TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
+
+_LAST_LINES_S = 10.0  # the longest wait, after the end, for what had been printed before
 
 _started: WeakSet[ChildProcess] = WeakSet()
 
@@ -124,8 +128,21 @@ class ChildProcess:
             code = self._process.wait(timeout)
         except subprocess.TimeoutExpired as error:
             raise ProcessError(f"the {self.name} did not end within {timeout:g} s: {self._last_line()}") from error
-        self._reader.join(1.0)  # what it has started may live on and hold the stream open
+        self._hear_the_rest()
         return code
+
+    def _hear_the_rest(self) -> None:
+        """Wait until what it had printed is read: not for the stream's end, which what it has started may keep open."""
+        deadline = time.monotonic() + _LAST_LINES_S
+        unread = True
+        while unread and self._reader.is_alive() and time.monotonic() < deadline:
+            self._reader.join(1.0)  # also for what is read, but not yet among the lines
+            unread = self._reader.is_alive() and self._bytes_in_the_pipe() > 0
+
+    def _bytes_in_the_pipe(self) -> int:
+        assert self._process.stdout is not None
+        count = fcntl.ioctl(self._process.stdout.fileno(), termios.FIONREAD, bytes(4))
+        return int.from_bytes(count, sys.byteorder)
 
     def expect_success(self, timeout: float = TIMEOUT) -> None:
         """Wait for the end.

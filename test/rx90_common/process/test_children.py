@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import processes as module
@@ -14,7 +15,7 @@ import pytest
 from processes import Processes, own_domain, wait_until
 
 from rx90_common.base.errors import ProcessError
-from rx90_common.process.children import ProcessGroup
+from rx90_common.process.children import ChildProcess, ProcessGroup
 
 STUBBORN = """
 import os, signal, time
@@ -53,6 +54,23 @@ def test_a_process_that_ignores_ctrl_c_is_killed_with_its_children() -> None:
     child = int(stubborn.wait_for(r"child (\d+)")[1])
     assert started.end() == [stubborn.name]
     wait_until(lambda: ended(child) and ended(stubborn.pid), "both processes to be gone", 10.0)
+
+
+def test_the_last_lines_of_a_process_are_there_once_it_has_ended(tmp_path: Path) -> None:
+    """Where this process is late at reading them, too: here its log cannot be opened for two seconds."""
+    os.mkfifo(tmp_path / "log")
+    child = ChildProcess("late", [sys.executable, "-c", "print('first'); print('last')"], tmp_path / "log")
+    opened = threading.Timer(2.0, (tmp_path / "log").read_text)
+    opened.start()
+    assert (child.wait(), child.lines) == (0, ["first", "last"])
+    opened.join()
+
+
+def test_an_end_does_not_wait_for_who_holds_the_stream_open() -> None:
+    """What a process has started may live on with its output; what the process itself had said is there."""
+    child = ChildProcess("parent", ["sh", "-c", "echo last; sleep 600 & exit 3"])
+    assert (child.wait(), child.lines) == (3, ["last"])
+    os.killpg(child.pid, signal.SIGKILL)
 
 
 def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) -> None:
