@@ -25,13 +25,6 @@ LAST_DOMAIN = 101  # the ports of higher ones reach into the range for outgoing 
 PORTS = 20  # that the first ten participants of a domain take, two each
 
 
-def _own_domains() -> range:
-    """Return the domains of this worker: those that run beside it have others."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    share = LAST_DOMAIN // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    return range(1 + worker * share, 1 + (worker + 1) * share)
-
-
 _domains = itertools.count(os.getpid())
 
 
