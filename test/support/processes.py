@@ -23,8 +23,6 @@ from rx90_common.process.children import TIMEOUT, ChildProcess, ProcessGroup, ex
 END_TIMEOUT = 30.0
 LAST_DOMAIN = 101  # the ports of higher ones reach into the range for outgoing connections
 PORTS = 20  # that the first ten participants of a domain take, two each
-
-
 _domains = itertools.count(os.getpid())
 
 
@@ -79,6 +77,13 @@ def wait_until(condition: Callable[[], bool], what: str, timeout: float = TIMEOU
         if time.monotonic() > deadline:
             pytest.fail(f"waited {timeout:g} s in vain for {what}")
         time.sleep(0.01)
+
+
+def open_files(pid: int | str = "[0-9]*") -> Iterator[str]:
+    """Yield the path of every file and socket that a process has open, or any; some may be closed meanwhile."""
+    for link in Path("/proc").glob(f"{pid}/fd/*"):
+        with contextlib.suppress(OSError):
+            yield str(link.readlink())
 
 
 class Processes:

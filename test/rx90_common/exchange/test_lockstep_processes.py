@@ -6,13 +6,12 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from exchange_peer import expected
-from processes import Processes
+from processes import Processes, open_files
 
 from rx90_common.process.children import ChildProcess
 
@@ -33,13 +32,6 @@ def waits_since(process: ChildProcess, line: str) -> list[str]:
     """Return what a simulation has said of waiting behind a line: at the start its controller may take long."""
     lines = process.lines
     return [each for each in lines[lines.index(line) :] if "waiting" in each or "stands still" in each]
-
-
-def open_files(process: ChildProcess) -> Iterator[str]:
-    """Yield what a process has open; some of it may be closed meanwhile."""
-    for path in Path(f"/proc/{process.pid}/fd").iterdir():
-        with suppress(OSError):
-            yield str(path.readlink())
 
 
 def assert_quiet(*running: ChildProcess) -> None:
@@ -131,7 +123,7 @@ def test_dds_stays_on_loopback_and_leaves_no_shared_memory(start: Start) -> None
     """With the range LOCALHOST a node's UDP sockets are bound to 127.0.0.1 alone, and /dev/shm is not used."""
     controller = start("control")
     controller.wait_for("controller up")
-    inodes = {link[8:-1] for link in open_files(controller) if link.startswith("socket:[")}
+    inodes = {link[8:-1] for link in open_files(controller.pid) if link.startswith("socket:[")}
     bound = {
         fields[1].split(":")[0]
         for table in ("udp", "udp6")

@@ -6,14 +6,13 @@ import os
 import re
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from processes import Processes, wait_until
+from processes import Processes, open_files, wait_until
 from schema_faults import schema_faults
 
 from rx90_common.bags.reading import read_joint_states
@@ -217,10 +216,3 @@ def interrupt_once(bag: Path) -> None:
     """Send this process a Ctrl-C as soon as a bag is there."""
     wait_until(bag.exists, "the last bag")
     os.kill(os.getpid(), signal.SIGINT)
-
-
-def open_files() -> Iterator[str]:
-    """Yield the path of every file that a process has open."""
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError):
-            yield str(link.readlink())
