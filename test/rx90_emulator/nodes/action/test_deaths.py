@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import struct
 import sys
 import time
 from collections.abc import Iterator
@@ -19,7 +18,8 @@ from ros_client import JOINTS, Client
 from sensor_msgs.msg import JointState
 from warm_start import WarmPopen
 
-from rx90_common.base.stamps import message_time_ns
+from rx90_common.base.rates import NANOSECONDS
+from rx90_common.base.stamps import cdr_stamp_ns, message_time_ns
 from rx90_common.process.children import ChildProcess
 
 pytestmark = pytest.mark.ros
@@ -28,17 +28,12 @@ PAGE = Path(__file__).parents[4] / "docs/howto/action.md"
 STEP = 0.01
 START, END = 0.3, 0.8
 """When the first goal begins, and up to when both runs are compared, s of simulated time."""
+START_NS, END_NS = round(START * NANOSECONDS), round(END * NANOSECONDS)
 TOLD = 8
 """How often its client hears how it goes: every 0.05 s, from its first tick to the last but one."""
 SIMULATION = ("-p", "real_time_factor:=0.0", "-p", "paused:=true", "-p", f"step_ticks:={round(STEP * 4000)}")
 OPTIONS = ("allow_partial_joints_goal", "allow_nonzero_velocity_at_trajectory_end", "allow_trajectory_replacement")
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
-
-
-def stamp_of(message: bytes) -> float:
-    """Return the stamp of a message that is not taken apart, s: CDR has it behind its head of four bytes."""
-    sec, nanosec = struct.unpack_from("<iI", message, 4)
-    return round(sec + nanosec * 1e-9, 6)
 
 
 class Pair:
@@ -73,11 +68,11 @@ class Pair:
         ended = self.time.until(result)
         self.time.run(END + STEP - self.time.ran)
         for topic, messages in heard.items():
-            self.client.spin_until(lambda m=messages: bool(m) and stamp_of(m[-1]) >= END, f"the end of {topic}")  # type: ignore[misc]
+            self.client.spin_until(lambda m=messages: bool(m) and cdr_stamp_ns(m[-1]) >= END_NS, f"the end of {topic}")  # type: ignore[misc]
         self.client.spin_until(lambda: len(self.goals.feedback) >= TOLD, "the last that was told of the goal")
         # While time stands still the newest sample comes again and again.
         once = {
-            topic: [message for message in dict.fromkeys(messages) if START <= stamp_of(message) <= END]
+            topic: [message for message in dict.fromkeys(messages) if START_NS <= cdr_stamp_ns(message) <= END_NS]
             for topic, messages in heard.items()
         }
         return [once, ended, self.goals.feedback]
@@ -229,8 +224,8 @@ def test_a_stamped_goal_gives_the_same_bits_in_every_run(
     with started(tmp_path) as other:
         (messages, ended, feedback), (first_messages, first_ended, first_feedback) = other.begun(), first_run
         for topic, count in (("joint_states", 501), ("rx90_controller/controller_state", 26)):
-            stamps = [stamp_of(message) for message in messages[topic]]
-            assert (len(stamps), stamps) == (count, [stamp_of(message) for message in first_messages[topic]])
+            stamps = [cdr_stamp_ns(message) for message in messages[topic]]
+            assert (len(stamps), stamps) == (count, [cdr_stamp_ns(message) for message in first_messages[topic]])
             assert [i for i in range(count) if messages[topic][i] != first_messages[topic][i]] == []
         assert (ended.status, ended) == (SUCCEEDED, first_ended)
         assert len(feedback) == TOLD
