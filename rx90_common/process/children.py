@@ -134,10 +134,9 @@ class ChildProcess:
     def _hear_the_rest(self) -> None:
         """Wait until what it had printed is read: not for the stream's end, which what it has started may keep open."""
         deadline = time.monotonic() + _LAST_LINES_S
-        unread = True
-        while unread and self._reader.is_alive() and time.monotonic() < deadline:
-            self._reader.join(1.0)  # also for what is read, but not yet among the lines
-            unread = self._reader.is_alive() and self._bytes_in_the_pipe() > 0
+        self._reader.join(1.0)  # also for what is read, but not yet among the lines
+        while self._reader.is_alive() and self._bytes_in_the_pipe() and time.monotonic() < deadline:
+            self._reader.join(1.0)
 
     def _bytes_in_the_pipe(self) -> int:
         assert self._process.stdout is not None
