@@ -22,9 +22,10 @@ from rx90_common.base.requirements import missing_module
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.loop.setup import Setup
 
-# The same examples in each run, however slow the machine: a failure comes from a change. New ones are searched for by
-# `--hypothesis-profile=default`.
-settings.register_profile("same", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# However slow the machine, and with the same examples in each run, so that a failure comes from a change.
+# `--hypothesis-profile=new` searches for others.
+settings.register_profile("new", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("same", settings.get_profile("new"), derandomize=True)
 settings.load_profile("same")
 
 pytest_plugins = ["browser", "report_pages", "processes", "lugre_oracle"]

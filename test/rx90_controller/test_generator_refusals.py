@@ -182,7 +182,7 @@ def test_an_arm_beyond_a_limit_is_not_led_further_out() -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_wherever_it_is_stopped_an_accepted_motion_stays_within_the_limits(data: st.DataObject) -> None:
     """Between any two set-points the accelerations are kept, and braking finds room before the position limits."""
     values = st.floats(-1.0, 1.0)

@@ -55,7 +55,7 @@ class Reference:
             self.waiting = max(begin, tick + count) if resting else begin + count, length, alone
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(st.data())
 def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
     """However trajectories, delays, resets and blocks follow each other, set-points are those of the rules."""
@@ -94,7 +94,7 @@ def test_random_requests_give_what_the_rules_say(data: st.DataObject) -> None:
     start=st.integers(0, 900),
     seconds=st.floats(0.3, 1.2),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_block_equals_the_same_ticks_one_by_one(blocks: list[int], start: int, seconds: float) -> None:
     """However the ticks are grouped, the set-points are the same to the last bit."""
 

@@ -154,7 +154,7 @@ def test_refusals_count_the_points_as_they_were_sent(generator: TrajectoryGenera
 
 
 @given(at=st.integers(1, 999), factor=st.sampled_from([1.0, 0.6, 0.05, 0.0]), ahead=st.sampled_from([0, 0, 150]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_replacement_is_continuous_at_any_speed(at: int, factor: float, ahead: int) -> None:
     """Joined anywhere to a running motion at any scaling, now or later, position and velocity go on without a jump."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
@@ -174,7 +174,7 @@ REQUESTS = ("join", "join", "accept", "scale", "scale", "halt", "stop", "delay")
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_whatever_is_asked_for_the_accelerations_are_kept(seed: int) -> None:
     """However trajectories, scalings, stops and delays follow each other: taken within the limits, or refused."""
     rng = np.random.default_rng(seed)

@@ -89,7 +89,7 @@ def test_a_trajectory_from_rest_is_that_of_a_slower_clock(factor: float) -> None
 
 @given(changes=st.lists(st.tuples(st.integers(1, 250), st.sampled_from([0.0, 0.02, 0.4, 0.9, 1.0])), max_size=8))
 @example(changes=[(1, 0.0)])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_whenever_the_speed_changes_the_path_and_the_limits_are_kept(changes: list[tuple[int, float]]) -> None:
     """Along a curved path at any scaling, changed at any time, set-points lie on it and step within the limits."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
@@ -273,7 +273,7 @@ def test_the_state_is_known_for_every_time(generator: TrajectoryGenerator) -> No
 
 
 @given(at=st.integers(1, 1299), factor=st.sampled_from([1.0, 1.0, 0.4, 0.0]))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_stop_along_the_path_keeps_to_it_and_to_the_limits(at: int, factor: float) -> None:
     """Halted anywhere at any speed, the arm rests on the path, within three times the time of the quickest stop."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)

@@ -27,7 +27,7 @@ class Theirs(Writer):
 CHANNELS = (("/a", "std_msgs/msg/String"), ("/b", "sensor_msgs/msg/JointState"), ("/c", "std_msgs/msg/String"))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(st.lists(st.lists(st.binary(max_size=20))), st.data())
 def test_messages_are_kept_as_they_are(groups: list[list[bytes]], data: st.DataObject) -> None:
     """Joined and taken in any order, messages of any length, also 0, stay whole and keep their stamps."""

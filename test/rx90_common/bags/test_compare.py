@@ -44,7 +44,7 @@ def value_of(result: TopicComparison, joint: str, field: str) -> Any:
     return next(v for v in result.values if (v.joint, v.field) == (joint, field))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.permutations(range(3)), st.integers(0, 19), st.integers(0, 2), st.floats(1e-12, 1e3), st.data())
 def test_one_change_is_found(order: list[int], row: int, column: int, step: float, data: Any) -> None:
     """In any order of joints and messages, one changed number gives its distance, its time and its RMS."""
@@ -322,7 +322,7 @@ def test_ros1_bag_against_ros2_bag(tmp_path: Path, storage: str) -> None:
     assert run("rx90_bag", ["compare", str(c), str(d)]) == 2
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(*[st.lists(st.integers(0, 12), min_size=1, max_size=12)] * 2)
 def test_counts_of_stamps(stamps_a: list[int], stamps_b: list[int]) -> None:
     """For any stamps, also repeated ones, pairs, missing and outside messages are those of sets of stamps."""

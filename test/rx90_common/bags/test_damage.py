@@ -289,9 +289,8 @@ def mcap_of_a_chunk(compression: str, content: bytes, size: int) -> bytes:
     return MAGIC + body + MAGIC
 
 
-@settings(
-    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
+# The list stands for that of the profile.
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.data())
 @pytest.mark.parametrize("kind", [*STORAGES, "ros1"])
 def test_no_other_exception(tmp_path: Path, kind: str, data: Any) -> None:

@@ -46,7 +46,7 @@ def recordings(draw: Any) -> tuple[list[str], tuple[bool, bool, bool], list[dict
     return names, present, messages
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(recordings(), st.booleans())
 def test_arrays_are_what_was_written(recording: Any, ros1: bool) -> None:
     """Whatever the names, their order, the arrays present and the numbers, reading gives the written bits."""

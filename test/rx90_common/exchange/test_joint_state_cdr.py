@@ -75,7 +75,6 @@ def test_encoding_equals_the_one_of_rosbags(message):
     assert rows[1].tobytes() == rosbags_bytes(names, frame_id, 0, second)
 
 
-@settings(deadline=None)
 @given(messages())
 def test_encoding_equals_the_one_of_rclpy(message):
     """The same message is read by rclpy and written again, all but the padding that it leaves undefined."""

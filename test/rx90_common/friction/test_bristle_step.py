@@ -111,7 +111,7 @@ def test_second_order_for_a_changing_velocity(record: Record, element: FrictionE
     part=st.floats(-1.0, 1.0),
     step=st.floats(1e-9, 0.1),
 )
-@settings(max_examples=500, deadline=None)
+@settings(max_examples=500)
 def test_every_velocity_gives_numbers_within_the_bristle_s_range(v: float, part: float, step: float) -> None:
     """No velocity gives NaN or infinity, and a deflection within the static range never leaves it."""
     low, high = -47.0 / ELEMENT.c0, 32.0 / ELEMENT.c0
@@ -129,7 +129,7 @@ def test_every_velocity_gives_numbers_within_the_bristle_s_range(v: float, part:
     c0=st.floats(1e-6, 1e12),
     v=st.floats(-1e6, 1e6),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_every_parameter_set_gives_numbers(
     tau: float, ratio: float, omega_s: float, delta: float, c0: float, v: float
 ) -> None:
@@ -146,7 +146,7 @@ def test_every_parameter_set_gives_numbers(
     history=st.lists(st.tuples(st.floats(-5.0, 5.0), st.floats(1e-6, 1e-2)), min_size=1, max_size=60),
     alpha=st.sampled_from([1.0, 0.6, 0.3, 2.0]),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_fading_damping_never_gives_energy_back(history: list[tuple[float, float]], alpha: float) -> None:
     """Over any velocity history, whatever the viscous exponent, the work done exceeds what the bristle stores."""
     z = work = 0.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refusal_by
 from schema_faults import validator
@@ -287,7 +287,7 @@ NAMES_OF_ELEMENTS = WORDS.filter(lambda name: name not in {"source", "provenance
     st.none() | WORDS,
     st.none() | st.dictionaries(WORDS.filter(lambda name: name != "provenance"), REMARKS),
 )
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150)
 def test_what_is_written_is_read_back(
     content: dict[str, FrictionElement],
     provenance: str | None,

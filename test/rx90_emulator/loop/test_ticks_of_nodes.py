@@ -89,7 +89,7 @@ REQUESTS: dict[str, Callable[[cs7b.CS7B, Array, int], object]] = {
 """What may come between two ticks, beside a trajectory, with the motors' positions and a number."""
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.data())
 def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> None:
     """Whatever comes between two ticks, commands and set-points are those of a controller that samples each tick."""

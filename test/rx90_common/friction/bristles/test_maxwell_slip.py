@@ -83,7 +83,7 @@ def test_many_small_steps_make_one_large_step() -> None:
     step=st.floats(1e-9, 0.1),
     attraction=st.floats(1e-6, 1e12),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_every_velocity_gives_numbers_within_the_blocks_range(
     velocities: list[float], step: float, attraction: float
 ) -> None:
