@@ -151,10 +151,10 @@ def compute(iterations):
     hashlib.pbkdf2_hmac("sha256", b"", b"", iterations)  # in C, without the lock
 stands_still = []
 def stuck():
-    kill_all()
     while not stands_still:  # on a busy machine the main thread may be on its way there
         time.sleep(0.01)
     print([line.split(" > ")[-1] for line in where_threads_are()], flush=True)
+    kill_all()  # only now: with the child its reader ends, which is one of the threads
 def wait_for_ever(lock):
     stands_still.append(True)
     lock.acquire()
