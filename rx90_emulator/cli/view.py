@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 
 from rx90_common.process.children import kill_all
 from rx90_common.process.interrupts import EndLimits, ends_within
@@ -19,7 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.set_defaults(ros_args=[])
     view_live.add_arguments(parser)
-    add_page_arguments(parser.add_argument_group("page"), _PORT)
+    page = parser.add_argument_group("page")
+    add_page_arguments(page, _PORT)
+    page.add_argument("--output", type=Path, default=Path(), metavar="FOLDER",
+                      help="what is written on the page goes beneath it; made where it is missing (the current "
+                      "one)")  # fmt: skip
     parser.set_defaults(host="127.0.0.1", port=_PORT)
     add_robot_arguments(parser, "urdf", "tool", "drives", "friction", "controller", "task")
     view_bags.add_arguments(parser)

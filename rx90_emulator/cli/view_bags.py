@@ -69,8 +69,8 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
 
     layout = MeasuredLayout(**{name: getattr(options, name) for name in _OF_BAGS})
     page, _ = open_player(
-        lambda: Page("rx90_view", options.host, options.port), options.bags, RobotFiles.of_options(options), layout,
-        align,
+        lambda: Page("rx90_view", options.host, options.port, options.output), options.bags,
+        RobotFiles.of_options(options), layout, align,
     )  # fmt: skip
     try:
         page.announce(browser=not options.no_browser)

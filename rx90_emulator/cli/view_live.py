@@ -62,7 +62,7 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     robot = load_robot(files.urdf, files.tool)
     line = None if files.task is None else load_task(files.task)
     tour = _tour(options, files, controller) if options.demo else None
-    page = Page("rx90_view", options.host, options.port)
+    page = Page("rx90_view", options.host, options.port, options.output)
     panel: DoPanel | None = None
     try:
         if tour is not None:

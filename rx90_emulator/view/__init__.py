@@ -13,10 +13,12 @@ shows once, when it is made, and has its functions called on that thread:
   changes, too, goes through `on_change` of `changes.py`, which loses nothing that a user gives at the same time.
 - `ArmScene(page, "/second", robot, ghost=(0, 114, 178)).show(position)` draws an arm in a pose; `LineScene` a line with
   the laser spot and its coloured trace; `RollingPlot` and `LoopPlot` plots, of which nothing grows without end.
+- What writes a file asks `page.output.path_for(name)` for its path: beneath one folder, and over a file that is there
+  only where a user has confirmed it.
 - `ArmState` is what a part that reads (nodes, a bag) hands to one that draws.
 
 Subfolders are such parts: `live/` reads running nodes. A part that needs nodes gets them through clients in
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
 
-__all__ = ["announcement", "arm", "changes", "line", "page", "plots", "state"]
+__all__ = ["announcement", "arm", "changes", "line", "output", "page", "plots", "state"]

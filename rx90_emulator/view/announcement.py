@@ -3,5 +3,8 @@
 OPENED = "the page is open"
 """When a browser has loaded the page for the first time."""
 
-TO_OTHERS = "other machines can open the page, too, and do with it what you can"
+TO_OTHERS = (
+    "other machines can open the page, too: who has its address with the token can move the arm, switch its torque and "
+    "write files beneath --output, and who listens on the way can read the address"
+)
 """Before the address, of a page that they reach."""

@@ -14,6 +14,7 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
 from rx90_emulator.view.announcement import OPENED, TO_OTHERS
+from rx90_emulator.view.guard import PageGuard
+from rx90_emulator.view.output import OutputFolder
 
 _LONGEST_WAIT = 0.05  # s, without a look for Ctrl-C
 _LESS_OFTEN = 3
@@ -44,28 +47,32 @@ class Page:
         title: above the control panel.
         host: address to bind to; 127.0.0.1 is reached from this machine alone.
         port: to bind to; 0 takes a free one.
+        output: the folder that files go into which are written on the page; made where it is missing.
 
     Attributes:
         server, gui, scene: viser's own.
-        address: what to open in a browser.
+        address: what to open in a browser; whoever has it can do what the page can.
+        output: gives the path for every name of a file that a user types.
 
     Raises:
-        ConfigError: if host and port cannot be bound to.
+        Rx90Error: if host and port cannot be bound to, or the folder cannot be made.
     """
 
-    def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(self, title: str, host: str = "127.0.0.1", port: int = 8080, output: Path = Path()) -> None:
+        self.output = OutputFolder(output)
         _check_free(host, port)
         rich.get_console().quiet = True  # viser draws a box with addresses, and tells of each connection
         # viser filters them, too, but only from the first request on.
         logging.getLogger("websockets.server").addFilter(_of_interest)
-        self.server = viser.ViserServer(host=host, port=port, label=title, verbose=False)
+        self._open_to_others = reached_by_others(host)
+        self._guard = PageGuard(title, host, port, open_to_others=self._open_to_others)
+        self.server = self._guard.server
         if port not in {0, self.server.get_port()}:  # somebody was faster, and viser has gone on to the next one
             self.server.stop()
             raise _taken(host, port, "taken a moment ago")
         self.gui, self.scene = self.server.gui, self.server.scene
-        self._open_to_others = reached_by_others(host)
         shown = f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown}:{self.server.get_port()}"
+        self.address = f"http://{shown}:{self.server.get_port()}/?token={self._guard.token}"
         # The button would ask another machine for a tunnel.
         self.gui.configure_theme(show_logo=False, show_share_button=False)
         self.gui.main_panel.dock_right()

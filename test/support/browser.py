@@ -31,6 +31,7 @@ _FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--host-resolver-rules=MAP *.example 127.0.0.1",  # names that their owners let point here
 )
 _DESKTOP = (1000, 500)  # small: what is drawn in software takes time by the pixel
 # What the page's software says of itself; nothing is wrong.
@@ -144,14 +145,14 @@ def open_page(chromium: Any) -> Iterator[Callable[..., BrowserPage]]:
     opened = []
 
     def open_(address: str, size: tuple[int, int] = _DESKTOP) -> BrowserPage:
-        page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+        page = chromium.new_context(viewport={"width": size[0], "height": size[1]}).new_page()
         opened.append(page)
         page.add_init_script(_SELDOM)
         return BrowserPage(page, address)
 
     yield open_
     for page in opened:
-        page.close()
+        page.context.close()
 
 
 @contextmanager

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
 import viser
 
 from rx90_common.description.robot import RobotModel
+from rx90_common.description.tip import tip_position
+from rx90_common.exchange.arm_watch import Trajectory
 from rx90_common.exchange.topics import HURRIES
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.arm import ArmScene
@@ -21,6 +24,8 @@ from rx90_emulator.view.state import ArmState
 _POSE_PERIOD = 1.0 / 30.0  # s
 _PLOT_PERIOD = 0.2
 _STATUS_PERIOD = 0.25
+_PACED = 1.05  # simulated s in one of the wall clock, of a simulation that keeps to it
+_NO_TRAJECTORY = Trajectory(0.0, np.empty(0), np.empty((0, 6)), np.empty(0, dtype=np.bool_))
 _MAGNIFIED = ("1", "10", "100")  # the first is what is drawn at first
 
 
@@ -39,6 +44,8 @@ class LiveView:
 
     def __init__(self, page: Page, source: LiveSource, robot: RobotModel, line: LineTask | None) -> None:
         self._page, self._source = page, source
+        self._chain = robot.chain
+        self._followed: Trajectory | None = None
         self.state: ArmState | None = None
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
@@ -47,7 +54,7 @@ class LiveView:
         with page.tab("Live"):
             self._status = page.gui.add_html("")
             if self._line is not None:
-                page.gui.add_html(legend_html())
+                page.gui.add_html(legend_html("line and approach of the form"))
                 self._add_trace_choice(page, self._line)
             self._plots.add_choice()
             with page.gui.add_folder("Diagnostics", expand_by_default=False):
@@ -72,6 +79,7 @@ class LiveView:
         if self._line is None:
             self._line = LineScene(self._page, "/reference", start, end)
         self._line.place(start, end)
+        self._followed = None
 
     def newest(self) -> ArmState | None:
         """Return the newest state; None where there is none, or its simulation has gone."""
@@ -83,15 +91,29 @@ class LiveView:
         return state is not None and (span is None or not span.begin <= state.time < span.end + seconds)
 
     def _update(self, now: float) -> None:
-        state = self._source.take(now)
-        if state is None:
+        states = self._source.take(now)
+        if not states:
             return
-        if self.state is not None and state.time < self.state.time and self._line is not None:
-            self._line.clear()
-        self.state = state
-        tip = self.arm.show(state.position)
-        error = None if self._line is None else self._line.add(tip)
-        self._plots.add(state, error)
+        newest, error = states[-1], math.nan
+        self.arm.show(newest.position)
+        if self._line is not None:
+            if self.state is not None and states[0].time < self.state.time:
+                self._line.clear()
+                self._line.meter.begin_again()
+            self._follow(self._line)
+            tips = tip_position(self._chain, np.array([state.position for state in states]))
+            error = self._line.add(np.array([state.time for state in states]), tips)
+        self.state = newest
+        self._plots.add(newest, error)
+        self._plots.add_to_loop(self._source.friction, at_ticks=self._source.watch.listens_at_ticks)
+
+    def _follow(self, line: LineScene) -> None:
+        """Tell the line of a trajectory that it does not know yet."""
+        trajectory = self._source.watch.trajectory
+        if trajectory is not self._followed:
+            self._followed = trajectory
+            _, times, position, at_rest = trajectory or _NO_TRAJECTORY
+            line.meter.follow(times, tip_position(self._chain, position), at_rest)
 
     def _draw(self, _now: float) -> None:
         self._plots.draw()
@@ -99,8 +121,13 @@ class LiveView:
             self._line.draw()
 
     def _tell(self, now: float) -> None:
-        self._source.watch.look_around()
-        error = "no line" if self._line is None else self._line.words()
+        watch = self._source.watch
+        watch.look_around()
+        # Friction at every tick costs the simulation a twentieth: where somebody sees it, and time is not in a hurry.
+        fastest = HURRIES if watch.listens_at_ticks else _PACED
+        seen = self._plots.shows_loop and bool(self._page.server.get_clients())
+        watch.at_ticks(wanted=seen and self._source.pace(now) < fastest)
+        error = "no line" if self._line is None else self._line.meter.words()
         self._set(self._status, status_html(self._source, self.state, error, now))
         self._set(self._diagnostics, diagnostics_html(self._source.watch.diagnostics))
 

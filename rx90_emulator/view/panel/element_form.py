@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 from viser import GuiUplotHandle, uplot
@@ -14,6 +13,7 @@ from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
 from rx90_common.process.files import write_text
 from rx90_emulator.view.changes import from_user, on_change, put
+from rx90_emulator.view.output import ExistingFileError
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
@@ -57,6 +57,8 @@ class ElementForm:
         self._path = page.gui.add_text("friction file", _FILE)
         self._write = page.gui.add_button("Write the file")
         self._start = page.gui.add_button("Start the simulation again with it")
+        self._replace = page.gui.add_button("Replace the file that is there", color="red", visible=False)
+        self._refused_name, self._wanted_start = "", False  # what "Replace" confirms
         self._done = page.gui.add_html(
             sentence("A simulation reads its friction when it is configured: time begins again at 0.")
         )
@@ -69,6 +71,7 @@ class ElementForm:
             on_change(field, self._give, page)
         self._write.on_click(from_user(lambda: self._save(start=False), page))
         self._start.on_click(from_user(lambda: self._save(start=True), page))
+        self._replace.on_click(from_user(self._confirm, page))
         self._chosen()
 
     def close(self) -> None:
@@ -103,6 +106,7 @@ class ElementForm:
     def _give(self) -> None:
         self._verdict.content = sentence("checking ...")
         self._write.disabled = self._start.disabled = True  # the file would be of other values
+        self._replace.visible = False
         self._number += 1
         texts = tuple(field.value for field in self._fields)
         self._drawing.give((self._number, self._element.value, texts, self._way.value))
@@ -142,16 +146,26 @@ class ElementForm:
         one = FrictionFile({name: file.elements[name]}, file.provenance, file.source).text()
         self._yaml.content = f"```yaml\n{_without_comments(one)}```"
 
-    def _save(self, *, start: bool) -> None:
-        path = Path(self._path.value).expanduser().absolute()
+    def _save(self, *, start: bool, confirmed: str = "") -> None:
+        name = self._path.value
+        self._replace.visible = False
         try:
+            path = self._page.output.path_for(name, replace=name == confirmed)
             write_text(path, self._result.text())
+        except ExistingFileError as error:
+            self._refused_name, self._wanted_start = name, start
+            self._replace.visible = True
+            self._done.content = sentence(str(error), wrong=True)
         except Rx90Error as error:
             self._done.content = sentence(str(error), wrong=True)
-            return
-        self._done.content = sentence(f"written. For the next start: -p friction:={path}")
-        if start:
-            self._start_with(str(path))
+        else:
+            self._done.content = sentence(f"written. For the next start: -p friction:={path}")
+            if start:
+                self._start_with(str(path))
+
+    def _confirm(self) -> None:
+        if self._replace.visible:
+            self._save(start=self._wanted_start, confirmed=self._refused_name)
 
 
 def _hint(parameter: FrictionParameter) -> str:

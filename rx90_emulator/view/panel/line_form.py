@@ -10,6 +10,7 @@ from rx90_common.base.arrays import Array
 from rx90_common.base.errors import LineError
 from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.changes import from_user, on_change
+from rx90_emulator.view.line import PLANNED
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.newest import NewestOnly
 from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
@@ -17,7 +18,6 @@ from rx90_emulator.view.panel.widgets import sentence
 
 _INTERVAL = 0.1  # s from one check to the next while somebody types
 _STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked
-_LINE, _APPROACH = (0, 114, 178), (230, 159, 0)
 
 
 class LineForm:
@@ -56,12 +56,12 @@ class LineForm:
             page.scene.add_line_segments(
                 f"/panel/{name}",
                 np.zeros((1, 2, 3), dtype=np.float32),
-                colour,
-                thickness=3.0,
+                PLANNED,
+                thickness=thickness,
                 thickness_units="screen",
                 visible=False,
             )
-            for name, colour in (("line", _LINE), ("approach", _APPROACH))
+            for name, thickness in (("line", 3.0), ("approach", 1.5))
         ]
         self._checking: NewestOnly[tuple[int, TypedLine, Array | None]] = NewestOnly(self._check, _INTERVAL)
         for field in self._fields:

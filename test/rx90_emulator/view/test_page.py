@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import socket
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from functools import partial
+from time import monotonic
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
+from PIL import Image
 from processes import wait_until
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.base.errors import ConfigError
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.arm import ArmScene
-from rx90_emulator.view.line import LineScene
+from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
+from rx90_emulator.view.bags.track import Track
+from rx90_emulator.view.line import LineScene, error_colors
 from rx90_emulator.view.page import Page, reached_by_others
 from rx90_emulator.view.plots import LoopPlot, RollingPlot
 
@@ -28,6 +35,8 @@ POSE = np.array([0.4, -0.7, 1.9, 0.8, -0.9, 2.5])
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
 PLACES = """() => [...document.querySelectorAll('.uplot')].map(plot => plot.getBoundingClientRect())
     .filter(({width}) => width > 0).map(({left, top, right, bottom}) => [left, top, right, bottom].map(Math.round))"""
+TICKS = """() => Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) =>
+    [(chart.axes[1]._values ?? []).filter(text => text), [chart.scales.y.min, chart.scales.y.max]])"""
 PIXEL = 1e-6  # m; positions go to the page as single precision
 
 
@@ -66,7 +75,7 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
     with page.plot_tab("Plots"):
         rolling = RollingPlot(page, "speed [rad/s]", ("joint_1", "joint_2"), window=2.0)
         broken = RollingPlot(page, "broken", ("error",), legend=False, gaps=1)
-        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]")
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 0.01))
     angle = np.linspace(0.0, 4.0 * np.pi, 100)
 
     def feed() -> None:
@@ -74,7 +83,7 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
             rolling.add(time, np.array([time, -time]))
             broken.add(time, [np.nan if time < 0.25 or 1.95 < time < 3.05 else 1.0 + time])
         for a in angle:
-            loop.add(float(np.cos(a)), float(np.sin(a)))
+            loop.add(np.cos([a]), np.sin([a]))
         rolling.draw()
         broken.draw()
         loop.draw()
@@ -107,21 +116,38 @@ def test_plots_show_what_they_were_given(page: Page, open_page: Open) -> None:
     shown.wait_until(lambda: not np.isfinite(np.array(shown.plots()["loop"]["data"][1], float)).any(), "an empty loop")
 
 
+def test_noise_at_rest_reads_as_noise(page: Page, open_page: Open) -> None:
+    """Each tick of an ordinate has a text of its own, without -0, and noise far below what is measured stays flat."""
+    noise = 1e-7 * np.sin(np.arange(100.0) * 7.0)
+    track, _ = Track.of(JointSeries("/joint_states", JOINTS[:1], np.arange(100) * 10**7, 1.57 + noise[:, None]))
+    with page.plot_tab("Plots"):
+        rolling = RollingPlot(page, "rest", ("joint_1",), least=0.01)
+        known = RollingPlot(page, "seldom known", ("error",), least=0.01, low=0.0, gaps=1)
+        loop = LoopPlot(page, "loop", "x [rad]", "y [Nm]", least=(0.01, 1.0))
+        curves = CurvesPlot(page, "recorded", [RecordedCurve("", track, "position", 0, 1.0, "#000000")], 0, least=0.01)
+    for k, value in enumerate(noise):
+        rolling.add(k * 0.01, [value])
+        known.add(k * 0.01, [abs(value) if k > 50 else np.nan])
+        loop.add(np.array([0.01 * k]), np.array([value]))
+    for plot in (rolling, known, loop):
+        plot.draw()
+    curves.draw(0, 10**9, 0)
+    shown = open_page(page.address)
+    shown.wait_until(lambda: len(shown.page.evaluate(TICKS)) == 4, "the plots")
+
+    def ticks() -> list[list[str]]:
+        return [texts for texts, _ in shown.page.evaluate(TICKS) if texts]
+
+    shown.wait_until(lambda: len(ticks()) == 4, "their ticks")
+    for texts in ticks():
+        assert len(set(texts)) == len(texts) > 2
+        assert not {"-0", "-0.00", "-0.000"} & set(texts)
+    assert all(high - low >= 0.01 for _, (low, high) in shown.page.evaluate(TICKS))
+
+
 def empty(shown: BrowserPage) -> list[list[np.ndarray]]:
     """Return the ordinates of all plots."""
     return [[np.array(column, float) for column in plot["data"][1:]] for plot in shown.plots().values()]
-
-
-def test_the_largest_path_error_is_that_of_the_way_along_the_line(page: Page) -> None:
-    """Errors of the way to the line do not count; where on the line the largest was is told, from its start."""
-    line = LineScene(page, "/line", np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2]))
-    assert line.add(np.array([0.5, 0.02, 0.2])) is None
-    assert line.add(np.array([0.5, 0.0015, 0.2])) is None  # near, and from the side
-    seen = [line.add(np.array([0.5 + x, 3e-5 + 2e-4 * (abs(x - 0.03) < 1e-9), 0.2])) for x in np.arange(0.0, 0.2, 0.01)]
-    assert max(filter(None, seen)) == pytest.approx(2.3e-4)
-    assert line.words() == "0.030 mm now; largest on this way 0.230 mm, 30 mm from the start"
-    line.add(np.array([0.15, 3e-5, 0.2]))  # back again
-    assert line.words() == "not on the line"
 
 
 def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,9 +159,9 @@ def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.Monk
     )
     start, end = np.array([0.5, 0.0, 0.2]), np.array([0.9, 0.0, 0.2])
     line = LineScene(page, "/line", start, end)
-    tips = [[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]]
-    for tip_ in tips:
-        line.add(np.array(tip_))
+    tips = np.array([[0.5, 0.02, 0.2], [0.5, 0.0, 0.2], [0.6, 0.0, 0.2], [0.7, 1e-4, 0.2], [0.8, 0.0, 0.2]])
+    line.meter.follow(np.array([1.5, 9.0]), np.stack([start, end]), np.array([True, True]))
+    line.add(np.arange(5.0), tips)
     line.magnify(100.0)
     line.draw()
     np.testing.assert_allclose(made["/line/line"].points, [[start, end]], rtol=1e-6)
@@ -146,6 +172,34 @@ def test_the_trace_is_drawn_beside_the_line(page: Page, monkeypatch: pytest.Monk
     assert len(set(colors[0])) == 1  # grey
     assert colors[2][2] > colors[2][0]  # blue
     assert colors[3][0] > colors[3][2]  # red
+
+
+def test_a_trace_has_its_colours_on_a_page_that_was_there_before_it(page: Page, open_page: Open) -> None:
+    """On a page that is opened before the arm moves, the trace is drawn in the colour of its path error."""
+    start, end = np.array([-0.4, 0.0, 0.0]), np.array([0.4, 0.0, 0.0])
+    camera = page.server.initial_camera
+    camera.position, camera.look_at, camera.up = (0.0, -0.5, 0.5), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    line = LineScene(page, "/line", start, end)
+    shown = open_page(page.address, (900, 200))
+    times = np.arange(100) * 0.1
+
+    def run() -> None:
+        line.meter.follow(times[[0, -1]], np.stack([start, end]), np.array([True, True]))
+        line.add(times, start + times[:, None] / times[-1] * (end - start) + [0.0, 1e-3, 0.0])
+        line.magnify(20.0)
+        line.draw()
+
+    page.later(run)
+    red = np.array(error_colors(np.array([1.0]))[0], dtype=int)
+
+    deadline = monotonic() + 60.0
+
+    def is_drawn() -> bool:
+        assert monotonic() < deadline
+        pixels = Image.open(io.BytesIO(shown.page.screenshot())).convert("RGB")
+        return bool((np.abs(np.asarray(pixels, dtype=int) - red).max(axis=-1) < 25).sum() > 100)
+
+    shown.wait_until(is_drawn, "the trace in red")
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
@@ -162,9 +216,9 @@ def test_a_connection_that_is_closed_early_is_no_traceback(
     """Who connects and leaves before anything is asked for is not told of, also as the first of all."""
     monkeypatch.setattr(logging.getLogger("websockets.server"), "filters", [])  # those of other pages
     with served(Page("test", port=0)) as page:
-        place = page.address.removeprefix("http://").split(":")
+        place = urlsplit(page.address)
         for words in (b"", b"GET / HTTP/1.1\r\n"):
-            with socket.create_connection((place[0], int(place[1]))) as early:
+            with socket.create_connection((place.hostname, place.port)) as early:
                 early.sendall(words)
                 early.shutdown(socket.SHUT_WR)
                 early.settimeout(10.0)

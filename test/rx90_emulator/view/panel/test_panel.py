@@ -54,7 +54,7 @@ def panel(processes: Processes, shipped: Setup, monkeypatch: pytest.MonkeyPatch,
         page = Page("test", port=0)
         source = LiveSource(client, shipped.robot, "rx90_controller")
         states: list[ArmState] = []
-        page.every(0.05, lambda now: states.extend(filter(None, [source.take(now)])))
+        page.every(0.05, lambda now: states.extend(source.take(now)))
         names = NodeNames.beside("/rx90_controller", ())
         parts = DoPanel(page, shipped.files, lambda: states[-1] if states else None, names, sent.append)
         with served(page):
@@ -282,6 +282,42 @@ def test_what_is_given_right_after_a_choice_is_kept() -> None:
     give(element="joint_3", tau_c="31")
     assert inputs["tau_c, Nm"].value == "31"
     assert inputs["tau_s, Nm"].value == f"{file.elements['joint_3'].tau_s_positive:g}"
+    form.close()
+    page.close()
+
+
+def test_a_file_that_is_there_is_replaced_only_when_confirmed(tmp_path: Path) -> None:
+    """An existing name is refused with a button that replaces this one file; what leads elsewhere has none."""
+    file = FrictionFile.read(config_path("robots/rx90b/friction.yaml"))
+    started: list[str] = []
+    page = Page("test", port=0, output=tmp_path / "page")
+    form = ElementForm(page, file, started.append)
+    there, other, outside = (tmp_path / name for name in ("page/there.yaml", "page/other.yaml", "outside.yaml"))
+    for path in (there, other, outside):
+        path.write_text("mine")
+
+    def press(button: Any, name: str) -> str:
+        put(form._path, name)
+        for callback in button._impl.update_cb:
+            with suppress(StopIteration):
+                callback(SimpleNamespace(client_id=1)).send(None)
+        while not page._handed_over.empty():
+            page._handed_over.get()()
+        return form._done.content
+
+    assert "exists; accepted: a new name beneath" in press(form._start, "there.yaml")
+    assert form._replace.visible
+    assert "other.yaml exists" in press(form._replace, "other.yaml")  # another one than was refused
+    assert [path.read_text() for path in (there, other)] == ["mine"] * 2
+    assert "written" in press(form._replace, "other.yaml")
+    assert (FrictionFile.read(other), started, form._replace.visible) == (file, [str(other)], False)
+    for name in (str(outside), "../outside.yaml"):
+        assert "; accepted: a new name beneath" in press(form._write, name)
+        assert not form._replace.visible
+        press(form._replace, name)
+    assert [path.read_text() for path in (there, outside)] == ["mine"] * 2
+    assert "written" in press(form._write, "new.yaml")
+    assert FrictionFile.read(tmp_path / "page/new.yaml") == file
     form.close()
     page.close()
 
