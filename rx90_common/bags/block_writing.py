@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +43,8 @@ def write_blocks(
         sources = [_Source(each) for each in blocks]
         kinds = zip(names, (source.msgtype for source in sources), strict=True)
         numbers = np.array([bag.add_topic(name, kind, [offered_qos()]).id for name, kind in kinds], dtype=np.int64)
+        for name, each in zip(names, sources, strict=True):
+            bag.say_unit(name, each.effort_unit)
         written = np.zeros(len(names), dtype=np.int64)
         for series in _merged(sources):
             parts = [series_encoder(one) for one in series]
@@ -69,6 +73,11 @@ class _Source:
         """Return the type of the topic's messages."""
         return self._waiting.msgtype
 
+    @property
+    def effort_unit(self) -> str:
+        """Return the unit of the topic's efforts where its name does not say it."""
+        return self._waiting.effort_unit
+
     def take(self, before_ns: int | None) -> JointSeries:
         """Return what has an earlier stamp, or all, and keep the rest."""
         stamps = self._waiting.stamp_ns
@@ -85,8 +94,8 @@ class _Source:
 
 def _joined(first: JointSeries, second: JointSeries) -> JointSeries:
     stamps = np.concatenate([first.stamp_ns, second.stamp_ns])
-    fields = {field: np.concatenate([values, second.fields[field]]) for field, values in first.fields.items()}
-    return JointSeries(first.topic, first.names, stamps, **fields)
+    fields: dict[str, Any] = {f: np.concatenate([values, second.fields[f]]) for f, values in first.fields.items()}
+    return replace(first, stamp_ns=stamps, **fields)
 
 
 def _merged(sources: Sequence[_Source]) -> Iterator[list[JointSeries]]:

@@ -35,7 +35,8 @@ class ValueDifference:
 
     Attributes:
         joint: joint name.
-        field: position, velocity, effort or temperature (rad, rad/s, Nm, °C).
+        field: position, velocity, effort or temperature.
+        unit: of both and of the difference.
         maximum: largest absolute difference of finite values.
         at_ns: stamp of that difference; None when it is 0.
         rms: root mean square of the differences of finite values.
@@ -47,6 +48,7 @@ class ValueDifference:
 
     joint: str
     field: str
+    unit: str
     maximum: float
     at_ns: int | None
     rms: float
@@ -150,7 +152,7 @@ class Scope:
             inside &= series.stamp_ns <= self.end_ns
         part = series if inside.all() else series.take(inside)
         fields = {field: values for field, values in part.fields.items() if field in self.fields}
-        return JointSeries(part.topic, part.names, part.stamp_ns, **fields)
+        return JointSeries(part.topic, part.names, part.stamp_ns, **fields, effort_unit=part.effort_unit)
 
 
 def compare_bags(
@@ -283,13 +285,13 @@ def compare_series(
     reasons = [*_other_reasons(a, b), *_stamp_reasons(alignment, scope)]
     values: list[ValueDifference] = []
     for field in SERIES_FIELDS:
-        if field in a.fields and field in b.fields:
+        if field in a.fields and field in b.fields and a.units[field] == b.units[field]:
             columns_a = a.fields[field][alignment.rows_a]
             columns_b = b.fields[field][alignment.rows_b]
             for joint in joints:
                 pair = columns_a[:, a.names.index(joint)], columns_b[:, b.names.index(joint)]
                 tolerance = tolerances.of(a.topic, joint, field)
-                values.append(_difference(joint, field, *pair, alignment, tolerance))
+                values.append(_difference(joint, field, a.units[field], *pair, alignment, tolerance))
     differs = bool(reasons) or any(value.beyond for value in values)
     return TopicComparison(
         a.topic,
@@ -304,7 +306,9 @@ def compare_series(
     )
 
 
-def _difference(joint: str, field: str, a: Array, b: Array, alignment: Alignment, tolerance: float) -> ValueDifference:
+def _difference(
+    joint: str, field: str, unit: str, a: Array, b: Array, alignment: Alignment, tolerance: float
+) -> ValueDifference:
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     finite = np.isfinite(a) & np.isfinite(b)
     equal_bits = a.view(np.int64) == b.view(np.int64)
@@ -324,6 +328,7 @@ def _difference(joint: str, field: str, a: Array, b: Array, alignment: Alignment
     return ValueDifference(
         joint,
         field,
+        unit,
         maximum,
         int(alignment.stamp_ns[largest]) if maximum > 0.0 else None,
         rms,
@@ -343,6 +348,9 @@ def _other_reasons(a: JointSeries, b: JointSeries) -> list[str]:
         fields = [field for field in one.fields if field not in other.fields]
         if fields:
             reasons.append(f"only the {where} bag has {', '.join(fields)}")
+    if "effort" in a.fields and "effort" in b.fields and a.units["effort"] != b.units["effort"]:
+        units = (plain(one.units["effort"]) for one in (a, b))
+        reasons.append("effort is in {} in the first bag and in {} in the second, and not compared".format(*units))
     return reasons
 
 

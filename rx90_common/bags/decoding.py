@@ -81,10 +81,11 @@ class SeriesBuilder:
         topic: absolute topic name, for messages.
         deserialize: the general path, by rosbags; gives an object with the message's fields.
         cdr: whether the messages are CDR, so that the fast path may be tried.
+        effort_unit: as in JointSeries.
     """
 
-    def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool) -> None:
-        self._topic = topic
+    def __init__(self, topic: str, deserialize: Deserialize, *, cdr: bool, effort_unit: str = "") -> None:
+        self._topic, self._effort_unit = topic, effort_unit
         self._deserialize = deserialize
         self._cdr = cdr
         self._pending: list[bytes] = []
@@ -144,7 +145,7 @@ class SeriesBuilder:
             field: np.concatenate([rows.values[:, column][:, order] for rows, order in parts])[order_of_bag]
             for column, field in enumerate(there)
         }
-        return JointSeries(self._topic, names, stamp[order_of_bag], **fields)
+        return JointSeries(self._topic, names, stamp[order_of_bag], **fields, effort_unit=self._effort_unit)
 
     def _decode_pending(self) -> None:
         messages, self._pending = self._pending, []

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,10 @@ class JointSeries:
         stamp_ns: header.stamp in ns, int64 of shape (n,).
         position: rad, float64 of shape (n, k); None when the messages carry none.
         velocity: rad/s, as position.
-        effort: Nm, as position.
+        effort: Nm, or `effort_unit`; as position.
         temperature: degrees Celsius, as position, in a series of Temperature messages, which has no other array: NaN
             where a name has no message of that stamp.
+        effort_unit: of effort where it is not what the topic's name says, such as A.
 
     Raises:
         BagError: if names repeat, an array has another shape or type, or temperatures stand beside other arrays.
@@ -42,6 +44,7 @@ class JointSeries:
     velocity: Array | None = None
     effort: Array | None = None
     temperature: Array | None = None
+    effort_unit: str = ""
 
     def __post_init__(self) -> None:
         if len(set(self.names)) != len(self.names):
@@ -75,7 +78,17 @@ class JointSeries:
     @property
     def quantities(self) -> dict[str, str]:
         """Return what each field holds, with its unit, such as `position [rad]`; for friction_states other names."""
-        return quantities(self.topic)
+        return {field: f"{name} [{unit}]" for field, (name, unit) in self._quantities.items()}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Return the unit of each field."""
+        return {field: unit for field, (_, unit) in self._quantities.items()}
+
+    @property
+    def _quantities(self) -> dict[str, tuple[str, str]]:
+        said = quantities(self.topic)
+        return said | {"effort": ("effort", self.effort_unit)} if self.effort_unit else said
 
     @property
     def time(self) -> Array:
@@ -84,12 +97,8 @@ class JointSeries:
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> JointSeries:
         """Return the series of these messages (an index, a mask or a slice)."""
-        return JointSeries(
-            self.topic,
-            self.names,
-            self.stamp_ns[rows],
-            **{field: values[rows] for field, values in self.fields.items()},
-        )
+        fields: dict[str, Any] = {field: values[rows] for field, values in self.fields.items()}
+        return replace(self, stamp_ns=self.stamp_ns[rows], **fields)
 
     def select(self, names: Sequence[str]) -> JointSeries:
         """Return the series of these joints, in this order.
@@ -101,9 +110,5 @@ class JointSeries:
             if name not in self.names:
                 raise BagError(f"{self.topic}: no joint {quoted(name)}; there are {', '.join(self.names)}")
         columns = [self.names.index(name) for name in names]
-        return JointSeries(
-            self.topic,
-            tuple(names),
-            self.stamp_ns,
-            **{field: np.ascontiguousarray(values[:, columns]) for field, values in self.fields.items()},
-        )
+        fields: dict[str, Any] = {f: np.ascontiguousarray(values[:, columns]) for f, values in self.fields.items()}
+        return replace(self, names=tuple(names), **fields)

@@ -13,6 +13,8 @@ from rx90_common.base.quoting import plain
 
 FILE = "metadata.yaml"
 
+EFFORT_UNIT = "rx90_emulator effort unit of "
+"""Begins the key in rosbag2's custom_data that says in which unit the efforts of a topic are."""
 _MOST_MESSAGES = 1 << 62
 
 
@@ -24,11 +26,13 @@ class BagMetadata:
         files: names of the storage files, in their order.
         counts: messages by topic name and type, without those that have none.
         total: messages in all.
+        effort_units: of topics whose efforts are not in the unit that their names say.
     """
 
     files: tuple[str, ...]
     counts: Counter[tuple[str, str]]
     total: int
+    effort_units: dict[str, str]
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -46,7 +50,13 @@ def read_metadata(folder: Path) -> BagMetadata:
             if count:
                 counts[about.text("name"), full_type(about.text("type"))] += count
         files = tuple(PurePosixPath(file).name for file in root.texts("relative_file_paths"))
-        return BagMetadata(files, counts, root.integer("message_count", 0, _MOST_MESSAGES))
+        custom = root.content.get("custom_data")
+        units = {
+            str(key).removeprefix(EFFORT_UNIT): plain(value)
+            for key, value in (custom.items() if isinstance(custom, dict) else ())
+            if str(key).startswith(EFFORT_UNIT)
+        }
+        return BagMetadata(files, counts, root.integer("message_count", 0, _MOST_MESSAGES), units)
     except ConfigError as error:
         raise BagError(f"{plain(folder)}: {str(error).removeprefix(f'{plain(folder)}/')}") from error
 

@@ -6,18 +6,23 @@ and sorted by their stamps, so that equal runs make equal bags.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from enum import Enum, auto
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
+from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
 _MAX_UNDATED_BYTES = 16 << 20
 _UNKNOWN = -1  # in place of a log time
+OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
+"""A stamp this far from the newest one is not of the same clock: wall-clock time beside simulated time, for example."""
 _COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
 
 
@@ -27,7 +32,7 @@ class TimeSource(Enum):
     CLOCK = auto()
     """Their stamp, which is the sample time, and the time of messages that have none."""
     STAMP = auto()
-    """Their stamp; where that is 0 ("now"), the newest one of a clock topic."""
+    """Their stamp; where that is 0 ("now") or of another clock, the newest one of a clock topic."""
     LIST = auto()
     """As STAMP, the stamp of the first of those that they are a list of: transforms."""
     NEWEST = auto()
@@ -89,16 +94,22 @@ class _Clock:
         self._offset = np.maximum.accumulate(np.concatenate([[offset], (log_ns - stamps)[order]]))
 
     def date(self, stamps: Int64Array, received_ns: Int64Array) -> Int64Array:
-        """Return log times for stamps, and for 0 the newest one before the time of reception, or _UNKNOWN."""
+        """Return log times for stamps; for 0, and for another clock's, the newest one before the time of reception.
+
+        That is _UNKNOWN before the first one.
+        """
         at = np.searchsorted(self._received, received_ns)
-        return np.where(stamps > 0, stamps + self._offset[at], self._newest[at])
+        log_ns, newest = stamps + self._offset[at], self._newest[at]
+        return np.where(_same_clock(stamps, log_ns, newest), log_ns, newest)
 
 
 class LogOrder:
     """Dates messages and releases them in the order of log time, then of their topics, then of arrival.
 
-    Messages without a stamp that come before the first one with a stamp get that first stamp. Where no topic
-    gives the time, log time is the wall clock's time of reception.
+    All log times are of one clock: that of the first topic that gives the time. Messages with stamps of another clock
+    are dated by their reception, as messages without a stamp are. Those that come before the first one that gives the
+    time get that one's. Where no topic gives the time, it is the clock of the first stamp, or the wall clock's time of
+    reception.
 
     Log time never goes back, or a reader, which sorts by it, would mix two runs. Where stamps go back, after a reset of
     the simulation, log time goes on from where it was, and runs ahead of the stamps from then on.
@@ -106,6 +117,7 @@ class LogOrder:
     Attributes:
         set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
         held_bytes: bytes of the messages that are held.
+        other_clock: number of messages of each topic whose stamps are of another clock.
     """
 
     def __init__(self) -> None:
@@ -121,6 +133,8 @@ class LogOrder:
         self._undated_bytes = 0
         self._next_release = 0
         self.held_bytes = 0
+        self.other_clock: Counter[int] = Counter()
+        self._started: tuple[int, int] | None = None  # without a topic that gives the time: a log time, its reception
 
     @property
     def newest_ns(self) -> int | None:
@@ -134,9 +148,15 @@ class LogOrder:
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
         newest, offset = self._newest, self._offsets[-1]
-        clocks = [each for each in arrived if each.source is TimeSource.CLOCK]
-        dated = [self._add_clock(each) for each in clocks]
-        others = [each for each in arrived if each.source is not TimeSource.CLOCK]
+        clocks: list[Arrived] = []
+        dated: list[tuple[Int64Array, Int64Array]] = []
+        others: list[Arrived] = []
+        for each in arrived:
+            if each.source is TimeSource.CLOCK and self._gives_time(each):
+                clocks.append(each)
+                dated.append(self._add_clock(each))
+            else:
+                others.append(each)
         if others:
             fields = zip(*((each.received_ns, *times) for each, times in zip(clocks, dated, strict=True)), strict=True)
             columns = [np.concatenate(field) for field in fields] or [np.zeros(0, dtype=np.int64)] * 3
@@ -175,6 +195,13 @@ class LogOrder:
         self.held_bytes -= released.messages.total
         return released if end else None
 
+    def _gives_time(self, arrived: Arrived) -> bool:
+        """Return whether the messages of a topic that has the time are stamped by the clock of this log."""
+        topic, newest = arrived.topic, self.newest_ns
+        if topic in self._stamps or topic in self.other_clock or newest is None or not len(arrived.messages):
+            return topic not in self.other_clock
+        return abs(int(arrived.messages.stamps_ns()[0]) - newest) < OTHER_CLOCK_NS
+
     def _hold(self, topic: int, log_ns: Int64Array, messages: MessageBatch) -> None:
         if len(messages):
             self._held.append(Dated(log_ns, np.full(len(messages), topic, dtype=np.int64), messages))
@@ -184,9 +211,11 @@ class LogOrder:
         topic, source, messages, received_ns = arrived
         stamps = _stamps_ns(messages, source)
         log_ns = clock.date(stamps, received_ns)
-        if self._newest is None and self._by_reception:
-            log_ns = np.where(log_ns == _UNKNOWN, received_ns, log_ns)
         dated = log_ns != _UNKNOWN
+        if self._newest is None and self._by_reception:
+            log_ns = self._since_start(stamps, received_ns)
+            dated[:] = True
+        self._note_other_clock(topic, stamps[dated], log_ns[dated])
         if dated.all():
             self._hold(topic, log_ns, messages)
             return
@@ -234,13 +263,40 @@ class LogOrder:
     def _date(self, log_ns: int | None) -> None:
         """Date what is undated, by its time of reception when `log_ns` is None."""
         undated, self._undated, self._undated_bytes = self._undated, [], 0
-        for topic, _, messages, received_ns in undated:
-            self._hold(topic, received_ns if log_ns is None else np.full(len(messages), log_ns), messages)
+        for topic, source, messages, received_ns in undated:
+            stamps = _stamps_ns(messages, source)
+            if log_ns is None:
+                found = self._since_start(stamps, received_ns)
+            else:
+                newest = np.full(len(messages), log_ns)
+                found = np.where(_same_clock(stamps, stamps, newest), stamps, newest)
+            self._note_other_clock(topic, stamps, found)
+            self._hold(topic, found, messages)
+
+    def _since_start(self, stamps: Int64Array, received_ns: Int64Array) -> Int64Array:
+        """Return log times where no topic gives the time: stamps, and receptions by the clock of the first message."""
+        if self._started is None and len(stamps):
+            self._started = int(stamps[0]) or int(received_ns[0]), int(received_ns[0])
+        begin, reception = self._started or (0, 0)
+        log_ns = begin + received_ns - reception
+        return np.where(_same_clock(stamps, stamps, log_ns), stamps, log_ns)
+
+    def _note_other_clock(self, topic: int, stamps: Int64Array, log_ns: Int64Array) -> None:
+        """Count the stamps that were not taken because they are of another clock."""
+        count = int(((stamps > 0) & (np.abs(stamps + self._offsets[-1] - log_ns) >= OTHER_CLOCK_NS)).sum())
+        if count:
+            self.other_clock[topic] += count
+
+
+def _same_clock(stamps: Int64Array, log_ns: Int64Array, newest: Int64Array) -> NDArray[np.bool_]:
+    """Return whether there are stamps, and their log times of the clock that tells the newest one."""
+    same: NDArray[np.bool_] = (stamps > 0) & (newest != _UNKNOWN) & (np.abs(log_ns - newest) < OTHER_CLOCK_NS)
+    return same
 
 
 def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:
     """Return the stamps of messages that do not give the time, ns, int64 (n,); 0 where there is none."""
-    if source is TimeSource.STAMP:
+    if source in (TimeSource.STAMP, TimeSource.CLOCK):
         return messages.stamps_ns()
     stamps = np.zeros(len(messages), dtype=np.int64)
     if source is TimeSource.LIST:

@@ -182,7 +182,8 @@ def series_builder(bag: BagReader, topic: BagTopic, names: Sequence[str] = ()) -
     """Return what makes series of a topic's messages; of temperatures, `names` have columns in any case."""
     deserialize = partial(bag.deserialize, topic)
     if topic.is_joint_state:
-        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1)
+        unit = bag.effort_units.get(topic.name, "")
+        return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
     return TemperatureBuilder(topic.name, deserialize, names)
 
 

@@ -71,6 +71,7 @@ class BagReader:
         path: as given.
         files: the storage files.
         notes: lines for the user about what was read otherwise than the bag says.
+        effort_units: of topics whose efforts are not in the unit that their names say, by its metadata.
 
     Raises:
         BagError: if the bag is missing, foreign, damaged, or its metadata disagree with what it holds.
@@ -82,6 +83,7 @@ class BagReader:
             raise BagError(f"{plain(path)}: no such bag")
         self.files: list[Path] = []
         self.notes: list[str] = []
+        self.effort_units: dict[str, str] = {}
         self._storages: list[StorageFile] = []
         self._stack = ExitStack()
 
@@ -94,6 +96,7 @@ class BagReader:
                 for topic in self.topics:
                     held[topic.name, topic.msgtype] += topic.count
                 check_counts(self.path, metadata, +held)
+                self.effort_units = metadata.effort_units
             self._stack = stack.pop_all()
         return self
 

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
 
 from rx90_common.bags.changes import ParameterChange, changes_of
+from rx90_common.bags.ordering import OTHER_CLOCK_NS
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.topics import tells_changes
+from rx90_common.bags.topics import JOINT_TRAJECTORY, tells_changes
+from rx90_common.bags.trajectories import TrajectoryCount
+from rx90_common.bags.writing import typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -38,6 +43,8 @@ class TopicSummary:
         longest_gap_at_ns: time of the message before it.
         backward: messages with an earlier time than the one before.
         repeated: messages with the same time as the one before.
+        effort_unit: of a topic whose efforts are not in the unit that its name says.
+        other_clock: messages whose stamps are of another clock than the log times.
     """
 
     topic: str
@@ -53,6 +60,8 @@ class TopicSummary:
     longest_gap_at_ns: int | None
     backward: int
     repeated: int
+    effort_unit: str
+    other_clock: int
 
 
 @dataclass(frozen=True)
@@ -95,12 +104,29 @@ def summarise(path: Path | str) -> BagSummary:
             raise BagError(f"{plain(bag.path)}: holds no topics")
         times: dict[BagTopic, list[int]] = {topic: [] for topic in topics}
         changes: list[ParameterChange] = []
+        trajectories = TrajectoryCount()
+        other_clock: Counter[BagTopic] = Counter()
+        stamped = {topic for topic in topics if _is_stamped(topic)}
         for topic, log_ns, data in bag.messages(topics):
             times[topic].append(_joint_state_stamp(bag, topic, data) if topic.is_joint_state else log_ns)
+            if topic in stamped and (stamp := cdr_stamp_ns(data)) > 0 and abs(stamp - log_ns) >= OTHER_CLOCK_NS:
+                other_clock[topic] += 1
+            if topic.msgtype == JOINT_TRAJECTORY and topic.encoding == "cdr":
+                trajectories.add(topic.name, bag.deserialize(topic, data))
             if tells_changes(topic.name, topic.msgtype):
                 changes += changes_of(bag.deserialize(topic, data))
         files = [bag.path] if bag.path.is_file() else [f for f in bag.path.iterdir() if f.is_file()]
-        summaries = tuple(_summarise(topic, np.array(times[topic], dtype=np.int64)) for topic in topics)
+        summaries = tuple(
+            replace(
+                _summarise(topic, np.array(times[topic], dtype=np.int64)),
+                effort_unit=bag.effort_units.get(topic.name, ""),
+                other_clock=other_clock[topic],
+            )
+            for topic in topics
+        )
+        for name, count in trajectories.missing([topic.name for topic in topics]).items():
+            what = f"{plain(name)} lacks {count} of the trajectories that the controller accepted"
+            bag.notes.append(f"{what}: sent before the recording, or lost")
         size = sum(file.stat().st_size for file in files)
         return BagSummary(bag.path, bag.storage, bag.compression, size, summaries, tuple(changes), tuple(bag.notes))
 
@@ -109,6 +135,13 @@ def _joint_state_stamp(bag: BagReader, topic: BagTopic, data: bytes) -> int:
     if not topic.is_ros1:
         return max(0, cdr_stamp_ns(data))
     return message_time_ns(bag.deserialize(topic, data).header.stamp)
+
+
+def _is_stamped(topic: BagTopic) -> bool:
+    """Return whether messages begin with a header, as far as that is known here."""
+    definition = typestore().fielddefs.get(topic.msgtype)
+    fields = definition[1] if definition else []
+    return topic.encoding == "cdr" and bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
 
 
 def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
@@ -136,4 +169,6 @@ def _summarise(topic: BagTopic, times: NDArray[np.int64]) -> TopicSummary:
         longest_gap_at_ns=None if longest is None else int(times[longest]),
         backward=int((steps < 0).sum()),
         repeated=int((steps == 0).sum()),
+        effort_unit="",
+        other_clock=0,
     )

@@ -12,7 +12,6 @@ from rx90_common.bags.alignment import Side
 from rx90_common.bags.changes import ParameterChange
 from rx90_common.bags.comparison import BagComparison, TopicComparison, ValueDifference, Verdict
 from rx90_common.bags.summary import BagSummary, TopicSummary
-from rx90_common.bags.topics import unit
 from rx90_common.base.quoting import counted, listed, plain
 from rx90_common.base.rates import NANOSECONDS
 
@@ -55,8 +54,6 @@ def comparison_json(comparison: BagComparison) -> str:
 def _topic_dict(topic: TopicComparison) -> dict[str, Any]:
     content = asdict(topic)
     content["verdict"] = topic.verdict.name.lower()
-    for value in content["values"]:
-        value["unit"] = unit(topic.topic, value["field"])
     return content
 
 
@@ -69,9 +66,7 @@ def _topic_text(topic: TopicComparison) -> str:
     for side, where in ((topic.a, "first"), (topic.b, "second")):
         if side is not None and (note := _side_note(side)):
             lines.append(f"  {where} bag: {note}")
-    rows = [
-        row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(topic.topic, list(values))
-    ]
+    rows = [row for _, values in groupby(topic.values, lambda v: v.field) for row in _field_rows(list(values))]
     if rows:
         lines.append(_table(_COMPARED, rows, indent=2))
     return "\n".join(lines)
@@ -86,17 +81,17 @@ def _side_note(side: Side) -> str:
     return "; ".join(f"{count} {what}" for count, what in parts if count)
 
 
-def _field_rows(topic: str, values: list[ValueDifference]) -> list[tuple[str, ...]]:
+def _field_rows(values: list[ValueDifference]) -> list[tuple[str, ...]]:
     """Return one row per joint; one for all when none of them differs at all."""
     first = values[0]
     if len(values) > 1 and all(v.maximum == 0.0 and not v.beyond for v in values):
         tolerances = {v.tolerance for v in values}
         tolerance = f"{first.tolerance:g}" if len(tolerances) == 1 else "various"
-        return [(first.field, f"all {len(values)}", "0", "", "0", unit(topic, first.field), tolerance, "")]
-    return [_value_row(topic, value) for value in values]
+        return [(first.field, f"all {len(values)}", "0", "", "0", first.unit, tolerance, "")]
+    return [_value_row(value) for value in values]
 
 
-def _value_row(topic: str, value: ValueDifference) -> tuple[str, ...]:
+def _value_row(value: ValueDifference) -> tuple[str, ...]:
     beyond = f"{value.beyond}" if value.beyond else ""
     if value.not_finite:
         beyond += f" ({value.not_finite} not finite)"
@@ -106,7 +101,7 @@ def _value_row(topic: str, value: ValueDifference) -> tuple[str, ...]:
         f"{value.maximum:.3e}" if value.maximum else "0",
         "" if value.at_ns is None else f"{value.at_ns / NANOSECONDS:.6f}",
         f"{value.rms:.3e}" if value.rms else "0",
-        unit(topic, value.field),
+        value.unit,
         f"{value.tolerance:g}",
         beyond,
     )
@@ -157,6 +152,10 @@ def _remarks(topic: TopicSummary) -> str:
         remarks.append(f"{topic.repeated} repeated times")
     if topic.encoding not in ("cdr", "ros1"):
         remarks.append(f"messages in {plain(topic.encoding) or 'no encoding'}, not looked into")
+    if topic.other_clock:
+        remarks.append(f"{topic.other_clock} stamps of another clock")
+    if topic.effort_unit:
+        remarks.append(f"effort in {topic.effort_unit}")
     if topic.time == "log" and topic.count:
         remarks.append("by log time")
     return "; ".join(remarks)

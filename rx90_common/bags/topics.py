@@ -66,17 +66,8 @@ def tells_changes(topic: str, msgtype: str) -> bool:
     return msgtype == PARAMETER_EVENT and topic.rpartition("/")[2] == PARAMETERS
 
 
-def quantities(topic: str) -> dict[str, str]:
-    """Return what each field of a topic's messages holds, with its unit, such as `position [rad]`."""
-    return {field: f"{name} [{unit}]" for field, (name, unit) in _fields(topic).items()}
-
-
-def unit(topic: str, field: str) -> str:
-    """Return the unit of a field of a topic's messages."""
-    return _fields(topic)[field][1]
-
-
-def _fields(topic: str) -> dict[str, tuple[str, str]]:
+def quantities(topic: str) -> dict[str, tuple[str, str]]:
+    """Return what each field of a topic's messages holds, and its unit, where a bag does not say otherwise."""
     own = _QUANTITIES.get(topic.rpartition("/")[2], {})
     return {field: own.get(field, (field, USUAL_UNITS[field])) for field in SERIES_FIELDS}
 

@@ -28,13 +28,12 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.temperatures import temperature_cdr
+from rx90_common.bags.metadata import EFFORT_UNIT
 from rx90_common.bags.topics import (
     JOINT_TRAJECTORY,
     PARAMETER_EVENT,
     POINT_FIELDS,
     STRING,
-    TEMPERATURE,
     absolute,
 )
 from rx90_common.bags.whole import encoded, named_at_the_end, series_encoder
@@ -145,6 +144,11 @@ class BagWriter:
             raise BagError(f"{absolute(topic)} has type {msgtype}; accepted: types of ROS 2's common interfaces")
         with self._failures():
             return self._writer.add_connection(absolute(topic), msgtype, typestore=types, offered_qos_profiles=qos)
+
+    def say_unit(self, topic: str, effort_unit: str) -> None:
+        """Say in the metadata in which unit a topic's efforts are, where it is not the usual one."""
+        if effort_unit:
+            self._writer.set_custom_data(f"{EFFORT_UNIT}{absolute(topic)}", effort_unit)
 
     def write(self, connection: Connection, log_ns: int, cdr: bytes) -> None:
         """Write a serialised message.
@@ -272,11 +276,6 @@ def string_message(topic: str, text: str) -> RawMessage:
     return RawMessage(topic, STRING, 0, bytes(typestore().serialize_cdr(content, STRING)), transient_local=True)
 
 
-def temperature_message(topic: str, stamp_ns: int, name: str, temperature: float) -> RawMessage:
-    """Return a sensor_msgs/Temperature, degrees Celsius, of a friction element or a motor by its name."""
-    return RawMessage(topic, TEMPERATURE, stamp_ns, temperature_cdr(stamp_ns, name, temperature))
-
-
 def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawMessage:
     """Return the latched rcl_interfaces/ParameterEvent in which a node tells whole numbers as its run begins."""
     types = typestore().types
@@ -347,6 +346,8 @@ def write_joint_states(
         connections = [
             bag.add_topic(topic, one.msgtype, [offered_qos()]) for topic, one in zip(topics, series, strict=True)
         ]
+        for one in series:
+            bag.say_unit(one.topic, one.effort_unit)
         others = _add_others(bag, messages)
         parts = [series_encoder(one) for one in series]
         stamps = [part.stamp_ns for part in parts]

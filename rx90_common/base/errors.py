@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import errno
+import sys
+import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar
@@ -34,6 +37,19 @@ class FailureError(Rx90Error):
     """What was asked for is acceptable and could not be carried out."""
 
     exit_code = FAILED
+
+
+class Rx90Warning(UserWarning):
+    """What runs, and means less than it seems to; commands print it as one line."""
+
+
+def warn_caller(lines: Iterable[str]) -> None:
+    """Give each line as an Rx90Warning of the place from which this project was called."""
+    for line in lines:
+        depth, frame = 1, sys._getframe()
+        while frame.f_back is not None and str(frame.f_globals.get("__name__")).startswith("rx90_"):
+            depth, frame = depth + 1, frame.f_back
+        warnings.warn(line, Rx90Warning, stacklevel=depth)
 
 
 class ConfigError(Rx90Error):

@@ -26,6 +26,7 @@ SOURCES = {
     "lz4": Source("rosbags"),
     "markupsafe": Source("Jinja2", "python3-jinja2"),
     "matplotlib": Source("matplotlib", "python3-matplotlib"),
+    "msgspec": Source("viser"),
     "numba": Source("numba"),
     "numpy": Source("numpy", "python3-numpy"),
     "pinocchio": Source("pin", "ros-jazzy-pinocchio"),
@@ -37,6 +38,7 @@ SOURCES = {
     "shtab": Source("shtab"),
     "tqdm": Source("tqdm", "python3-tqdm"),
     "viser": Source("viser"),
+    "websockets": Source("viser"),
     "yaml": Source("PyYAML", "python3-yaml"),
 }
 """Of each module outside the standard library and ROS that the project imports."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -16,13 +18,15 @@ from rx90_common.base.errors import ConfigError, ExchangeError, MessageError
 from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.base.stamps import message_time_ns
-from rx90_common.exchange.joint_state_parser import parse_joint_state
+from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.newest import Newest
 from rx90_common.exchange.ros_start import reason
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import SAMPLED, TIME_MODE, TRAJECTORY_ACCEPTED
 
 _NODES = 20  # that may all speak at once
+_SAMPLES = 100  # in a second
+_TICKS = 1000  # of the position loop in a second
 _SERVICE = "joint_trajectory"  # any name below the controller's
 
 
@@ -43,11 +47,25 @@ class NodeStatus(NamedTuple):
     values: dict[str, str]
 
 
-class Span(NamedTuple):
-    """When a trajectory begins and ends, simulated s."""
+class Trajectory(NamedTuple):
+    """A trajectory that was accepted.
+
+    Attributes:
+        begin: when it begins, simulated s.
+        times: of its points, simulated s, shape (n,).
+        position: of its points, rad, shape (n, joints).
+        at_rest: the points at which the joints stand still, shape (n,).
+    """
 
     begin: float
-    end: float
+    times: Array
+    position: Array
+    at_rest: NDArray[np.bool_]
+
+    @property
+    def end(self) -> float:
+        """Return when it ends, simulated s."""
+        return float(self.times[-1])
 
 
 class ArmWatch:
@@ -62,7 +80,7 @@ class ArmWatch:
     Attributes:
         problem: why the newest message of the arm is not one of this robot; empty if it is.
         robot: name of the simulation's robot; None until it is known.
-        trajectory: the one that was accepted last; None if there is none.
+        trajectory: the one that was accepted last, as of the last call of `joints`; None if there is none.
         diagnostics: what the nodes of this namespace say, by their names without it.
 
     Raises:
@@ -78,21 +96,36 @@ class ArmWatch:
                 "accepted: a name such as rx90_controller or /cell/rx90_controller"
             ) from error
         self._namespace = full.rsplit("/", 1)[0]
-        self._names = tuple(joints), tuple(elements)
+        self._codecs = JointStateCodec(joints), JointStateCodec(elements)
         self._node = node
         self._joints, self._elements = self._listen(self._namespace)
+        self._ticks: Newest | None = None
         self._mode = Newest(node, String, f"{self._namespace}/{TIME_MODE}", latched=True)
         self._accepted = Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
         self._diagnostics = Newest(node, DiagnosticArray, "/diagnostics", depth=_NODES)
         self.problem = ""
         self.robot: str | None = None
-        self.trajectory: Span | None = None
+        self.trajectory: Trajectory | None = None
         self.diagnostics: dict[str, NodeStatus] = {}
 
     def _listen(self, space: str) -> tuple[Newest, Newest]:
         topics = (f"{space}/joint_states", f"{space}/friction_states")
-        joints, elements = (Newest(self._node, JointState, topic, raw=True) for topic in topics)
+        joints, elements = (Newest(self._node, JointState, topic, raw=True, depth=_SAMPLES) for topic in topics)
         return joints, elements
+
+    def at_ticks(self, *, wanted: bool) -> None:
+        """Listen to the friction elements at every tick of the position loop, or no more; see `elements_at_ticks`."""
+        if wanted and self._ticks is None:
+            topic = f"{self._namespace}/friction_states"
+            self._ticks = Newest(self._node, JointState, topic, raw=True, depth=_TICKS)
+        elif not wanted and self._ticks is not None:
+            self._ticks.close()
+            self._ticks = None
+
+    @property
+    def listens_at_ticks(self) -> bool:
+        """Return whether `at_ticks` has it listen."""
+        return self._ticks is not None
 
     def _choose(self) -> None:
         """Listen to the topics for those who look on where there are any: they cost the simulation a tenth."""
@@ -113,30 +146,39 @@ class ArmWatch:
         """Return how many publishers of the arm's joint states there are."""
         return self._joints.publishers
 
-    def joints(self) -> JointSample | None:
-        """Return the newest sample of the joints that came since the last call; None if none did."""
-        return self._take(self._joints, self._names[0])
+    def joints(self) -> list[JointSample]:
+        """Return the samples of the joints that came since the last call, as far as they were kept."""
+        samples = self._take(self._joints, self._codecs[0])
+        accepted = self._accepted.take()
+        if accepted is not None:
+            self.trajectory = _trajectory(accepted, self._codecs[0].names)
+        return samples
 
-    def elements(self) -> JointSample | None:
-        """Return likewise that of the friction elements: bristle deflection, velocity, friction torque."""
-        return self._take(self._elements, self._names[1])
+    def elements(self) -> list[JointSample]:
+        """Return likewise those of the friction elements: bristle deflection, velocity, friction torque."""
+        return self._take(self._elements, self._codecs[1])
 
-    def _take(self, topic: Newest, names: tuple[str, ...]) -> JointSample | None:
-        raw = topic.take()
-        if raw is None:
-            return None
-        try:
-            stamp, arrays = parse_joint_state(raw, names)
-            if any(array is None for array in arrays):
-                raise ExchangeError("position, velocity or effort is empty; accepted: all three")
-        except ExchangeError as error:
-            self.problem = f"{topic.topic}: {error}"
-            return None
-        self.problem = ""
-        return JointSample(stamp / NANOSECONDS, *arrays)  # type: ignore[arg-type]  # none is None
+    def elements_at_ticks(self) -> list[JointSample]:
+        """Return likewise those of every tick of the position loop, while `at_ticks` listens to them."""
+        return [] if self._ticks is None else self._take(self._ticks, self._codecs[1])
+
+    def _take(self, topic: Newest, codec: JointStateCodec) -> list[JointSample]:
+        samples = []
+        for raw in topic.take_all():
+            try:
+                stamp, position, velocity, effort = codec.decode(raw)
+                if position is None or velocity is None or effort is None:
+                    raise ExchangeError("position, velocity or effort is empty; accepted: all three")
+            except ExchangeError as error:
+                self.problem = f"{topic.topic}: {error}"
+                return []
+            samples.append(JointSample(stamp / NANOSECONDS, position.copy(), velocity.copy(), effort.copy()))
+        if samples:
+            self.problem = ""
+        return samples
 
     def look_around(self) -> None:
-        """Bring robot, trajectory and diagnostics up to date; a few times a second is enough."""
+        """Bring robot and diagnostics up to date; a few times a second is enough."""
         self._choose()
         for message in self._diagnostics.take_all():
             for status in message.status:
@@ -147,9 +189,6 @@ class ArmWatch:
                 self.robot = TimeMode.parse(mode.data).robot
             except MessageError as error:
                 self.problem = str(error)
-        accepted = self._accepted.take()
-        if accepted is not None:
-            self.trajectory = _span(accepted)
 
     def _note(self, status: Any) -> None:
         space, _, name = f"/{status.name}".rpartition("/")
@@ -158,8 +197,13 @@ class ArmWatch:
             self.diagnostics[name] = NodeStatus(level, status.message, {pair.key: pair.value for pair in status.values})
 
 
-def _span(message: JointTrajectory) -> Span | None:
-    if not message.points:
+def _trajectory(message: JointTrajectory, joints: Sequence[str]) -> Trajectory | None:
+    if not message.points or set(message.joint_names) != set(joints):
         return None
+    order = [message.joint_names.index(joint) for joint in joints]
     begin = message_time_ns(message.header.stamp) / NANOSECONDS
-    return Span(begin, begin + message_time_ns(message.points[-1].time_from_start) / NANOSECONDS)
+    times = [begin + message_time_ns(point.time_from_start) / NANOSECONDS for point in message.points]
+    position = np.array([point.positions for point in message.points])[:, order]
+    at_rest = np.array([len(point.velocities) > 0 and not any(point.velocities) for point in message.points])
+    at_rest[-1] = True
+    return Trajectory(begin, np.array(times), position, at_rest)

@@ -24,6 +24,8 @@ LONGEST_REST = LONGEST_MOTION = 3600.0
 DEFAULT_BRANCH = Branch()
 TOOL_DOWN = (0.0, math.radians(180.0), 0.0)
 """Roll, pitch and yaw, rad, with which the beam points down."""
+SETTLING = 0.2
+"""How long after its end a motion still counts for the path error, s: there the arm comes to rest."""
 USUAL_SPEED = 0.1
 USUAL_ACCELERATION = 1.0
 """What a line has whose speed and acceleration nobody names, m/s and m/s²."""
@@ -136,6 +138,14 @@ class LineTask:
     def profile(self) -> TrapezoidalProfile:
         """Return the speed profile along the line."""
         return TrapezoidalProfile(self.length, self.speed, self.acceleration)
+
+    @property
+    def counted(self) -> tuple[float, float]:
+        """Return what of its trajectory counts for the path error, s: the line's motion, until the arm has settled.
+
+        In the rest before, the controller may still take up the weight of the arm.
+        """
+        return self.rest_before, self.rest_before + self.profile().duration + min(SETTLING, self.rest_after)
 
 
 def load_task(name: Path | str | None = None, *, robot: Path | str | None = None) -> LineTask:

@@ -141,10 +141,10 @@ class ControllerOutputs:
         if self._report is not None:
             self._report.trigger()
 
-    def accepted(self, trajectory: JointTrajectory, start_ns: int) -> None:
-        """Publish a trajectory as it came, stamped with its start."""
+    def accepted(self, trajectory: JointTrajectory, start_ns: int, source: str = "") -> None:
+        """Publish a trajectory as it came, stamped with its start; the frame says where from."""
         taken = JointTrajectory(joint_names=trajectory.joint_names, points=trajectory.points)
-        taken.header.stamp = ros_time(start_ns)
+        taken.header.stamp, taken.header.frame_id = ros_time(start_ns), source
         self._accepted.publish(taken)
 
     # rclpy takes a line of code for one severity only: it must not see who else calls these.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.quoting import one_line
+from rx90_common.exchange.topics import OF_ACTION
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
@@ -148,7 +149,7 @@ class GoalRequests:
             self._tell(Outcome(Phase.ABORTED, error.code, str(error), now), sender)
             return
         self._deliver(ended, wanted=True)
-        self._requests.announce("goal", trajectory, goal.points, schedule, goal.start)
+        self._requests.announce("goal", trajectory, goal.points, schedule, goal.start, OF_ACTION)
 
     def scale(self, factor: float) -> None:
         """Follow trajectories at this share of their speed.

@@ -21,8 +21,8 @@ class Log(Protocol):
     def wake(self) -> None:
         """Have `Requests.report` called soon, by another thread than the one that ticks."""
 
-    def accepted(self, trajectory: Any, start_ns: int) -> None:
-        """Publish a trajectory that was taken, and when it starts, ns."""
+    def accepted(self, trajectory: Any, start_ns: int, source: str = "") -> None:
+        """Publish a trajectory that was taken, when it starts, ns, and OF_ACTION for one that was a goal."""
 
     def info(self, text: str) -> None:
         """Print what happened."""
@@ -156,7 +156,13 @@ class Requests:
         self.note(f"{what} rejected: {error}", wrong=True)
 
     def announce(
-        self, what: str, trajectory: Any, points: TrajectoryPoints, schedule: Schedule, start: int | None
+        self,
+        what: str,
+        trajectory: Any,
+        points: TrajectoryPoints,
+        schedule: Schedule,
+        start: int | None,
+        source: str = "",
     ) -> None:
         """Note that a trajectory was taken, and publish it with its start: a tick, None for when it begins."""
         rates = self._cs7b.rates
@@ -166,7 +172,7 @@ class Requests:
             text += "; velocities from its positions"
         if schedule.miss > 0.0:
             text += f"; its ramps pass the points in between at up to {schedule.miss:.3g} rad"
-        self._publish(trajectory, schedule.begin if start is None else start)
+        self._publish(trajectory, schedule.begin if start is None else start, source)
         self.note(text)
 
     def _follow(self, request: TrajectoryRequest, entrance: Entrance, plan: Plan | None) -> None:
@@ -183,9 +189,9 @@ class Requests:
         self._publish(request.trajectory, schedule.begin)
         self.note(f"empty trajectory: stopping from {begin:.3f} s on, at rest at {end:.3f} s")
 
-    def _publish(self, trajectory: Any, start: int) -> None:
+    def _publish(self, trajectory: Any, start: int, source: str = "") -> None:
         rates = self._cs7b.rates
-        self._reports.append(partial(self._log.accepted, trajectory, start * rates.period_ns * rates.ratio))
+        self._reports.append(partial(self._log.accepted, trajectory, start * rates.period_ns * rates.ratio, source))
 
     def _check_start(self, start: int | None) -> None:
         rates = self._cs7b.rates

@@ -30,7 +30,7 @@ from rx90_controller.lines.plan import LinePlan
 from rx90_controller.trajectory import JointLimits, TrajectoryPoints
 from rx90_controller.trajectory.message import stamped_points
 
-_SETTLED = 0.5  # s without a change among those that listen
+_SETTLED = 1.2  # s without a change among those that listen; each participant announces itself every second, config/dds
 _NEXT_SAMPLE = 1.5  # s; at the slowest real_time_factor the samples of a simulation that runs come every second
 
 

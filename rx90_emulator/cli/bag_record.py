@@ -66,6 +66,12 @@ def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequenc
     recorded = sum(count.received for count in counts) - repeated
     left_out = f"; {repeated} repetitions of the sample before are left out" if repeated else ""
     print(f"recorded {recorded} messages of {len(counts)} topics to {plain(output)}{left_out}")
+    for count in counts:
+        if count.other_clock:
+            print(
+                f"{count.topic}: {count.other_clock} messages have stamps of another clock; "
+                "they are dated by when they came, by the clock of the bag"
+            )
     complete = not stalls
     if not any(count.received for count in counts):
         complete = False
@@ -79,6 +85,13 @@ def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequenc
             complete = False
             writers = "; ".join(f"{w.lost} of {w.received + w.lost}" for w in count.writers)
             print(f"lost: {count.lost} messages of {count.topic} (by publisher: {writers})", file=sys.stderr)
+        if count.missing:
+            complete = False
+            print(
+                f"lost: {count.missing} trajectories that were sent on {count.topic}: the controller has accepted "
+                "them, and they did not come here",
+                file=sys.stderr,
+            )
         if count.refused:
             complete = False
             print(

@@ -111,7 +111,10 @@ def goal(rig: Rig, trajectory: SimpleNamespace) -> mock.Mock:
 def test_what_may_take_long_is_checked_while_ticks_run(
     ways: Ways, offered: str, count: int, last: float, beside: bool
 ) -> None:
-    """Goals and trajectories of more than 20 points, or 20 s: from rest, on the way, and behind one that waits."""
+    """Goals and trajectories of more than 20 points, or 20 s: from rest, on the way, and behind one that waits.
+
+    What is told of them says which were goals.
+    """
     rig = ways.rig
     with mock.patch.object(points, "_table", wraps=points._table) as table:
         table.side_effect = lambda *_: ways.beside.append(not rig.loop._lock.locked()) or mock.DEFAULT
@@ -122,6 +125,8 @@ def test_what_may_take_long_is_checked_while_ticks_run(
         rig.loop.offer(message(rig, 1, 1.0, start=3.0))  # waits
         if offered == "topic":
             rig.loop.offer(message(rig, count, last))
+    source = "" if offered == "topic" else "follow_joint_trajectory"
+    assert [each[2] for each in rig.around.taken[:4]] == [source] * 3 + [""]
     of_one = [True, True, True, beside]  # its three tables and its way
     assert ways.beside == of_one * 3 + [True, True, True, False] + of_one * (offered == "topic")
     assert not any("rejected" in line for line in rig.around.lines)

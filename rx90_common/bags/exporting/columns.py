@@ -6,7 +6,6 @@ import re
 from typing import Any, Final
 
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import unit
 from rx90_common.base.config import yaml_text
 
 TIME: Final = "time [s]"
@@ -37,7 +36,7 @@ def mapping_text(series: JointSeries) -> str:
     count = len(series.names)
     for k, field in enumerate(series.fields):
         first = 2 + k * count
-        content[field] = {"columns": list(range(first, first + count)), "unit": unit(series.topic, field)}
+        content[field] = {"columns": list(range(first, first + count)), "unit": series.units[field]}
     document = {
         "exact": True,
         "delimiter": ",",

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from rx90_common.bags.exporting.columns import STAMP, TIME, array_name, columns, mapping_text
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.topics import unit
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
@@ -91,7 +90,7 @@ class ParquetFile:
             float64 = pa.float64()
             fields = [pa.field(STAMP, pa.int64(), False, {"unit": "ns"}), pa.field(TIME, float64, False, {"unit": "s"})]
             for joint, field, name in columns(series):
-                told = {"unit": unit(series.topic, field), "joint": joint, "field": field}
+                told = {"unit": series.units[field], "joint": joint, "field": field}
                 fields.append(pa.field(name, float64, False, told))
             schema = pa.schema(fields, {"topic": series.topic})
             self._writer = pa.parquet.ParquetWriter(self._path, schema)

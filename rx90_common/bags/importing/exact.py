@@ -212,7 +212,9 @@ class _Plan:
                 places = {field: begin + k * count for k, field in enumerate(mapped.fields)}
                 for rows in spool.by_stamp():
                     fields = {f: np.ascontiguousarray(rows.numbers[:, at : at + count]) for f, at in places.items()}
-                    yield JointSeries(absolute(topic), mapped.names, rows.stamp_ns, **fields)
+                    yield JointSeries(
+                        absolute(topic), mapped.names, rows.stamp_ns, **fields, effort_unit=mapped.effort_unit(topic)
+                    )
             begin += count * len(mapped.fields)
 
     def _place(self, column: Column) -> int:

@@ -179,7 +179,7 @@ class _GoodRows:
             numbers = block.numbers[kept]
             places = {field: begin + k * count for k, field in enumerate(mapped.fields)}
             fields = {field: np.ascontiguousarray(numbers[:, at : at + count]) for field, at in places.items()}
-            yield JointSeries(topic, mapped.names, stamps, **fields)
+            yield JointSeries(topic, mapped.names, stamps, **fields, effort_unit=mapped.effort_unit(topic))
 
 
 def corrupt_text(corrupt: Sequence[tuple[int, str]]) -> str:

@@ -26,7 +26,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from rx90_common.bags.topics import SERIES_FIELDS
+from rx90_common.bags.topics import SERIES_FIELDS, quantities
 from rx90_common.base.config import load_yaml
 from rx90_common.base.entries import LEFT_OUT, Integer, ListOf, Number, Other, Switch, Text, Texts
 from rx90_common.base.errors import ConfigError
@@ -158,6 +158,13 @@ class TopicMapping:
 
     names: tuple[str, ...]
     fields: Mapping[str, FieldMapping]
+
+    def effort_unit(self, topic: str) -> str:
+        """Return the unit of the efforts in the bag where it is not the one that the topic's name says."""
+        if "effort" not in self.fields:
+            return ""
+        unit = self.fields["effort"].unit.removeprefix("m")
+        return "" if unit == quantities(topic)["effort"][1] else unit
 
 
 @dataclass(frozen=True)

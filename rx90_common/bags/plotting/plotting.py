@@ -140,7 +140,7 @@ def _two(words: Sequence[str], both: tuple[JointSeries, ...], robots: tuple[str,
     first, second = both
     zero, label = _times(both)
     names = [name for name in first.names if name in second.names]
-    fields = [field for field in first.fields if field in second.fields]
+    fields = [f for f in first.fields if f in second.fields and first.units[f] == second.units[f]]
     if not names or not fields:
         raise BagError(
             f"{plain(first.topic)}: nothing is in both bags: joints {listed(first.names)} and {listed(second.names)}; "
@@ -174,7 +174,7 @@ class _Apart:
     def of(cls, both: tuple[JointSeries, ...], names: Sequence[str]) -> _Apart:
         a, b = pairs(both, names)
         fields = {field: b.fields[field] - a.fields[field] for field in a.fields if field in b.fields}
-        return cls(JointSeries(a.topic, a.names, a.stamp_ns, **fields))
+        return cls(JointSeries(a.topic, a.names, a.stamp_ns, **fields, effort_unit=a.effort_unit))
 
     def rows(self, field: str) -> Iterator[tuple[str, str, float, float, float, int]]:
         """Yield what `TopicPlot.differences` says of each joint."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -39,13 +39,19 @@ _SHOW_PERIOD_S = 0.5
 
 @dataclass(frozen=True)
 class TopicCount:
-    """What was recorded of a topic; `repeated` of the messages received are not in the bag."""
+    """What was recorded of a topic; `repeated` of the messages received are not in the bag.
+
+    `missing` trajectories did not come, although the controller that they were sent to has accepted them; `other_clock`
+    messages have stamps of another clock than the bag, and are dated by their reception.
+    """
 
     topic: str
     received: int
     repeated: int
     lost: int
     refused: int
+    missing: int
+    other_clock: int
     writers: tuple[WriterCount, ...]
 
 
@@ -122,7 +128,7 @@ class Recorder:
                 with make_writer() as writer:
                     self._record(streams, reader, writer, stop)
                 reader.check()
-                return _count(streams)
+                return _count(streams, self._order.other_clock)
             finally:
                 reader.finish()
                 if reader.is_alive():
@@ -162,7 +168,7 @@ class Recorder:
 
     def _announce(self, streams: Streams, writer: BagWriter) -> None:
         for stream in streams:
-            stream.counter.start()
+            stream.start()
         if all(stream.time_source is not TimeSource.CLOCK for stream in streams):
             self._order.expect_no_clock()
         if not all(stream.in_bulk for stream in streams):
@@ -208,7 +214,8 @@ class Recorder:
         writer.write_many(numbers[dated.topic], dated.log_ns, dated.messages)
 
 
-def _count(streams: Streams) -> list[TopicCount]:
+def _count(streams: Streams, other_clock: Mapping[int, int]) -> list[TopicCount]:
+    missing = streams.trajectories.missing([stream.topic for stream in streams])
     return [
         TopicCount(
             stream.topic,
@@ -216,6 +223,8 @@ def _count(streams: Streams) -> list[TopicCount]:
             stream.repeated,
             stream.lost(),
             stream.refused(),
+            missing.get(stream.topic, 0),
+            other_clock.get(stream.index, 0),
             tuple(stream.counter.writers),
         )
         for stream in streams

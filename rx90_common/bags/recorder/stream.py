@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,8 @@ from rx90_common.bags.ordering import TimeSource
 from rx90_common.bags.recorder.definition import begins_with_header, definition, message_class
 from rx90_common.bags.recorder.sequence import SequenceCounter
 from rx90_common.bags.recorder.taking import SingleTaker, Taken, Taker, bulk_taker
-from rx90_common.bags.topics import CLOCK, JOINT_STATE, TRANSFORMS, tells_changes
+from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
+from rx90_common.bags.trajectories import TrajectoryCount
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted
@@ -24,6 +27,7 @@ from rx90_common.exchange.arrivals import Gathering
 from rx90_common.exchange.ros_start import reason
 
 _DEPTH = 20_000  # messages that DDS keeps while this process does not run: 5 s at 4 kHz
+_NEVER = 1 << 63  # ns
 _PAUSE = 0.002  # s; what comes meanwhile at 30,000 messages a second fits into a socket as Linux makes it by default
 
 
@@ -34,6 +38,9 @@ class Streams:
         node: owner of the subscriptions.
         topics: names, relative or absolute.
 
+    Attributes:
+        trajectories: those that came, and those that controllers have accepted since all was ready.
+
     Raises:
         BagError: if ROS does not accept a name, or two are the same topic.
     """
@@ -42,6 +49,7 @@ class Streams:
         self._node = node
         self._gathering = Gathering(_PAUSE)
         self._found: dict[str, Stream | None] = {}
+        self.trajectories = TrajectoryCount()
         for topic in topics:
             try:
                 name = node.resolve_topic_name(topic)
@@ -63,7 +71,9 @@ class Streams:
                 endpoints = self._node.get_publishers_info_by_topic(topic)
                 endpoints = endpoints or self._node.get_subscriptions_info_by_topic(topic)
                 if endpoints:
-                    found = self._found[topic] = Stream(self._node, topic, index, endpoints, self._gathering)
+                    found = self._found[topic] = Stream(
+                        self._node, topic, index, endpoints, self._gathering, self.trajectories
+                    )
                     on_found(found)
         return not self.missing()
 
@@ -90,6 +100,7 @@ class Stream:
         index: place in the list of topics.
         endpoints: the publishers in the ROS graph or, where there are none yet, the subscriptions.
         gathering: of all topics of the node.
+        trajectories: counts those that come.
 
     Attributes:
         definition: the text of its type, if bags of this project do not know it; else empty.
@@ -101,8 +112,18 @@ class Stream:
         BagError: if the publishers disagree on the type, or it is not installed.
     """
 
-    def __init__(self, node: Node, topic: str, index: int, endpoints: Sequence[Any], gathering: Gathering) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        index: int,
+        endpoints: Sequence[Any],
+        gathering: Gathering,
+        trajectories: TrajectoryCount,
+    ) -> None:
         self.topic = topic
+        self._trajectories = trajectories
+        self._ready_ns = _NEVER
         self.index = index
         self.msgtype = _one_type(topic, endpoints)
         kind = message_class(topic, self.msgtype)
@@ -145,6 +166,11 @@ class Stream:
         """Return whether the topic is the steady output of a node, not a command that somebody sends at times."""
         return self.time_source is TimeSource.CLOCK or self._latched
 
+    def start(self) -> None:
+        """From now on nothing may be missing that anybody sends."""
+        self.counter.start()
+        self._ready_ns = time.time_ns()
+
     def take(self) -> Taken:
         """Return messages that have come, counted, not more than some hundred; none if there are none.
 
@@ -155,7 +181,15 @@ class Stream:
         self.counter.add_many(taken.numbers)
         if len(taken.sent_ns):
             self.sent_ns = int(taken.sent_ns[-1])
+        if self.msgtype == JOINT_TRAJECTORY:
+            self._count_trajectories(taken)
         return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
+
+    def _count_trajectories(self, taken: Taken) -> None:
+        for message, sent_ns in zip(taken.messages, taken.sent_ns.tolist(), strict=True):
+            if not self._latched or sent_ns >= self._ready_ns:  # else it was accepted before the recording
+                with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
+                    self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
 
     def _without_repetitions(self, taken: Taken) -> Taken:
         """Leave out, and count, messages that are the one before them once more, to the bit, stamp included.

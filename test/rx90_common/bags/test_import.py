@@ -12,13 +12,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 
 from rx90_common.bags.block_writing import write_blocks
+from rx90_common.bags.exporting.exporting import export_bag
 from rx90_common.bags.importing import exact as exact_module
 from rx90_common.bags.importing import spool, table
 from rx90_common.bags.importing.importing import import_logs
 from rx90_common.bags.importing.mapping import LogMapping
 from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.plotting.plotting import plot_bags
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.bags.storage import BagReader
 from rx90_common.bags.writing import write_joint_states
@@ -396,3 +399,31 @@ def test_a_first_row_that_is_taken_for_a_header_is_told(tmp_path: Path, capsys: 
     log = write(tmp_path / "log.csv", 't,a,b\n"0,1,2\n1,2,3\n')
     assert run("rx90_bag", ["import", str(log), str(tmp_path / "bag")]) == 0
     assert "header t, a, b in 2 lines before the first row" in capsys.readouterr().out
+
+
+def test_efforts_in_amperes_stay_amperes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Currents are called A in the bag, its table, plots, comparisons and exports, and on the way back; torques Nm."""
+    for unit in ("mA", "mNm"):
+        mapping = PLAIN.replace("position: {columns: [2, 3], unit: rad}", f"effort: {{columns: [2, 3], unit: {unit}}}")
+        folder = tmp_path / unit
+        folder.mkdir()
+        series = imported(folder, mapping, rows(","))
+        assert series.effort is not None
+        np.testing.assert_array_equal(series.effort, POSITION * 1e-3)
+        label = f"effort [{unit.removeprefix('m')}]"
+        assert series.quantities["effort"] == series.take(slice(0, 2)).select(["b"]).quantities["effort"] == label
+        (panel,) = plot_bags([folder / "bag"])[0].plot.panels
+        assert panel.y_label == label.replace(" [", ", ").removesuffix("]")
+        tables, again = folder / "tables", folder / "again"
+        export_bag(folder / "bag", tables)
+        assert (tables / "joint_states.csv").read_text().splitlines()[0] == f"time [s],a {label},b {label}"
+        export_bag(folder / "bag", folder / "a.npz")
+        assert f"joint_states_effort_{label[8:-1]}" in np.load(folder / "a.npz")
+        assert run("rx90_bag", ["import", str(tables), str(again)]) == 0
+        assert run("rx90_bag", ["compare", str(folder / "bag"), str(again)]) == 0
+        assert run("rx90_bag", ["info", str(again)]) == 0
+        assert ("effort in A" in capsys.readouterr().out) == (unit == "mA")
+        with AnyReader([again]) as reader:
+            assert reader.message_count == len(TIME)
+    assert run("rx90_bag", ["compare", str(tmp_path / "mA" / "bag"), str(tmp_path / "mNm" / "bag")]) == 1
+    assert "effort is in A in the first bag and in Nm in the second, and not compared" in capsys.readouterr().out

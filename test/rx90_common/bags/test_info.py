@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from bag_making import ROS1, STORAGES, joint_state, series, write_ros1
 
+from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.summary import summarise
-from rx90_common.bags.writing import string_message, temperature_message, write_joint_states
+from rx90_common.bags.writing import string_message, write_joint_states
 from rx90_emulator.cli.frame import run
 
 
@@ -69,8 +70,9 @@ def test_table_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_messages_of_one_moment_are_no_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Temperatures come as one message for each joint at the same time; of set-points a repeated time is told."""
     names = ("joint_1", "joint_2", "joint_3")
-    warm = [temperature_message("/temperatures", k * 10**9, name, 20.0) for k in range(3) for name in names]
-    write_joint_states(tmp_path / "bag", [series(11)], messages=warm)
+    stamps = np.arange(3, dtype=np.int64) * 10**9
+    warm = JointSeries("/temperatures", names, stamps, temperature=np.full((3, 3), 20.0))
+    write_joint_states(tmp_path / "bag", [series(11), warm])
     write_joint_states(tmp_path / "twice", [series(11).take([0, 1, 1, 2])])
     for bag, repeated in (("bag", False), ("twice", True)):
         assert run("rx90_bag", ["info", str(tmp_path / bag)]) == 0

@@ -14,6 +14,7 @@ from rx90_common.bags.ordering import Arrived, Dated, LogOrder, TimeSource
 from rx90_common.base.stamps import cdr_stamp_ns
 
 MS = 1_000_000
+LIST_OF_ONE = b"\x00\x01\x00\x00\x01\x00\x00\x00"  # encapsulation and length
 
 
 def message(stamp: int, order: Literal["little", "big"] = "little", content: bytes = b"") -> bytes:
@@ -147,3 +148,54 @@ def test_a_reset_is_reported_and_keeps_the_runs_apart() -> None:
         assert stamps == [s * MS for run in runs for s in run]
     assert order.set_backs == [(290 * MS, 0)]
     assert order.newest_ns == 190 * MS
+
+
+WALL = 1_700_000_000 * 1_000 * MS
+
+
+def test_a_log_has_one_clock() -> None:
+    """Stamps of another clock are dated by when they came, before the first sample too, whatever their topic is.
+
+    Stamps of the log's own clock keep their times: an hour ahead, long past, and before the first sample.
+    """
+    arrivals = [
+        (5, TimeSource.STAMP, message(WALL)),
+        (6, TimeSource.STAMP, message(4 * MS)),
+        (0, TimeSource.CLOCK, message(7 * MS)),
+        (1, TimeSource.CLOCK, message(WALL + MS)),
+        (0, TimeSource.CLOCK, message(8 * MS)),
+        (5, TimeSource.STAMP, message(WALL + 2 * MS)),
+        (7, TimeSource.LIST, LIST_OF_ONE + message(WALL + 3 * MS)[4:]),
+        (6, TimeSource.STAMP, message(3_600_000 * MS)),
+        (1, TimeSource.CLOCK, message(WALL + 4 * MS)),
+        (0, TimeSource.CLOCK, message(9 * MS)),
+        (0, TimeSource.CLOCK, message(0)),
+        (5, TimeSource.STAMP, message(WALL + 5 * MS)),
+    ]
+    for every in (1, 4, 100):
+        order = LogOrder()
+        found: dict[int, list[float]] = {}
+        for entry in run(order, arrivals, every):
+            found.setdefault(entry.topic, []).append(entry.log_ns / MS)
+        assert found[0] == [7, 8, 9, 9 + 1 / MS]
+        assert found[6] == [4, 3_600_000]
+        assert found[5] == [7, 8, 9 + 1 / MS]
+        assert found[1] == [7, 8]
+        assert found[7] == [8]
+        assert order.other_clock == {5: 3, 1: 2, 7: 1}
+        assert len(order.set_backs) == 1
+
+
+def test_a_log_without_a_topic_that_gives_the_time_has_one_clock() -> None:
+    """The first message says which: that of its stamp, or, where it has none, the wall clock."""
+    order = LogOrder()
+    order.expect_no_clock()
+    stamped = [(0, TimeSource.STAMP, message(s)) for s in (5 * MS, WALL, 0, 6 * MS)]
+    assert [e.log_ns for e in sorted(run(order, stamped, 1), key=lambda e: e.cdr)] == [
+        5 * MS + 2, 5 * MS, 6 * MS, 5 * MS + 1,
+    ]  # fmt: skip
+    order = LogOrder()
+    order.expect_no_clock()
+    unstamped = [(0, TimeSource.STAMP, message(s)) for s in (0, 5 * MS)]
+    assert [e.log_ns for e in run(order, unstamped, 1)] == [10**18, 10**18 + 1]
+    assert order.other_clock == {0: 1}

@@ -30,6 +30,7 @@ from rx90_common.bags.reading import BagReader, read_joint_states
 from rx90_common.bags.summary import summarise
 from rx90_common.bags.topics import SUITE_TOPICS
 from rx90_common.base.errors import BagError
+from rx90_emulator.cli.frame import run
 
 pytestmark = pytest.mark.ros
 
@@ -209,6 +210,68 @@ def test_what_is_missing_is_reported_once(tmp_path: Path, start: Start) -> None:
     repeated = "8 repetitions of the sample before are left out"
     assert out == f"recorded 1000 messages of 1 topics to {tmp_path / 'bag'}; {repeated}\n"
     assert len(read_joint_states(tmp_path / "bag", "joint_states").stamp_ns) == 1000
+
+
+CONTROLLER = """
+import sys
+import rclpy
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from rx90_common.exchange.environment import prepare
+prepare()
+rclpy.init()
+node = rclpy.create_node("controller")
+commands = node.create_publisher(JointTrajectory, "c/joint_trajectory", 10)
+latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+accepted = node.create_publisher(JointTrajectory, "c/trajectory_accepted", latched)
+for line in sys.stdin:
+    value, where, frame = line.strip().split(",")
+    message = JointTrajectory(joint_names=["joint_1"], points=[JointTrajectoryPoint(positions=[float(value)])])
+    message.header.stamp.sec = 1
+    if "commanded" in where:
+        commands.publish(message)
+    message.header.frame_id = frame
+    message.header.stamp.sec = 2
+    if "accepted" in where:
+        accepted.publish(message)
+    print("done", flush=True)
+"""
+
+
+def test_a_trajectory_that_did_not_come_fails(tmp_path: Path, start: Start, capsys: pytest.CaptureFixture[str]) -> None:
+    """What the controller has accepted and nobody recorded is counted; goals, and what came before, are not asked for.
+
+    The message of a sender that never learned of the recorder leaves no gap in any sequence number.
+    """
+    controller = start("-c", CONTROLLER)
+    controller.tell("1,accepted,")
+    controller.wait_for("done")
+    topics = ("c/joint_trajectory", "c/trajectory_accepted")
+    recorders = {name: start_recorder(start, tmp_path / name, *topics) for name in ("whole", "lacking")}
+    for recorder in recorders.values():
+        recorder.wait_for("ready: all 2 topics")
+    for line in (
+        "2,commanded accepted,",
+        "2,commanded accepted,",
+        "3,accepted,follow_joint_trajectory",
+        "4,commanded,",
+    ):
+        controller.tell(line)
+        controller.wait_for("done")
+        time.sleep(0.1)  # latched: only the newest is kept for who has not got it
+    recorders["whole"].signal(signal.SIGINT)
+    assert recorders["whole"].finish()[::2] == (0, "")
+    for line in ("2,accepted,", "5,accepted,"):
+        controller.tell(line)
+        controller.wait_for("done")
+        time.sleep(0.1)
+    recorders["lacking"].signal(signal.SIGINT)
+    code, _, err = recorders["lacking"].finish()
+    lost = "lost: 2 trajectories that were sent on /c/joint_trajectory: the controller has accepted them"
+    assert (code, err) == (1, f"{lost}, and they did not come here\n")
+    assert run("rx90_bag", ["info", str(tmp_path / "lacking")]) == 0
+    lacks = "/c/joint_trajectory lacks 3 of the trajectories that the controller accepted: sent before the recording"
+    assert lacks in capsys.readouterr().out
 
 
 LISTENER = """

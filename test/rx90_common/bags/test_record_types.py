@@ -197,3 +197,34 @@ def test_a_type_that_is_not_there_is_one_line(msgtype: str, words: str, monkeypa
     assert str(refusal.value).startswith(f"/t has type {msgtype}")
     assert words in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.ros
+def test_wall_clock_stamps_do_not_stretch_a_bag(
+    tmp_path: Path, ros_domain: int, processes: Processes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Diagnostics beside simulated states are dated when they came, and that is said; other readers find the same."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.duration import Duration
+    from sensor_msgs.msg import JointState
+
+    with own_node("nodes", ros_domain) as node:
+        joints = node.create_publisher(JointState, "joint_states", 9)
+        diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 9)
+        recorder = processes.start("rx90_bag", "record", "-o", tmp_path / "bag", "diagnostics", "joint_states")
+        recorder.wait_for("ready: all 2 topics")
+        wait_until(lambda: joints.get_subscription_count() + diagnostics.get_subscription_count() == 2, "the recorder")
+        for second in range(1, 4):
+            states, report = JointState(name=["a"], position=[0.5]), DiagnosticArray()
+            states.header.stamp.sec, report.header.stamp.sec = second, 1_700_000_000 + second
+            for publisher, message in ((diagnostics, report), (joints, states)):
+                publisher.publish(message)
+                assert publisher.wait_for_all_acked(Duration(seconds=TIMEOUT))
+        recorder.signal(signal.SIGINT)
+        assert recorder.wait() == 0
+    assert "/diagnostics: 3 messages have stamps of another clock; they are dated by when they came" in recorder.output
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert (reader.start_time, reader.end_time) == (1_000_000_000, 3_000_000_001)
+        assert reader.message_count == 6
+    assert run("rx90_bag", ["info", str(tmp_path / "bag")]) == 0
+    assert re.search(r"/diagnostics .* 3 stamps of another clock; by log time", capsys.readouterr().out)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+import resource
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from rx90_common.base.errors import ConfigError
+from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.description.robot import load_robot
 from rx90_common.description.robot_files import RobotFiles
+from rx90_emulator.identification.model.urdf_model import joint_model
 
 LINK_5 = '<mass value="1.2"/>'
 INERTIA_5 = 'ixx="0.0022" ixy="0" ixz="0" iyy="0.0023" iyz="0" izz="0.0008"'
@@ -130,3 +133,44 @@ def test_a_tool_needs_a_place_of_its_own(shipped_files: RobotFiles, tmp_path: Pa
     file.write_text(text.replace('"flange"', '"tool"'), encoding="utf-8")
     with pytest.raises(ConfigError, match="a link is 'tool'"):
         load_robot(file, shipped_files.tool)
+
+
+ENTITIES = {
+    "external DTD": ('<!DOCTYPE robot SYSTEM "{server}/robot.dtd">', ""),
+    "external parameter entity": ('<!DOCTYPE robot [<!ENTITY % all SYSTEM "{server}/all.dtd"> %all;]>', ""),
+    "entity from the network": ('<!DOCTYPE robot [<!ENTITY far SYSTEM "{server}/far">]>', "&far;"),
+    "entity from a file": ('<!DOCTYPE robot [<!ENTITY near SYSTEM "file://{file}">]>', "&near;"),
+    "entities of entities": (
+        '<!DOCTYPE robot [<!ENTITY e0 "ha">'
+        + "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 10))
+        + "]>",
+        "&e9;",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ENTITIES)
+def test_what_a_urdf_refers_to_is_never_fetched(case: str, shipped_files: RobotFiles, tmp_path: Path) -> None:
+    """A DTD or an entity from elsewhere is neither asked for nor read, and entities do not fill the memory."""
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        doctype, reference = ENTITIES[case]
+        doctype = doctype.replace("{server}", f"http://127.0.0.1:{server.getsockname()[1]}").replace(
+            "{file}", str(secret)
+        )
+        file = tmp_path / "arm.urdf"
+        text = shipped_files.urdf.read_text(encoding="utf-8").replace("<robot", f"{doctype}\n<robot", 1)
+        file.write_text(text.replace('<link name="flange"/>', f'<link name="flange">{reference}</link>'))
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        for read in (load_robot, lambda urdf: joint_model(urdf, None)):
+            if reference:
+                with pytest.raises(Rx90Error, match=r"arm\.urdf: no") as refusal:
+                    read(file)
+                assert "secret" not in str(refusal.value).replace(str(tmp_path), "")
+            else:
+                read(file)
+        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (200 << 10)  # KiB
+        server.settimeout(0.0)
+        with pytest.raises(BlockingIOError):
+            server.accept()

@@ -1,0 +1,77 @@
+"""Count the bags, recorded on a busy machine, that lack the trajectory that was sent meanwhile.
+
+    python -m benchmarks.recorded_trajectories [--runs 100] [--busy 2]
+
+In each run simulation, controller and recorder start anew, `rx90_line` sends a line once the recorder is ready, and the
+recorder is interrupted as soon as the controller has accepted it, while so many other processes use the processors.
+A bag without the trajectory is a fault only where `rx90_line` and recorder have ended with 0.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader
+
+from rx90_common.process.children import ProcessGroup, executable
+
+CONTROLLER = "/rx90_controller/"
+SENT, ACCEPTED = f"{CONTROLLER}joint_trajectory", f"{CONTROLLER}trajectory_accepted"
+LINE = ("--start", 0.6, -0.2, 0.2, "--end", 0.6, -0.1, 0.2, "--approach")
+
+
+def run(folder: Path) -> str:
+    """Record one run; return what the bag lacks, and what the processes said of it."""
+    with ProcessGroup(folder, grace=30.0) as group:
+        cell = group.start("cell", executable("rx90_cell"))
+        recorder = group.start("recorder", executable("rx90_bag", "record", "--output", folder / "bag"))
+        recorder.wait_for("ready: all")
+        line = group.start("line", executable("rx90_line", *LINE))
+        sent = line.wait()
+        if sent == 0:
+            cell.wait_for("trajectory accepted")
+        recorder.signal(signal.SIGINT)
+        recorded = recorder.wait()
+    with AnyReader([folder / "bag"]) as bag:
+        counts = {connection.topic: connection.msgcount for connection in bag.connections}
+    missing = [topic for topic in (SENT, ACCEPTED) if not counts.get(topic)]
+    if not missing and sent == recorded == 0:
+        return "complete"
+    lacks = f"lacks {', '.join(missing)}" if missing else "complete"
+    return f"{lacks}; rx90_line ended with {sent}, the recorder with {recorded}"
+
+
+def main() -> int:
+    """Count and print; return 1 if a bag lacks a trajectory and nobody said so."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=int, default=100, help="bags (100)")
+    parser.add_argument("--busy", type=int, default=2, help="processes that do nothing but compute (2)")
+    options = parser.parse_args()
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+    found: Counter[str] = Counter()
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.busy)]
+    try:
+        for number in range(1, options.runs + 1):
+            with tempfile.TemporaryDirectory() as folder:
+                outcome = run(Path(folder))
+            found[outcome] += 1
+            print(f"{number}: {outcome}", flush=True)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    for outcome, count in found.most_common():
+        print(f"{count} of {options.runs}: {outcome}")
+    return int(any("lacks" in outcome and outcome.endswith("ended with 0, the recorder with 0") for outcome in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
