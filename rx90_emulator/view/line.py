@@ -13,6 +13,8 @@ FULL_SCALE = 1e-4
 """Path error of the last colour, m: what laser welding asks for."""
 _STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), (213, 60, 0)], dtype=np.float64)
 _AWAY = np.array([150.0, 150.0, 150.0])
+PLANNED = 140, 60, 190
+"""Of what is planned and not measured, a colour that no path error has."""
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
 _SPOT = (255, 40, 40)
@@ -33,22 +35,26 @@ def line_colors(error: Array) -> Array:
     return np.asarray(_LINEAR[error_colors(error)])
 
 
-def legend_html() -> str:
-    """Return the colours with their path errors, as HTML."""
+def legend_html(planned: str = "") -> str:
+    """Return the colours with their path errors, and what it is that has the colour of the planned, as HTML."""
     stops = ", ".join(f"rgb({red:.0f},{green:.0f},{blue:.0f})" for red, green, blue in _STOPS)
     grey = ",".join(f"{part:.0f}" for part in _AWAY)
     limit = FULL_SCALE * 1e3
+    also = f' &ensp;<span style="color:rgb{PLANNED}">&#9632;</span> {planned}' if planned else ""
     return (
         '<div style="padding:0 0.6em;font-size:0.8em"><div>path error of the laser spot, mm</div>'
         f'<div style="height:0.7em;border-radius:2px;background:linear-gradient(to right, {stops})"></div>'
         '<div style="display:flex;justify-content:space-between">'
         f"<span>0</span><span>{limit / 2:g}</span><span>&ge; {limit:g}</span></div>"
-        f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line</div></div>'
+        f'<div><span style="color:rgb({grey})">&#9632;</span> not on the line{also}</div></div>'
     )
 
 
 class LineScene:
     """A line from start to end, m, the spot on or near it, and where the spot has been.
+
+    Attributes:
+        meter: of the spot's path error along this line.
 
     Args:
         page: to draw in.
@@ -65,22 +71,28 @@ class LineScene:
         )
         self._spot = scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
         self._trace = scene.add_line_segments(
-            f"{name}/trace", ends, (150, 150, 150), thickness=5.0, thickness_units="screen", visible=False
+            f"{name}/trace",
+            ends,
+            # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
+            np.full((1, 2, 3), 150, dtype=np.uint8),
+            thickness=5.0,
+            thickness_units="screen",
+            visible=False,
         )
         self._factor = 1.0
         self.place(start, end)
 
     def place(self, start: Array, end: Array) -> None:
-        """Compare with the line from start to end, (3,) m, from now on, with an empty trace."""
+        """Compare with the line from start to end, (3,) m, from now on, with an empty trace and no run."""
         self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        self.meter = PathErrorMeter(self._start, self._end)
         self._line.points = np.stack([self._start, self._end])[None].astype(np.float32)
         self.clear()
 
     def clear(self) -> None:
         """Forget the trace."""
         self._tips: list[Array] = []
-        self._errors: list[float] = []  # of the trace, nan off the line
-        self._meter = PathErrorMeter(self._start, self._end)
+        self._errors: list[float] = []  # of the trace, nan where they do not count
         self._changed = False
         self._trace.visible = False
 
@@ -88,21 +100,17 @@ class LineScene:
         """Draw the trace, but not the spot, this many times as far from the line as it is."""
         self._factor, self._changed = factor, True
 
-    def add(self, tip: Array) -> float | None:
-        """Move the spot to `tip`, (3,) m, and lengthen the trace; return its path error, m, None off the line."""
-        tip = np.array(tip, dtype=np.float64)
-        self._spot.position = tip
-        self._meter.move(tip)
-        error = self._meter.error
-        if not self._tips or float(np.linalg.norm(tip - self._tips[-1])) >= _STEP:
-            self._tips = [*self._tips[-_LENGTH + 1 :], tip]
-            self._errors = [*self._errors[-_LENGTH + 1 :], np.nan if error is None else error]
-            self._changed = True
-        return error
-
-    def words(self) -> str:
-        """Return the path error in words, as `PathErrorMeter` does."""
-        return self._meter.words()
+    def add(self, times: Array, tips: Array) -> float:
+        """Lengthen the trace by where the spot was, (n, 3) m, at times (n,) s; return its path error now, m, or NaN."""
+        tips = np.asarray(tips, dtype=np.float64)
+        self._spot.position = tips[-1]
+        errors = self.meter.add(times, tips)
+        for tip, error in zip(tips, errors, strict=True):
+            if not self._tips or float(np.linalg.norm(tip - self._tips[-1])) >= _STEP:
+                self._tips = [*self._tips[-_LENGTH + 1 :], tip]
+                self._errors = [*self._errors[-_LENGTH + 1 :], error]
+                self._changed = True
+        return float(errors[-1])
 
     def draw(self) -> None:
         """Draw the trace, if it has changed; less often than `add`, because all of it is sent."""

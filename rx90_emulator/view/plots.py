@@ -15,8 +15,20 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5
 """Of the joints, and of the coupled wrist's element; those of the reports."""
 TIME_AXIS = uplot.Axis(label="time [s]", size=30, labelSize=18)
 _LEAST = 2  # samples that make a plot
+_PIXELS = 300  # of a loop's width and height: what is closer cannot be seen
 _NOTHING = np.array([0.0, 1.0]), np.array([np.nan, np.nan])
 """Abscissa and ordinate of a plot that is empty."""
+
+
+def ordinate(least: float, low: float | None = None) -> dict[str, uplot.Scale]:
+    """Return scales whose ordinate shows -`least` to `least`, or `low` to `least`, and all curves.
+
+    What is less than the eye is to see, as the noise of an arm at rest, is flat, and ticks do not lie so close that
+    uPlot, which has three digits behind the point, writes the same of each.
+    """
+    soft = {"min": -least if low is None else low, "max": least}
+    ends = {end: {"pad": 0.1 if limit else 0.0, "soft": limit, "mode": 1} for end, limit in soft.items()}
+    return {"x": uplot.Scale(time=False), "y": uplot.Scale(range=ends)}
 
 
 class RollingPlot:
@@ -33,6 +45,8 @@ class RollingPlot:
         height: pixels.
         legend: name the curves; a click on a name hides its curve.
         gaps: how many times in the window the quantities may be unknown (NaN) in between.
+        least: what the ordinate shows at least, on either side of 0.
+        low: its lower end at most, in place of -`least`.
     """
 
     def __init__(
@@ -46,6 +60,8 @@ class RollingPlot:
         height: int = 165,
         legend: bool = True,
         gaps: int = 0,
+        least: float = 1.0,
+        low: float | None = None,
     ) -> None:
         self._names, self._window, self._parts = tuple(names), window, 1 + gaps
         self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
@@ -55,7 +71,7 @@ class RollingPlot:
             (_NOTHING[0], *[_NOTHING[1]] * (len(self._series()) - 1)),
             self._series(),
             title=title,
-            scales={"x": uplot.Scale(time=False)},
+            scales=ordinate(least, low),
             axes=(TIME_AXIS, uplot.Axis(size=56)),
             legend=uplot.Legend(show=legend, live=False),
             padding=(0, 12, 0, 0),
@@ -110,16 +126,28 @@ class LoopPlot:
         y: label of the ordinate, with the unit.
         capacity: samples that are kept.
         height: pixels.
+        least: what is drawn of the noise of an arm at rest, x and y: nothing.
     """
 
-    def __init__(self, page: Page, title: str, x: str, y: str, *, capacity: int = 400, height: int = 240) -> None:
+    def __init__(
+        self,
+        page: Page,
+        title: str,
+        x: str,
+        y: str,
+        *,
+        capacity: int = 2000,
+        height: int = 240,
+        least: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
         self._samples = np.zeros((0, 2))
+        self._least, self._changed = np.array(least), False
         self._capacity = capacity
         self._plot = page.gui.add_uplot(
             _NOTHING,
             (uplot.Series(label=x), uplot.Series(label=y, stroke=COLOURS[0], width=1.5)),
             title=title,
-            scales={"x": uplot.Scale(time=False)},
+            scales=ordinate(least[1]),
             axes=(uplot.Axis(label=x, size=30, labelSize=18), uplot.Axis(label=y, size=40, labelSize=18)),
             legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(drag=uplot.Cursor_Drag(x=False, y=False)),
@@ -127,9 +155,19 @@ class LoopPlot:
             height=height,
         )
 
-    def add(self, x: float, y: float) -> None:
-        """Add a sample."""
-        self._samples = np.concatenate([self._samples[-self._capacity + 1 :], [[x, y]]])
+    def add(self, x: Array, y: Array) -> None:
+        """Add samples, each of shape (n,), without those that lie on the one before them."""
+        new = np.stack([x, y], axis=1)
+        if not len(new):
+            return
+        reach = np.maximum(np.ptp(np.concatenate([self._samples, new]), axis=0), self._least) / _PIXELS
+        kept, before = [], self._samples[-1] if len(self._samples) else np.full(2, np.inf)
+        for sample in new:
+            if (np.abs(sample - before) > reach).any():
+                kept.append(sample)
+                before = sample
+        if kept:
+            self._samples, self._changed = np.concatenate([self._samples, kept])[-self._capacity :], True
 
     def clear(self) -> None:
         """Forget all samples, and show none."""
@@ -138,8 +176,9 @@ class LoopPlot:
 
     def draw(self) -> None:
         """Send what is to be seen."""
-        if len(self._samples) < _LEAST:
+        if len(self._samples) < _LEAST or not self._changed:
             return
+        self._changed = False
         x, y = self._samples.T
         self._plot.data = _as_if_sorted(x, y)
 
@@ -165,10 +204,10 @@ def extent_series() -> uplot.Series:
 
 
 def _extent(values: Array) -> Array:
-    """Return such a column for values (n, k); for none at all that of 0 to 1."""
+    """Return such a column for values (n, k); for none at all that of 0."""
     finite = values[np.isfinite(values)]
     column = np.full(len(values), finite.min() if len(finite) else 0.0)
-    column[0] = finite.max() if len(finite) else 1.0
+    column[0] = finite.max() if len(finite) else 0.0
     return column
 
 

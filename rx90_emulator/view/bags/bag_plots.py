@@ -16,6 +16,7 @@ from rx90_emulator.view.plots import COLOURS
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")
 _MM, _MRAD = 1e3, 1e3
+_LEAST = {"[mm]": 0.01, "[mrad]": 0.01, "[rad]": 0.01, "[rad/s]": 0.02, "[Nm]": 1.0}
 _HINT = "Each point of a plot is the least or largest value in its share of the width: no peak is left out."
 _OF_THE_TIP = "#111111"
 _SECOND = "dashed: the second bag"
@@ -52,14 +53,16 @@ class BagPlots:
         legend = _legend(recordings)
         with page.plot_tab("Whole length"):
             page.gui.add_html(legend)
-            self._whole = [CurvesPlot(page, title, curves, span_ns[0]) for title, curves in whole]
+            self._whole = [CurvesPlot(page, title, curves, span_ns[0], least=_least(title)) for title, curves in whole]
             page.gui.add_markdown(_HINT)
         with page.plot_tab("Around the time"):
             page.gui.add_html(legend)
             joint = page.gui.add_dropdown("joint", (_ALL, *self._joints), initial_value=_ALL)
             self._width = page.gui.add_dropdown("width, s", _SPANS, initial_value="2")
             self._around = [
-                CurvesPlot(page, title, curves, span_ns[0]) for title, curves in _states(recordings) if curves
+                CurvesPlot(page, title, curves, span_ns[0], least=_least(title))
+                for title, curves in _states(recordings)
+                if curves
             ]
         joint.on_update(lambda _: page.later(lambda: self._choose(joint.value)))
         self._width.on_update(lambda _: page.later(self.forget))
@@ -91,6 +94,11 @@ class BagPlots:
         self.forget()
 
 
+def _least(title: str) -> float:
+    """Return the least length of a plot's ordinate, in its unit, by the title."""
+    return next(length for unit, length in _LEAST.items() if title.endswith(unit))
+
+
 def _legend(recordings: Sequence[Recording]) -> str:
     """Return the colours of joints and friction elements, as HTML."""
     first = recordings[0]
@@ -106,8 +114,9 @@ def _legend(recordings: Sequence[Recording]) -> str:
 def _states(recordings: Sequence[Recording]) -> list[tuple[str, list[RecordedCurve]]]:
     arms = [recording.arm for recording in recordings]
     frictions = [recording.friction for recording in recordings if recording.friction is not None]
+    units = sorted({unit for arm in arms if (unit := arm.units.get("effort", "Nm")) != "Nm"})
     return [
-        ("drive torque [Nm]", _curves(arms, "effort")),
+        (f"effort [{' and '.join(units)}]" if units else "drive torque [Nm]", _curves(arms, "effort")),
         ("friction torque [Nm]", _curves(frictions, "effort")),
         ("velocity [rad/s]", _curves(arms, "velocity")),
         ("position [rad]", _curves(arms, "position")),

@@ -32,7 +32,8 @@ class SeriesCollector:
     ) -> None:
         self.topic = topic
         self._make = partial(
-            SeriesBuilder, topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1
+            SeriesBuilder, topic.name, partial(bag.deserialize, topic), cdr=not topic.is_ros1,
+            effort_unit=bag.effort_units.get(topic.name, ""),
         )  # fmt: skip
         self._builder = self._make()
         self._pending = 0
@@ -80,7 +81,8 @@ class SeriesCollector:
             if set(self._names) <= set(series.names):
                 chosen = series.select(self._names)
                 fields = {field: values for field, values in chosen.fields.items() if field in self._fields}
-                self._parts.append(JointSeries(chosen.topic, chosen.names, chosen.stamp_ns, **fields))
+                unit = chosen.effort_unit
+                self._parts.append(JointSeries(chosen.topic, chosen.names, chosen.stamp_ns, **fields, effort_unit=unit))
                 return
             self._other_names = series.names
 
@@ -91,7 +93,7 @@ class SeriesCollector:
             raise BagError(f"{self.topic.name}: carries {', '.join(fields)} in some messages and not in others")
         count = sum(len(part.stamp_ns) for part in self._parts)
         stamps = np.empty(count, dtype=np.int64)
-        names = self._parts[0].names
+        names, unit = self._parts[0].names, self._parts[0].effort_unit
         whole = {field: np.empty((count, len(names))) for field in fields}
         end = 0
         self._parts.reverse()
@@ -101,4 +103,4 @@ class SeriesCollector:
             stamps[rows] = part.stamp_ns
             for field, values in part.fields.items():
                 whole[field][rows] = values
-        return JointSeries(self.topic.name, names, stamps, **whole)
+        return JointSeries(self.topic.name, names, stamps, **whole, effort_unit=unit)

@@ -50,13 +50,21 @@ class CurvesPlot:
         title: with the unit.
         curves: at least one.
         origin_ns: where the abscissa is 0.
+        least: length of the ordinate; what is less than the eye is to see, as noise at rest, is flat.
         height: pixels.
     """
 
     def __init__(
-        self, page: Page, title: str, curves: Sequence[RecordedCurve], origin_ns: int, height: int = 185
+        self,
+        page: Page,
+        title: str,
+        curves: Sequence[RecordedCurve],
+        origin_ns: int,
+        *,
+        least: float = 1.0,
+        height: int = 185,
     ) -> None:
-        self._curves, self._origin = tuple(curves), origin_ns
+        self._curves, self._origin, self._least = tuple(curves), origin_ns, least
         self._chosen = [True] * len(self._curves)
         self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
         self._span = (0, 0)
@@ -87,8 +95,8 @@ class CurvesPlot:
         seen = [part[np.isfinite(part)] for part, chosen in zip(values, self._chosen, strict=True) if chosen]
         finite = np.concatenate(seen)
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-        if low == high:  # uPlot would show 0 to 100
-            low, high = low - (abs(low) or 1.0), high + (abs(high) or 1.0)
+        short = max(0.0, self._least - (high - low)) / 2.0
+        low, high = low - short, high + short
         shown = since(shown_ns, self._origin)
         place = int(np.searchsorted(time, shown))
         line, extent = np.full(len(time) + 2, np.nan), np.full(len(time) + 2, low)

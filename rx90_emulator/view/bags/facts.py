@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from rx90_common.base.quoting import plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
 from rx90_emulator.view.bags.times import seconds
+from rx90_emulator.view.bags.track import Track
 
 _MOST_CHANGES = 30
 _MOST_GAPS = 5
@@ -52,6 +55,16 @@ def _changes(recording: Recording, origin_ns: int) -> list[str]:
         lines.append(f"| {seconds(change.stamp_ns - origin_ns)} | {name} | {_escaped(change.value)} |")
     left = len(recording.changes) - _MOST_CHANGES
     return lines + ([f"| | and {left:,} more: rx90_bag info | |"] if left > 0 else [])
+
+
+def path_error_text(name: str, error: Track, origin_ns: int) -> str:
+    """Return the largest path error of a recording and when it was, on the time of the page."""
+    values = error.values["position"][:, 0]
+    if not np.isfinite(values).any():
+        return f"{_escaped(name)}: its set-points never move"
+    row = int(np.nanargmax(values))
+    at = seconds(int(error.time_ns[row]) - origin_ns)
+    return f"{_escaped(name)}: largest path error {1e3 * values[row]:.3f} mm, at {at} s"
 
 
 def difference_text(found: Difference, names: Sequence[str], origin_ns: int, shift_ns: int) -> str:

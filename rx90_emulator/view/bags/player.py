@@ -14,7 +14,7 @@ from rx90_emulator.view.arm import ArmScene
 from rx90_emulator.view.bags.bag_plots import BagPlots
 from rx90_emulator.view.bags.controls import PlayControls
 from rx90_emulator.view.bags.difference import Difference
-from rx90_emulator.view.bags.facts import difference_text, joint_differences, recording_text
+from rx90_emulator.view.bags.facts import difference_text, joint_differences, path_error_text, recording_text
 from rx90_emulator.view.bags.path import path_error_track, tip_path
 from rx90_emulator.view.bags.playback import Playback
 from rx90_emulator.view.bags.recording import Recording
@@ -65,6 +65,9 @@ class BagPlayer:
             self._add_controls(page)
             if errors[0] is not None:
                 page.gui.add_html(legend_html())
+            for recording, error in zip(recordings, errors, strict=True):
+                if error is not None:
+                    page.gui.add_markdown(path_error_text(recording.path.name, error, begin))
             if difference is not None:
                 names = [recording.path.name for recording in recordings]
                 page.gui.add_markdown(difference_text(difference, names, begin, shift_ns))

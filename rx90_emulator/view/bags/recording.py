@@ -173,16 +173,16 @@ def _of_bag(path: Path, error: BagError) -> BagError:
 
 def _on_joint_side(series: JointSeries, layout: BagLayout) -> JointSeries:
     """Return the joints' states, in the order of the robot's joints."""
-    fields = dict(series.fields)
+    fields, unit = dict(series.fields), series.effort_unit
     if layout.torque_constant is not None and "effort" in fields:
-        fields["effort"] = fields["effort"] * layout.torque_constant
+        fields["effort"], unit = fields["effort"] * layout.torque_constant, ""
     if layout.turns is not None:
         inverse = np.linalg.inv(layout.turns).T
         for field, values in fields.items():
             fields[field] = values @ (layout.turns if field == "effort" else inverse)
     if layout.zero is not None:
         fields["position"] = fields["position"] - layout.zero
-    return JointSeries(series.topic, layout.names, series.stamp_ns, **fields)
+    return JointSeries(series.topic, layout.names, series.stamp_ns, **fields, effort_unit=unit)
 
 
 def _beyond_range(track: Track, robot: RobotModel) -> list[str]:

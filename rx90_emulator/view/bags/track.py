@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,14 @@ class Track:
         time_ns: increasing, int64 of shape (n,).
         values: by field, float64 of shape (n, k).
         gap_ns: an interval longer than this is a gap, in which nothing is known.
+        units: of the fields.
     """
 
     names: tuple[str, ...]
     time_ns: Int64Array
     values: dict[str, Array]
     gap_ns: int
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, series: JointSeries) -> tuple[Track, int]:
@@ -50,7 +52,7 @@ class Track:
         else:
             _, first = np.unique(stamps[begin:], return_index=True)
             series = series.take(begin + first)
-        return cls(series.names, series.stamp_ns, dict(series.fields), gap_ns), len(back)
+        return cls(series.names, series.stamp_ns, dict(series.fields), gap_ns, series.units), len(back)
 
     @property
     def begin_ns(self) -> int:

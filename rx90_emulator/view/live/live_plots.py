@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from rx90_common.description.robot import RobotModel
+from rx90_common.exchange.arm_watch import JointSample
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.plots import LoopPlot, RollingPlot
@@ -10,7 +15,8 @@ from rx90_emulator.view.state import ArmState
 
 _FIRST_SHOWN = 3  # joints; all seven at once are hard to tell apart
 _GAPS = 5  # in 10 s; more are drawn across
-_RESTS = 1e-4  # rad/s; a joint that creeps would fill the loop with rounding
+_MISSING = 0.01  # s; a line across so many ticks would be none of friction
+_NONE = "none"
 
 
 class LivePlots:
@@ -26,18 +32,31 @@ class LivePlots:
         joints = robot.joint_names
         self._names = element_names(joints)
         with page.plot_tab("Friction"):
-            self._friction = RollingPlot(page, "friction torque [Nm]", self._names)
-            self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names)
-            self._loop = LoopPlot(page, "friction against velocity", "velocity [rad/s]", "friction torque [Nm]")
-            self._looped = page.gui.add_dropdown("joint of the loop", self._names)
+            self._friction = RollingPlot(page, "friction torque [Nm]", self._names, least=1.0)
+            self._deflection = RollingPlot(page, "bristle deflection [\u00b5rad]", self._names, least=10.0)
+            self._loop = LoopPlot(
+                page, "friction against velocity", "velocity [rad/s]", "friction torque [Nm]", least=(0.01, 1.0)
+            )
+            self._looped = page.gui.add_dropdown("joint of the loop", (*self._names, _NONE))
         with page.plot_tab("Motion"):
-            self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints)
-            self._torque = RollingPlot(page, "drive torque [Nm]", joints)
+            self._velocity = RollingPlot(page, "joint velocity [rad/s]", joints, least=0.01)
+            self._torque = RollingPlot(page, "drive torque [Nm]", joints, least=5.0)
             self._error = RollingPlot(
-                page, "path error of the laser spot [mm]", ("laser spot",), legend=False, gaps=_GAPS
+                page,
+                "path error of the laser spot [mm]",
+                ("laser spot",),
+                legend=False,
+                gaps=_GAPS,
+                least=0.01,
+                low=0.0,
             )
         self._looped.on_update(lambda _: page.later(self._loop.clear))
-        self._time = -1.0
+        self._time = self._loop_time = -1.0
+
+    @property
+    def shows_loop(self) -> bool:
+        """Return whether there is a loop to be drawn."""
+        return self._looped.value != _NONE
 
     def add_choice(self) -> None:
         """Add the choice of joints, in the container that is being filled."""
@@ -53,23 +72,32 @@ class LivePlots:
             box.on_update(lambda _: self._page.later(choose))
         choose()
 
-    def add(self, state: ArmState, error: float | None) -> None:
-        """Add a state, and the distance of the spot from the line, m, while it is on it."""
+    def add(self, state: ArmState, error: float) -> None:
+        """Add a state, and the path error of the spot, m, NaN where none counts."""
         if state.time == self._time:
             return  # it stands still
-        if state.time < self._time:
-            self._loop.clear()
         self._time = state.time
         self._velocity.add(state.time, state.velocity)
         self._torque.add(state.time, state.torque)
-        self._error.add(state.time, [float("nan") if error is None else error * 1e3])
+        self._error.add(state.time, [error * 1e3])
         if state.friction is not None:
             self._friction.add(state.time, state.friction.torque)
             self._deflection.add(state.time, state.friction.deflection * 1e6)
-            index = self._names.index(self._looped.value)
-            velocity = float(state.friction.velocity[index])
-            if abs(velocity) > _RESTS:
-                self._loop.add(velocity, float(state.friction.torque[index]))
+
+    def add_to_loop(self, samples: Sequence[JointSample], *, at_ticks: bool) -> None:
+        """Add what came of the friction elements; where ticks are missing the loop begins anew."""
+        if not samples or not self.shows_loop:
+            return
+        times = np.array([self._loop_time, *(sample.time for sample in samples)])
+        steps = np.diff(times)
+        breaks = np.flatnonzero((steps < 0.0) | (at_ticks & (steps > _MISSING)))
+        if len(breaks):
+            self._loop.clear()
+            samples = samples[breaks[-1] :]
+        self._loop_time = samples[-1].time
+        column = self._names.index(self._looped.value)
+        states = np.array([(sample.velocity[column], sample.effort[column]) for sample in samples])
+        self._loop.add(*states.T)
 
     def draw(self) -> None:
         """Send what is new."""

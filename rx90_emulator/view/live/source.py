@@ -6,7 +6,7 @@ from collections import deque
 
 from rx90_common.base.quoting import plain
 from rx90_common.description.robot import RobotModel
-from rx90_common.exchange.arm_watch import ArmWatch, NodeStatus
+from rx90_common.exchange.arm_watch import ArmWatch, JointSample, NodeStatus
 from rx90_common.exchange.client_node import ClientNode
 from rx90_common.friction.friction_set import element_names
 from rx90_emulator.view.state import ArmState, ElementState
@@ -25,6 +25,7 @@ class LiveSource:
 
     Attributes:
         watch: what the nodes publish beside the arm's state.
+        friction: samples of the friction elements that came with the newest states; at ticks, if it listens there.
 
     Raises:
         ConfigError: if that cannot be a node's name.
@@ -33,28 +34,35 @@ class LiveSource:
     def __init__(self, client: ClientNode, robot: RobotModel, controller: str) -> None:
         self._robot = str(robot.model.name)
         self.watch = ArmWatch(client.node, controller, robot.joint_names, element_names(robot.joint_names))
+        self.friction: list[JointSample] = []
         self._elements: ElementState | None = None
         self._heard: float | None = None
         self._time = 0.0  # simulated, of the newest state
         self._times: deque[tuple[float, float]] = deque()  # steady clock, simulated
 
-    def take(self, now: float) -> ArmState | None:
-        """Return the state that came since the last call, None if none did; `now` is the steady clock's time, s."""
+    def take(self, now: float) -> list[ArmState]:
+        """Return the states that came since the last call, each with the newest of friction.
+
+        Of several runs they are those of the last one alone; `now` is the steady clock's time, s.
+        """
         friction, joints = self.watch.elements(), self.watch.joints()
-        if friction is not None:
-            self._elements = ElementState(friction.position, friction.velocity, friction.effort)
-        if joints is None:
-            return None
+        self.friction = self.watch.elements_at_ticks() if self.watch.listens_at_ticks else friction
+        if friction:
+            self._elements = ElementState(friction[-1].position, friction[-1].velocity, friction[-1].effort)
+        if not joints:
+            return []
         if self._heard is not None and now - self._heard > _STALE:
             self._elements = None  # of a simulation that has gone
         self._heard = now
-        if joints.time < self._time:  # another simulation, or reset: nothing that was accepted before is followed
-            self.watch.trajectory = None
-        self._time = joints.time
-        if self._times and joints.time < self._times[-1][1]:
+        times = [self._time, *(sample.time for sample in joints)]
+        back = max((k for k in range(len(joints)) if times[k + 1] < times[k]), default=None)
+        if back is not None:  # another simulation, or reset: nothing that was accepted before is followed
+            joints = joints[back:]
             self._times.clear()
-        self._times.append((now, joints.time))
-        return ArmState(joints.time, joints.position, joints.velocity, joints.effort, self._elements)
+            self.watch.trajectory = None
+        self._time = joints[-1].time
+        self._times.append((now, self._time))
+        return [ArmState(one.time, one.position, one.velocity, one.effort, self._elements) for one in joints]
 
     def problem(self, now: float) -> str:
         """Return why there is nothing to be seen, as a sentence for the user; empty if there is."""

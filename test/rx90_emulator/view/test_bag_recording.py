@@ -12,9 +12,13 @@ from rosbags.typesys import Stores, get_typestore
 
 from rx90_common.base.errors import BagError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
+from rx90_controller.lines.task import load_task
+from rx90_emulator.loop.line import path_accuracy
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.measured.options import MeasuredLayout
 from rx90_emulator.view.bags import collecting
+from rx90_emulator.view.bags.facts import path_error_text
+from rx90_emulator.view.bags.path import path_error_track
 from rx90_emulator.view.bags.recording import Recording, open_recording
 
 REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "reference_task"
@@ -53,6 +57,19 @@ def test_a_bag_of_the_suite_is_read_whole(shipped: Setup, monkeypatch: pytest.Mo
         np.testing.assert_array_equal(track.values["position"], values)
     assert recording.friction.names == shipped.friction.names
     assert len(recording.friction.time_ns) == len(recording.arm.time_ns)
+
+
+def test_the_path_error_of_a_bag_is_that_of_the_run(shipped: Setup) -> None:
+    """The page's largest path error of the reference line is the one that `rx90_run` gives for the same states."""
+    recording = opened(REFERENCE, shipped)
+    found = path_error_track(recording, shipped.robot.chain)
+    assert found is not None
+    times = recording.arm.time_ns * 1e-9
+    run = path_accuracy(shipped.robot, load_task(), times, recording.arm.values["position"])
+    error = found.values["position"][:, 0]
+    assert np.nanmax(error) == pytest.approx(run.worst, rel=1e-6)
+    said = f"largest path error {1e3 * run.worst:.3f} mm, at {times[np.nanargmax(error)]:.3f} s"
+    assert said in path_error_text("reference", found, 0)
 
 
 def test_joint_states_of_others(tmp_path: Path, shipped: Setup) -> None:

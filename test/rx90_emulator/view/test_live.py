@@ -16,7 +16,7 @@ from browser import BrowserPage, served
 from processes import Processes
 from short_task import SHORT_TASK
 
-from rx90_common.exchange.arm_watch import JointSample, Span
+from rx90_common.exchange.arm_watch import JointSample, Trajectory
 from rx90_common.process.children import ChildProcess
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import source
@@ -93,7 +93,7 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     assert max(map(abs, deflection[1])) > 100.0  # 25 Nm / 1e5 Nm/rad: 250 microrad
     newest = friction[0][-1]
     shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
-    shown.wait_until(lambda: "mm now; largest on this way" in shown.text(), "the path error")
+    shown.wait_until(lambda: "mm now; largest of this run" in shown.text(), "the path error")
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
 
 
@@ -104,9 +104,10 @@ def test_what_was_accepted_before_time_began_again_is_forgotten(
     times = iter([300.0, 300.1, 0.2, 0.3])
     zeros = np.zeros(6)
     watch = SimpleNamespace(
-        elements=lambda: None,
-        joints=lambda: JointSample(next(times), zeros, zeros, zeros),
-        trajectory=Span(299.0, 305.0),
+        elements=list,
+        joints=lambda: [JointSample(next(times), zeros, zeros, zeros)],
+        listens_at_ticks=False,
+        trajectory=Trajectory(299.0, np.array([305.0]), np.zeros((1, 6)), np.array([True])),
     )
     monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
     live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
@@ -126,15 +127,24 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
     weights, elements = np.arange(1.0, 7.0), np.arange(1.0, count + 1.0)
     now = {"time": 0.0}
 
-    def joints() -> JointSample:
+    def joints() -> list[JointSample]:
         wave = np.cos(now["time"])
-        return JointSample(now["time"], 0.1 * weights * wave, 0.2 * weights * wave, -30.0 * weights * wave)
+        return [JointSample(now["time"], 0.1 * weights * wave, 0.2 * weights * wave, -30.0 * weights * wave)]
 
-    def friction() -> JointSample:
+    def friction() -> list[JointSample]:
         wave = np.cos(now["time"])
-        return JointSample(now["time"], 1e-5 * elements * wave, 0.3 * elements * wave, 40.0 * elements * wave)
+        return [JointSample(now["time"], 1e-5 * elements * wave, 0.3 * elements * wave, 40.0 * elements * wave)]
 
-    watch = SimpleNamespace(elements=friction, joints=joints, trajectory=None)
+    def ticks() -> list[JointSample]:
+        samples = []
+        for tick in range(max(0, round(1e3 * now["time"]) - 99), round(1e3 * now["time"]) + 1):
+            wave, turned = np.cos(1e-3 * tick), np.tanh(1e3 * np.cos(1e-3 * tick))  # friction turns within 2 mrad/s
+            samples.append(JointSample(1e-3 * tick, elements, 0.3 * elements * wave, 40.0 * elements * turned))
+        return samples
+
+    watch = SimpleNamespace(
+        elements=friction, joints=joints, trajectory=None, elements_at_ticks=ticks, listens_at_ticks=True
+    )
     monkeypatch.setattr(source, "ArmWatch", lambda *_: watch)
     live = source.LiveSource(SimpleNamespace(node=None), shipped.robot, "rx90_controller")  # type: ignore[arg-type]
     with served(Page("test", port=0)) as page:
@@ -150,9 +160,9 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
         times = np.arange(0.0, 3.0, 0.1)
         for time in times:
             now["time"] = float(time)
-            state = live.take(2.0 * time)  # at half the speed of the wall clock
-            assert state is not None
-            plots.add(state, 5e-5 if time > 1.0 else None)
+            (state,) = live.take(2.0 * time)  # at half the speed of the wall clock
+            plots.add(state, 5e-5 if time > 1.0 else np.nan)
+            plots.add_to_loop(live.friction, at_ticks=True)
         plots.draw()
     assert live.pace(2.0 * times[-1]) == pytest.approx(0.5)
     wave = np.cos(times)
@@ -166,8 +176,11 @@ def test_what_the_nodes_publish_is_what_the_plots_show(shipped: Setup, monkeypat
         np.testing.assert_allclose(shown[0], times, err_msg=title)
         np.testing.assert_allclose(shown[1:], factors[:, None] * wave, err_msg=title)
     velocity, torque = np.array(made["friction against velocity"].data)
-    np.testing.assert_allclose(velocity, 0.3 / 40.0 * torque, atol=1e-6)
-    assert (velocity.min(), velocity.max()) == pytest.approx((0.9 * wave.min(), 0.9), rel=1e-6)
+    np.testing.assert_allclose(torque, 120.0 * np.tanh(1e3 / 0.9 * velocity), atol=1e-3)
+    assert (velocity.min(), velocity.max()) == pytest.approx((0.9 * wave.min(), 0.9), rel=1e-2)
+    # It turns at standstill, and not on a diagonal between samples that are far apart.
+    assert len(velocity[np.abs(torque) < 100.0]) > 1
+    assert np.abs(velocity[np.abs(torque) < 100.0]).max() < 2e-3
     error = np.array(made["path error of the laser spot [mm]"].data[2])
     np.testing.assert_array_equal(np.isfinite(error), times > 1.0)
     np.testing.assert_allclose(error[times > 1.0], 0.05)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from browser import BrowserPage, served
 
-from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Span
+from rx90_common.exchange.arm_watch import JointSample, NodeStatus, Trajectory
 from rx90_controller.lines.task import load_task
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.view.live import live_view, source
@@ -32,7 +32,8 @@ class Nodes:
 
     def __init__(self) -> None:
         self._began = time.monotonic()
-        self.trajectory: Span | None = None
+        self.trajectory: Trajectory | None = None
+        self.listens_at_ticks = False
         self.publishers, self.robot, self.problem, self.topic = 1, None, "", "/joint_states"
         self.diagnostics = {
             "rx90_sim": NodeStatus(1, "late", {"brakes": "closed"}),
@@ -44,15 +45,25 @@ class Nodes:
         """Return the simulated time, s."""
         return 100.0 + PACE * (time.monotonic() - self._began)
 
-    def joints(self) -> JointSample:
+    def joints(self) -> list[JointSample]:
         """Return an arm that stands at the time."""
-        return JointSample(self.time, *np.zeros((3, 6)))
+        return [JointSample(self.time, *np.zeros((3, 6)))]
 
-    def elements(self) -> None:
+    def elements(self) -> list[JointSample]:
         """Have no friction."""
+        return []
 
     def look_around(self) -> None:
         """Do nothing."""
+
+    def at_ticks(self, *, wanted: bool) -> None:
+        """Take that a page is open."""
+        self.wanted = wanted
+
+
+def followed(begin: float, end: float) -> Trajectory:
+    """Return a trajectory from when to when, s."""
+    return Trajectory(begin, np.array([end]), np.zeros((1, 6)), np.array([True]))
 
 
 def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,15 +98,16 @@ def test_each_fact_stands_in_its_row(shipped: Setup, open_page: Open, monkeypatc
             return abs(float(seconds) - nodes.time) < 5.0 and abs(float(factor.split()[0]) - PACE) <= 0.01
 
         shown.wait_until(pace, "time and pace")
+        assert nodes.wanted  # friction at the tick, while a page is open and time does not hurry
         begin = nodes.time - 40.0
-        nodes.trajectory = Span(begin, begin + 1000.0)
+        nodes.trajectory = followed(begin, begin + 1000.0)
 
         def progress() -> bool:
             done, _, length = shown.page.evaluate(ROW, "trajectory").partition(" of ")
             return bool(length == "1000.0 s" and 40.0 <= float(done) <= nodes.time - begin + 0.1)
 
         shown.wait_until(progress, "the trajectory's progress and length")
-        nodes.trajectory = Span(begin, begin + 39.0)
+        nodes.trajectory = followed(begin, begin + 39.0)
         row("trajectory", "none")
         nodes.diagnostics = {
             "rx90_sim": NodeStatus(0, "running", {"brakes": "open"}),
