@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from tqdm import tqdm
 
@@ -43,6 +44,10 @@ FINE_COUNTS = 2.0**40
 """Encoder counts per turn that are finer than the solver's tolerance."""
 COAST = 0.02
 """How long the arm coasts from full speed, s."""
+
+
+STICKING_POSE = np.array([0.1, 0.4, 1.3, 0.2, 0.9, -0.1])
+"""Where the arm sticks and breaks away, rad."""
 
 
 class Miss(NamedTuple):
@@ -139,10 +144,18 @@ class FullSpeed(NamedTuple):
     torque: float
 
 
-def full_speed(setup: Setup, stiffening: float = 1.0) -> FullSpeed:
-    """Let the arm coast from its full joint speeds, the bristles `stiffening` times as stiff, beside the solver."""
-    elements = tuple(dataclasses.replace(e, c0=stiffening * e.c0) for e in setup.friction.elements)
-    setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
+def scaled(setup: Setup, **factors: float) -> Setup:
+    """Return a setup with parameters of all elements multiplied."""
+    elements = tuple(
+        dataclasses.replace(one, **{name: factor * getattr(one, name) for name, factor in factors.items()})
+        for one in setup.friction.elements
+    )
+    return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, elements))
+
+
+def full_speed(setup: Setup) -> FullSpeed:
+    """Let the arm coast from its full joint speeds beside the solver."""
+    elements = setup.friction.elements
     plant, twin = setup.plant(), setup.plant()
     for one in (plant, twin):
         one.reset(np.array([0.0, 0.5, 1.2, 0.0, 0.9, 0.0]))
@@ -161,6 +174,52 @@ def full_speed(setup: Setup, stiffening: float = 1.0) -> FullSpeed:
         if tick >= 2:
             torque = max(torque, float(np.max(np.abs(own - other) / np.abs(other))))
     return FullSpeed(float(rate * setup.rates.period), joints, torque)
+
+
+def with_rotors(setup: Setup, factor: float) -> Setup:
+    """Return a setup with lighter or heavier rotors."""
+    drives = dataclasses.replace(setup.drives, rotor_inertia=factor * setup.drives.rotor_inertia)
+    return dataclasses.replace(setup, drives=drives)
+
+
+class Sticking(NamedTuple):
+    """The plant step where joints stick, break away, turn round and stick again.
+
+    Attributes:
+        substeps: plant steps in a tick, as many as the arm needs.
+        joints: worst difference to the solver, rad.
+        share: worst difference over the way of that joint.
+    """
+
+    substeps: int
+    joints: float
+    share: float
+
+
+def sticking(setup: Setup) -> Sticking:
+    """Push the arm below break-away, beyond it, back and below again, 40 ms in all, beside the solver."""
+    plant, twin = setup.plant(), setup.plant()
+    for one in (plant, twin):
+        one.reset(STICKING_POSE)
+        one.state["brakes_closed"], one.state["brake_z"] = 0, 0.0
+    stiff = StiffPlant(setup, twin, 1e-8)
+    apart, way, start = np.zeros(6), np.zeros(6), stiff.y[:6].copy()
+    for motor in _pushes(setup):
+        plant.step(motor)
+        stiff.step(motor)
+        apart = np.maximum(apart, np.abs(plant.state["q"][0] - stiff.y[:6]))
+        way = np.maximum(way, np.abs(stiff.y[:6] - start))
+    return Sticking(plant.substeps, float(apart.max()), float((apart / way).max()))
+
+
+def _pushes(setup: Setup) -> list[Array]:
+    """Return the motor torques of each tick: the arm's weight and a share of its static friction."""
+    model, static = setup.robot.model, np.array([e.tau_s_positive for e in setup.friction.elements])
+    weight = np.array(pin.computeGeneralizedGravity(model, model.createData(), STICKING_POSE))
+    weight += setup.drives.spring_torque * np.sin(STICKING_POSE)
+    needed = static[:6] + static[6] * np.array([0, 0, 0, 0, 1, 1])
+    joints = [weight + share * needed for share in np.repeat([0.6, 1.8, -1.8, 0.3], [24, 32, 48, 56])]
+    return [(joint - joint[5] * (np.arange(6) == 4)) / setup.drives.gear for joint in joints]
 
 
 def draw(found: Convergence, file: Path) -> None:
@@ -242,10 +301,23 @@ def main() -> int:
     print()
     _counts_table(found)
     print()
-    coasts = [(factor, full_speed(work.setup, factor)) for factor in (1.0, 100.0)]
+    coasts = [(factor, full_speed(scaled(work.setup, c0=factor))) for factor in (1.0, 100.0)]
     print_table(
         ("coasting from full joint speed", "bristle rate x tick", "joints urad", "friction torque"),
         [(f"c0 x {f:g}", f"{c.rate:.1f}", f"{c.joints * 1e6:.3f}", f"{c.torque:.1e}") for f, c in coasts],
+    )
+    print()
+    cases = {
+        "as shipped": work.setup,
+        **{f"c0 x {factor:g}": scaled(work.setup, c0=factor) for factor in (50.0, 100.0, 1000.0)},
+        "c1 x 3, rotors x 0.03": with_rotors(scaled(work.setup, c1=3.0), 0.03),
+        "alpha 0.3, c2 x 5": scaled(work.setup, c2=5.0, alpha=0.3),
+        "c0 x 3, c1 = c2 = 0": scaled(work.setup, c0=3.0, c1=0.0, c2=0.0),
+    }
+    rows = [(name, sticking(setup)) for name, setup in cases.items()]
+    print_table(
+        ("sticking, break-away, reversal", "steps in a tick", "joints urad", "of the way"),
+        [(name, str(s.substeps), f"{s.joints * 1e6:.2f}", f"{s.share:.2%}") for name, s in rows],
     )
     merge(
         {

@@ -30,7 +30,7 @@ from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import SETTLING, path_accuracy, plan_line
+from rx90_emulator.loop.line import path_accuracy, plan_line
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.model import PerturbationModel, prepare
@@ -73,8 +73,7 @@ class Work(NamedTuple):
     @property
     def window(self) -> tuple[float, float]:
         """Return from when to when the line counts, s."""
-        begin = self.task.rest_before
-        return begin, begin + self.task.profile().duration + min(SETTLING, self.task.rest_after)
+        return self.task.counted
 
 
 def scaled(friction: FrictionSet, scale: float) -> FrictionSet:

@@ -26,7 +26,8 @@ Identification  plan_experiments, record_on_engine, identify_friction, identific
                 check_friction, Experiment, FrictionIdentification, IdentificationBags, RobotOptions, Validation,
                 ValidationTolerances; from excitation runs: identify_excitation, excitation_summary,
                 write_excitation, read_payloads, ExcitationIdentification, ExcitationTolerances, Payload
-Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted
+Errors          Rx90Error, of which every refusal is one: a line with the offending value and what is accepted;
+                Rx90Warning, of a run that means less than it seems to
 
 Units are SI throughout. Setups, tasks and results are frozen: with_parameters() and dataclasses.replace() give changed
 copies. Files are named by a path, or by the name of a shipped file below config/. The names above are imported when
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from rx90_common.bags.tables import comparison_text
     from rx90_common.bags.tolerance import Tolerances
     from rx90_common.bags.writing import write_joint_states
-    from rx90_common.base.errors import Rx90Error
+    from rx90_common.base.errors import Rx90Error, Rx90Warning
     from rx90_common.base.rates import Rates
     from rx90_common.description.robot_files import RobotFiles
     from rx90_common.friction import FrictionElement, FrictionSet
@@ -135,6 +136,7 @@ __all__ = [
     "RobotOptions",
     "RunResult",
     "Rx90Error",
+    "Rx90Warning",
     "ScatterPart",
     "Scope",
     "Setup",
@@ -194,7 +196,7 @@ _HOMES = {
     "rx90_common.bags.reading": "read_bag read_joint_states",
     "rx90_common.bags.tolerance": "Tolerances",
     "rx90_common.bags.writing": "write_joint_states",
-    "rx90_common.base.errors": "Rx90Error",
+    "rx90_common.base.errors": "Rx90Error Rx90Warning",
     "rx90_common.base.rates": "Rates",
     "rx90_common.description.robot_files": "RobotFiles",
     "rx90_common.friction": "FrictionSet FrictionElement",

@@ -39,7 +39,7 @@ class Plant:
         drives: DriveParameters,
         friction: FrictionSet,
         rates: Rates,
-        substeps: int = 1,
+        substeps: int | None = None,
         seed: int = 0,
     ) -> None:
         self.joint_names = robot.joint_names
@@ -120,8 +120,13 @@ class Plant:
         raise DivergenceError(
             f"the state of {self.joint_names[joint]} diverged in tick {self.tick}: velocity "
             f"{self.state['v'][0, joint]:g} rad/s; accepted: finite and up to "
-            f"{self.constants['speed_limit'][0, joint]:g} rad/s; stiff parameters may need more substeps"
+            f"{self.constants['speed_limit'][0, joint]:g} rad/s"
         )
+
+    @property
+    def substeps(self) -> int:
+        """Return how many steps the plant takes in a tick."""
+        return int(self.constants["substeps"][0])
 
     @property
     def brakes_closed(self) -> bool:

@@ -21,6 +21,7 @@ from rx90_common.friction.parts.scatter import check_seed
 from rx90_common.kernels.elementary_arrays import exponential_of
 from rx90_sim.cogging import COGGING_DTYPE, COGGING_STATE_DTYPE, fill_cogging
 from rx90_sim.current_sensor import SENSOR_DTYPE, SENSOR_STATE_DTYPE, fill_sensor
+from rx90_sim.plant_steps import MOST_STEPS, plant_steps
 from rx90_sim.transmission import TRANSMISSION_DTYPE, TRANSMISSION_STATE_DTYPE
 from rx90_sim.winding import WINDING_DTYPE, fill_windings
 
@@ -83,11 +84,14 @@ STATE_DTYPE = np.dtype(
     align=True,
 )
 
-_MOST_SUBSTEPS = 1000
-
 
 def plant_record(
-    robot: RobotModel, drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int = 1, seed: int = 0
+    robot: RobotModel,
+    drives: DriveParameters,
+    friction: FrictionSet,
+    rates: Rates,
+    substeps: int | None = None,
+    seed: int = 0,
 ) -> np.ndarray[Any, Any]:
     """Return the plant's constants, shape (1,), dtype PLANT_DTYPE.
 
@@ -96,17 +100,21 @@ def plant_record(
         drives: gears, motors, brakes, spring, end stops.
         friction: the seven elements.
         rates: of the loops.
-        substeps: plant steps in a tick.
+        substeps: plant steps in a tick; None for as many as the arm needs (rx90_sim.plant_steps).
         seed: of all that is random in the plant.
 
     Raises:
-        ConfigError: if `substeps` is not at least 1, the observer is faster than the tick allows, the friction follows
-            the load faster than the step, or the seed is not a whole number from 0 to LARGEST_SEED.
+        ConfigError: if `substeps` is not at least 1 or less than the arm needs, the observer is faster than the tick
+            allows, the friction follows the load faster than the step, or the seed is not a whole number from 0 to
+            LARGEST_SEED.
     """
-    _check(drives, friction, rates, substeps, seed)
+    _check(drives, rates, substeps, seed)
+    arm = manipulator_record(robot.chain, drives)
+    substeps = plant_steps(robot, drives, friction, arm, rates.period, substeps)
+    _check_relax_times(friction, rates.period / substeps)
     record = np.zeros(1, PLANT_DTYPE)
     plant = record[0]
-    plant["arm"] = manipulator_record(robot.chain, drives)[0]
+    plant["arm"] = arm[0]
     _fill_transmission(plant["transmission"], drives)
     fill_cogging(plant["cogging"], drives.cogging, drives.gear)
     fill_windings(plant["winding"], drives.winding, drives.torque_constant)
@@ -129,17 +137,19 @@ def plant_record(
     return record
 
 
-def _check(drives: DriveParameters, friction: FrictionSet, rates: Rates, substeps: int, seed: int) -> None:
-    """Refuse what does not fit the tick or the step."""
-    if not isinstance(substeps, int | np.integer) or not 1 <= substeps <= _MOST_SUBSTEPS:
-        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {_MOST_SUBSTEPS}")
+def _check(drives: DriveParameters, rates: Rates, substeps: int | None, seed: int) -> None:
+    """Refuse what does not fit the tick."""
+    if substeps is not None and not (isinstance(substeps, int | np.integer) and 1 <= substeps <= MOST_STEPS):
+        raise ConfigError(f"substeps is {substeps}; accepted: an integer >= 1, up to {MOST_STEPS}")
     if drives.velocity_bandwidth >= rates.base_hz / 2:
         raise ConfigError(
             f"velocity_bandwidth is {drives.velocity_bandwidth} Hz; accepted: below half the base rate, "
             f"{rates.base_hz / 2:g} Hz"
         )
     check_seed(seed)
-    step = rates.period / substeps
+
+
+def _check_relax_times(friction: FrictionSet, step: float) -> None:
     for name, element in zip(friction.names, friction.elements, strict=True):
         if element.load is not None and element.load.relax_time < step:
             raise ConfigError(

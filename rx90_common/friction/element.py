@@ -101,11 +101,14 @@ class FrictionElement:
         forward = v >= 0
         coulomb = np.where(forward, self.tau_c_positive, self.tau_c_negative)
         static = np.where(forward, self.tau_s_positive, self.tau_s_negative)
-        return np.asarray(coulomb + (static - coulomb) * np.exp(-((np.abs(v) / self.omega_s) ** self.delta)))
+        with np.errstate(over="ignore"):  # the Stribeck part is gone then
+            fading = np.exp(-((np.abs(v) / self.omega_s) ** self.delta))
+        return np.asarray(coulomb + (static - coulomb) * fading)
 
     def damping(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c1(v), Nm s/rad."""
-        return np.asarray(self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2)))
+        with np.errstate(over="ignore"):
+            return np.asarray(self.c1 * np.exp(-((np.asarray(velocity) / self.omega_d) ** 2)))
 
     def viscous_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return c2 |v|^alpha sign(v), below LINEAR_SPEED the chord of it, Nm."""
@@ -113,6 +116,13 @@ class FrictionElement:
         if self.alpha == 1.0:
             return np.asarray(self.c2 * v)
         return np.asarray(self.c2 * v * np.maximum(np.abs(v), LINEAR_SPEED) ** (self.alpha - 1.0))
+
+    def viscous_slopes(self, max_velocity: float) -> tuple[float, float, float]:
+        """Return the slope of the viscous part: at rest as warm and as cold as it gets, and cold at speed, Nm s/rad."""
+        warm, cold = (1.0, 1.0) if self.temperature is None else self.temperature.viscous_range
+        rest = self.c2 if self.alpha == 1.0 else self.c2 * LINEAR_SPEED ** (self.alpha - 1.0)
+        fast = self.c2 * self.alpha * max_velocity ** (self.alpha - 1.0) if self.alpha > 1.0 else rest
+        return warm * rest, cold * rest, cold * fast
 
     def steady_torque(self, velocity: ArrayLike) -> NDArray[np.float64]:
         """Return the torque after a long time at constant velocity, Nm (zero at rest)."""
@@ -125,9 +135,20 @@ class FrictionElement:
         The map from v to tau_f is passive where c1 < 4 c0 g / |v| (Barahanov and Ortega 2000); Maxwell slip has
         another factor there (`BristlesPart.passivity_factor`).
         """
-        speed = _speeds_up_to(max_velocity)
-        broken = self.damping(speed) * speed >= self._least_dissipation(speed)
-        return float(speed[broken][0]) if broken.any() else math.inf
+        speed = np.concatenate([[0.0], _speeds_up_to(max_velocity)])
+        broken = self._gives(speed)
+        if not broken.any():
+            return math.inf
+        first = int(np.argmax(broken))
+        low, high = speed[first - 1], speed[first]
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (low, middle) if self._gives(middle) else (middle, high)
+        return float(high)
+
+    def _gives(self, speed: ArrayLike) -> NDArray[np.bool_]:
+        """Return at which speeds, rad/s, the element may give energy."""
+        speed = np.asarray(speed, dtype=np.float64)
+        return np.asarray(self.damping(speed) * speed >= self._least_dissipation(speed))
 
     def passive_damping(self, max_velocity: float) -> float:
         """Return the c1, Nm s/rad, below which the element is passive up to `max_velocity`, rad/s."""
@@ -146,8 +167,8 @@ class FrictionElement:
 
 
 def _speeds_up_to(largest: float) -> NDArray[np.float64]:
-    """Return the speeds, rad/s, shape (n,), at which passivity is looked at."""
-    return np.geomspace(1e-4, largest, 4000)
+    """Return the speeds, rad/s, shape (n,), between which passivity is looked at."""
+    return np.geomspace(1e-4 * min(1.0, largest), largest, 4000)
 
 
 def elements_dtype(width: int) -> np.dtype[np.void]:

@@ -13,6 +13,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Either, Group
 from rx90_common.base.quoting import quoted
 from rx90_common.base.section import as_number
+from rx90_common.friction.parts.part import LEAST_SPEED
 from rx90_common.friction.parts.table import PARTS
 
 SIGNS = ("positive", "negative")
@@ -64,9 +65,10 @@ class FrictionParameter:
     @property
     def accepted(self) -> str:
         """Return its range in words."""
-        if self.bounds is not None:
-            return "a number in [{:g}, {:g}]".format(*self.bounds)
-        return f"a {'' if self.default == math.inf else 'finite '}number {'>' if self.positive else '>='} 0"
+        low, high, above = self.interval
+        if high < math.inf:
+            return f"a number in [{low:g}, {high:g}]"
+        return f"a {'' if self.default == math.inf else 'finite '}number {'>' if above else '>='} {low:g}"
 
     def entry(self) -> Entry:
         """Return what may stand under its key in a file."""
@@ -99,14 +101,17 @@ class FrictionParameter:
 FRICTION_PARAMETERS = (
     FrictionParameter("tau_c", "Coulomb friction torque", "Nm", signed=True),
     FrictionParameter("tau_s", "static friction torque, at least tau_c", "Nm", positive=False, signed=True),
-    FrictionParameter("omega_s", "Stribeck velocity", "rad/s"),
+    FrictionParameter("omega_s", "Stribeck velocity", "rad/s", bounds=(LEAST_SPEED, math.inf)),
     FrictionParameter("delta", "Stribeck exponent", "1"),
     FrictionParameter("c0", "bristle stiffness", "Nm/rad"),
     FrictionParameter("c1", "micro-viscous damping at rest", "Nm s/rad", positive=False),
     FrictionParameter("c2", "viscous friction", "Nm (s/rad)^alpha", positive=False),
-    FrictionParameter("omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", default=math.inf),
+    FrictionParameter(
+        "omega_d", "velocity in the fading c1 exp(-(v/omega_d)^2)", "rad/s", default=math.inf,
+        bounds=(LEAST_SPEED, math.inf),
+    ),
     FrictionParameter("alpha", "viscous exponent", "1", default=1.0, bounds=ALPHA_BOUNDS),
-)
+)  # fmt: skip
 
 ELEMENT = Group(
     "A LuGre friction element (equations 17 to 19), joint side.",

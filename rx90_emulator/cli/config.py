@@ -154,12 +154,12 @@ def _of_nodes(options: argparse.Namespace) -> list[ShownValue]:
 
 
 def _of_files(options: argparse.Namespace) -> list[ShownValue]:
-    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, rig_values, setup_values
+    from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, rig_values, setup_values, steps_value
     from rx90_emulator.loop.setup import Setup
 
     files = RobotFiles.of_options(options)
-    Setup.load(files)
+    steps = steps_value(Setup.load(files))
     of_robot = f"robot {options.robot}" if options.robot is not None else OF_CODE
     chosen = {role: of_robot if getattr(options, role) is None else COMMAND_LINE for role in FILES}
     rig, origin = (SHIPPED_RIG, OF_CODE) if options.rig is None else (options.rig, COMMAND_LINE)
-    return [*setup_values(files, chosen), *rig_values(rig, origin)]
+    return [*setup_values(files, chosen), steps, *rig_values(rig, origin)]

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from types import SimpleNamespace
+from typing import Any, cast
 
-from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error
+from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, Rx90Error, Rx90Warning
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.requirements import missing_module
 from rx90_common.kernels.announcement import announce_compilation
@@ -127,7 +129,17 @@ def _run(program: str, words: Sequence[str], options: SimpleNamespace) -> int:
             parser.error(f"unrecognized arguments: {' '.join(ros_args)}")
         options.ros_args = ros_args
     # Only now: a recorder that has a handler for SIGTERM leaves a whole bag.
-    with terminations_as_interrupts():
+    with terminations_as_interrupts(), warnings.catch_warnings():
+        warnings.simplefilter("always", Rx90Warning)
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, Rx90Warning):
+                _say(f"{program}: warning: {message}")
+            else:
+                others(message, category, *where, **more)
+
+        warnings.showwarning = cast(Any, show)
         return int(command.main(options) or 0)
 
 

@@ -71,7 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="D from the measured velocity alone, as the paper draws it",
     )
-    parser.add_argument("--substeps", type=whole_number, default=1, help="plant steps in a tick (%(default)s)")
+    parser.add_argument("--substeps", type=whole_number, help="plant steps in a tick (as many as the arm needs)")
     parser.add_argument(
         "--seed", type=whole_number, metavar="N",
         help="of all that is random in the arm, such as the scatter of its friction; the same seed gives the same bits "
@@ -95,7 +95,7 @@ def main(options: argparse.Namespace) -> None:
     _check(options)
     # Here, because --help must not wait for them.
     from rx90_common.description.robot_files import RobotFiles
-    from rx90_emulator.cli.run_hours import run_hours, warn_of_heat
+    from rx90_emulator.cli.run_hours import run_hours
     from rx90_emulator.loop.application import with_parameters
     from rx90_emulator.loop.result import save_arrays, write_bag
     from rx90_emulator.loop.setup import Setup
@@ -107,13 +107,12 @@ def main(options: argparse.Namespace) -> None:
         setup = with_parameters(setup, {"controller.feed_forward.*": False})
     if options.no_velocity_feed_forward:
         setup = with_parameters(setup, {"controller.feed_forward.velocity": False})
-    for line in setup.friction.passivity_warnings(setup.robot.max_velocity.tolist()):
-        print(f"rx90_run: warning: {line}", file=sys.stderr)
     if options.hours is not None:
         run_hours(setup, options)
         return
     result = _simulate(setup, options)
-    warn_of_heat(setup, result.slow.temperatures)
+    if result.substeps > 1:
+        print(f"plant steps in a tick: {result.substeps}")
     if result.saturated.any():
         print(f"motors at their limit, ticks: {result.saturated.tolist()}")
     if options.output is not None:
@@ -169,8 +168,8 @@ def _trajectory_run(
     setup: Setup, options: argparse.Namespace, begin: float, how: dict[str, Any]
 ) -> Callable[[], RunResult]:
     """Read the trajectory or bag, say where the arm begins, and return what runs it."""
+    from rx90_controller.lines.task import SETTLING
     from rx90_emulator.loop.closed_loop import simulate
-    from rx90_emulator.loop.line import SETTLING
     from rx90_emulator.loop.recorded_run import read_run, replay
     from rx90_emulator.loop.trajectory_file import load_trajectory
 

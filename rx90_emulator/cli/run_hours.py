@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ from rx90_common.base.quoting import one_line, plain
 from rx90_emulator.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from rx90_common.base.arrays import Array
     from rx90_common.report.plot import Plot
     from rx90_emulator.loop.setup import Setup
     from rx90_emulator.loop.working_day import RepeatedLine
@@ -44,7 +42,7 @@ def check_hours(options: argparse.Namespace) -> None:
             raise ConfigError(f"--{name.replace('_', '-')} with --hours; accepted: --task and --plot")
     if options.plot is not None and options.plot.suffix.lower() not in PICTURES:
         raise ConfigError(f"--plot {plain(options.plot)}; accepted: a file with {', '.join(PICTURES)}")
-    if options.substeps != 1:
+    if options.substeps is not None:
         raise ConfigError(f"--substeps {options.substeps} with --hours; accepted: left out")
 
 
@@ -90,22 +88,11 @@ def _show(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
     for i in rows:
         torques = "".join(f"{torque:11.3f}" for torque in result.friction[i])
         print(f"{result.times[i] / 3600.0:8.3f}{'':18}{torques}")
-    warn_of_heat(result.setup, result.temperatures)
     if plot is not None:
         from rx90_common.report.still import write_picture
 
         write_picture(hours_plot(result), plot)
         print(one_line(f"plot: {plot}"))
-
-
-def warn_of_heat(setup: Setup, temperatures: Array) -> None:
-    """Say which joints got warmer than the law of their friction holds; temperatures have shape (n, 7)."""
-    from rx90_sim.joint_temperatures import beyond_law
-
-    if len(temperatures):
-        hot = beyond_law(setup.friction, temperatures.max(axis=0))
-        if hot:
-            print(f"rx90_run: warning: {hot}", file=sys.stderr)
 
 
 def hours_plot(result: RepeatedLine) -> Plot:

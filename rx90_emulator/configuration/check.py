@@ -202,7 +202,7 @@ def _yaml_files(files: RobotFiles) -> list[tuple[str, Path]]:
 
 def _together(files: RobotFiles, limits: Path) -> list[Rx90Error]:
     """Return what does not fit together: names of joints in all files, poses and limits, missing files."""
-    faults = _refused(lambda: Setup.load(files))
+    faults = _refused(lambda: Setup.load(files).plant())
     if faults:
         return faults
     robot = load_robot(files.urdf, files.tool)

@@ -10,10 +10,12 @@ from typing import Any
 from rx90_common.base.config import load_yaml, yaml_lines, yaml_value
 from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
+from rx90_common.base.rates import Rates
 from rx90_common.description.robot_files import FILES, RobotFiles
 from rx90_emulator.configuration.node_file import NODE_FILE, flat, sections_of
 from rx90_emulator.configuration.node_parameters import declared
-from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values
+from rx90_emulator.configuration.origins import COMMAND_LINE, OF_CODE, ShownValue, rig_values, setup_values, steps_value
+from rx90_emulator.loop.setup import Setup
 
 ARM_NODES = ("rx90_sim", "rx90_controller")
 RIG_NODE = "friction_bench"
@@ -91,8 +93,10 @@ def node_setup(given: GivenParameters) -> list[ShownValue]:
     shared: dict[str, Any] = {}
     chosen: dict[str, str] = {}
     law: dict[str, ShownValue] = {}
+    substeps: int | None = None
     for node in ARM_NODES:
         parameters = declared(node, given.values[node])
+        substeps = substeps or parameters.values.get("substeps")
         for name, value in parameters.values.items():
             origin = given.origins[node].get(name, OF_CODE) if name in given.values[node] else OF_CODE
             if name in _SHARED and shared.setdefault(name, value) != value:
@@ -105,8 +109,10 @@ def node_setup(given: GivenParameters) -> list[ShownValue]:
                 law[f"controller.{name}"] = ShownValue(f"{node}.{name}", value, "", origin)
             else:
                 found.append(ShownValue(f"{node}.{name}", value, "", origin))
-    of_setup = setup_values(RobotFiles.named(shared["robot"], **files), chosen)
-    return found + [_with(one, law.get(one.name)) for one in of_setup] + _of_rig(given)
+    robot = RobotFiles.named(shared["robot"], **files)
+    of_setup = [_with(one, law.get(one.name)) for one in setup_values(robot, chosen)]
+    setup = Setup.load(robot, Rates(shared["base_rate"], shared["position_rate"]))
+    return [*found, *of_setup, steps_value(setup, substeps or None), *_of_rig(given)]
 
 
 def _of_rig(given: GivenParameters) -> list[ShownValue]:

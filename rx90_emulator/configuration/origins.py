@@ -15,6 +15,7 @@ from rx90_common.description.robot_files import FILES, NO_TOOL, RobotFiles
 from rx90_common.friction.parameters import SIGNS
 from rx90_controller.law.model import ROLES, ModelFiles
 from rx90_emulator.configuration.check import kind_named
+from rx90_emulator.loop.setup import Setup
 
 OF_CODE = "default of the code"
 COMMAND_LINE = "command line"
@@ -154,6 +155,15 @@ def setup_values(files: RobotFiles, chosen: Mapping[str, str]) -> list[ShownValu
         if role != "urdf" and path is not None:
             found += file_values(role, path)
     return found + _model_files(files, {one.name for one in found})
+
+
+def steps_value(setup: Setup, substeps: int | None = None) -> ShownValue:
+    """Return the steps that the plant of a setup takes in a tick.
+
+    Raises:
+        ConfigError: if those asked for are too few, or it needs more than it takes unasked.
+    """
+    return ShownValue("plant steps in a tick", setup.plant(substeps).substeps, "1", "by friction, mass and gears")
 
 
 def _model_files(files: RobotFiles, named: Collection[str]) -> list[ShownValue]:

@@ -117,7 +117,8 @@ class Demonstration:
 
     def _show_page(self, group: ProcessGroup, options: Sequence[object]) -> None:
         """Start the page, and give a person a moment to open it before time runs."""
-        page = group.start("view", executable("rx90_view", "--robot", self._robot, "--task", self._task_file, *options))
+        about = ("--robot", self._robot, "--task", self._task_file, "--output", self._folder)
+        page = group.start("view", executable("rx90_view", *about, *options))
         address = page.wait_for(r"page: (.*) [(]")[1]
         if TO_OTHERS in page.lines:
             print(TO_OTHERS)

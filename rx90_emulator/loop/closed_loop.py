@@ -131,7 +131,7 @@ def simulate(
     initial_position: ArrayLike | None = None,
     duration: float | None = None,
     start_time: float = 0.0,
-    substeps: int = 1,
+    substeps: int | None = None,
     record_fast: bool = False,
 ) -> RunResult:
     """Run the closed loop without ROS.
@@ -142,11 +142,11 @@ def simulate(
         initial_position: joint positions at rest, rad, shape (6,); by default the trajectory's first point.
         duration: simulated time, s; by default until the trajectory ends.
         start_time: when the trajectory starts, s.
-        substeps: plant steps in a tick.
+        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
 
     Raises:
-        ConfigError: if the duration is shorter than a tick, or a time is not finite.
+        ConfigError: if the duration is shorter than a tick, a time is not finite, or the arm needs more steps.
         TrajectoryError: if the trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
@@ -164,25 +164,41 @@ def simulate_commands(
     initial_position: ArrayLike,
     duration: float,
     *,
-    substeps: int = 1,
+    substeps: int | None = None,
     record_fast: bool = False,
 ) -> RunResult:
-    """Run the closed loop without ROS along several trajectories.
+    """Run the closed loop without ROS along several trajectories, and warn of what means less than it seems to.
 
     Args:
         setup: robot, drives, friction, controller, rates.
         commands: in the order of their start; each replaces the one before it at its start.
         initial_position: joint positions at rest, rad, shape (6,).
         duration: simulated time, s.
-        substeps: plant steps in a tick.
+        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
 
     Raises:
-        ConfigError: if the duration is shorter than a tick, or not finite.
+        ConfigError: if the duration is shorter than a tick or not finite, or the arm needs more steps.
         TrajectoryError: if a trajectory is refused.
         DivergenceError: naming joint and tick.
         SupervisionError: naming joint, value, limit and time, if the controller's supervision cuts the power.
     """
+    setup.warn_of_friction()
+    run = run_commands(setup, commands, initial_position, duration, substeps=substeps, record_fast=record_fast)
+    setup.warn_of_heat(run.slow.temperatures)
+    return run
+
+
+def run_commands(
+    setup: Setup,
+    commands: Sequence[MotionCommand],
+    initial_position: ArrayLike,
+    duration: float,
+    *,
+    substeps: int | None = None,
+    record_fast: bool = False,
+) -> RunResult:
+    """Do the same without a warning."""
     rates = setup.rates
     ticks = rates.ticks_of(duration)
     plant, controller = setup.plant(substeps), setup.cs7b()
@@ -192,7 +208,7 @@ def simulate_commands(
     fast, slow = empty_series(ticks, rates.ratio, record_fast, rates.temperature_ticks if warm else 0)
     setpoints = setpoints_of(controller.trajectory, commands, len(slow.joint_states))
     run_setpoints(plant, controller, setpoints, ticks, fast, slow)
-    return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands))
+    return RunResult(setup, fast if record_fast else None, slow, controller.saturated, tuple(commands), plant.substeps)
 
 
 def setpoints_of(generator: TrajectoryGenerator, commands: Sequence[MotionCommand], count: int) -> Array:

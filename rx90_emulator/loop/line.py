@@ -19,9 +19,6 @@ from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.result import RunResult
 from rx90_emulator.loop.setup import Setup
 
-SETTLING = 0.2
-"""How long after its end a line still counts for the path error, s: there the arm comes to rest."""
-
 
 @dataclass(frozen=True, eq=False)
 class PathAccuracy:
@@ -78,7 +75,7 @@ def plan_line(setup: Setup, task: LineTask) -> LinePlan:
 
 
 def run_line(
-    setup: Setup, task: LineTask, *, start_time: float = 0.0, substeps: int = 1, record_fast: bool = False
+    setup: Setup, task: LineTask, *, start_time: float = 0.0, substeps: int | None = None, record_fast: bool = False
 ) -> LineRun:
     """Plan a line, put the arm at rest at its beginning, and run it through the closed loop to its end.
 
@@ -86,7 +83,7 @@ def run_line(
         setup: robot, drives, friction, controller, rates.
         task: the line.
         start_time: when the trajectory, that is the rest before the line, starts, s.
-        substeps: plant steps in a tick.
+        substeps: plant steps in a tick; None for as many as the arm needs, usually 1.
         record_fast: also keep the series on base ticks.
 
     Raises:
@@ -95,7 +92,7 @@ def run_line(
     """
     points = plan_line(setup, task).points
     run = simulate(setup, points, start_time=start_time, substeps=substeps, record_fast=record_fast)
-    return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, task, start_time)
+    return LineRun(run.setup, run.fast, run.slow, run.saturated, run.commands, run.substeps, task, start_time)
 
 
 def path_accuracy(
@@ -112,9 +109,8 @@ def path_accuracy(
     shape = (times.size, len(robot.joint_names))
     if times.ndim != 1 or joint_position.shape != shape:
         raise ConfigError(f"joint positions: shape {joint_position.shape}; accepted: {shape}, a row for each time")
-    begin = start_time + task.rest_before
-    end = begin + task.profile().duration + min(SETTLING, task.rest_after)
-    window = (times >= begin) & (times <= end)
+    begin, end = task.counted
+    window = (times >= start_time + begin) & (times <= start_time + end)
     if not np.isfinite(joint_position[window]).all():
         raise ConfigError("a joint position on the line is not finite; accepted: finite numbers")
     tip = forward(robot.chain, joint_position[window]).position

@@ -120,7 +120,7 @@ def _commands(bag: Path | str, setup: Setup) -> tuple[MotionCommand, ...]:
     return tuple(commands)
 
 
-def replay(setup: Setup, run: RecordedRun, *, substeps: int = 1, record_fast: bool = False) -> RunResult:
+def replay(setup: Setup, run: RecordedRun, *, substeps: int | None = None, record_fast: bool = False) -> RunResult:
     """Do a recorded run again through the closed loop without ROS, with its seed and the rate of its temperatures.
 
     Raises:

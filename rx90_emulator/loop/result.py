@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +29,7 @@ from rx90_controller.trajectory import TrajectoryPoints
 from rx90_controller.trajectory.message import message_content
 from rx90_emulator.loop.setup import Setup
 
-_ON_BASE_TICKS = (MOTOR_STATES, MOTOR_COMMANDS)
+_NOT_DECIMATED = (MOTOR_STATES, MOTOR_COMMANDS, TEMPERATURES)
 
 
 class MotionCommand(NamedTuple):
@@ -100,6 +99,7 @@ class RunResult:
         slow: series on position ticks 0, 1, ...
         saturated: ticks in which each amplifier was at its limit, shape (6,).
         commands: the trajectories.
+        substeps: plant steps in a tick.
     """
 
     setup: Setup
@@ -107,6 +107,7 @@ class RunResult:
     slow: SlowSeries
     saturated: NDArray[np.int64]
     commands: tuple[MotionCommand, ...]
+    substeps: int
 
     @property
     def times(self) -> Array:
@@ -142,11 +143,24 @@ class RunResult:
             series.append(
                 JointSeries(f"/{MOTOR_COMMANDS}", MOTOR_NAMES, _stamps(commands, rates.period_ns), effort=commands)
             )
+        if len(slow.temperatures):
+            series.append(self._temperatures())
         return {one.topic.removeprefix("/"): one for one in series}
+
+    def _temperatures(self) -> JointSeries:
+        """Return the temperatures of the elements and windings that get warm, as the nodes publish them."""
+        setup, slow = self.setup, self.slow
+        warm = [i for i, element in enumerate(setup.friction.elements) if element.temperature is not None]
+        names, values = [setup.friction.names[i] for i in warm], [slow.temperatures[:, warm]]
+        if setup.drives.winding.used:
+            names, values = [*names, *MOTOR_NAMES], [*values, slow.windings]
+        stamps = _stamps(slow.temperatures, setup.rates.period_ns * setup.rates.temperature_ticks)
+        return JointSeries(f"/{TEMPERATURES}", tuple(names), stamps, temperature=np.concatenate(values, axis=1))
 
 
 def _series(topic: str, names: tuple[str, ...], rows: Array, period_ns: int) -> JointSeries:
-    return JointSeries(topic, names, _stamps(rows, period_ns), *(rows[:, k] for k in range(3)))
+    position, velocity, effort = (rows[:, k] for k in range(3))
+    return JointSeries(topic, names, _stamps(rows, period_ns), position, velocity, effort)
 
 
 def _stamps(rows: Array, period_ns: int) -> NDArray[np.int64]:
@@ -160,7 +174,7 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
         run: the run.
         path: folder to make; must not exist.
         storage: "mcap" or "sqlite3".
-        decimation: keep every n-th message of all topics but those on base ticks.
+        decimation: keep every n-th message of all topics but those on base ticks and the temperatures.
 
     Raises:
         BagError: if the folder exists or cannot be written.
@@ -171,7 +185,6 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     from rx90_common.bags.writing import (
         parameters_message,
         string_message,
-        temperature_message,
         trajectory_message,
         write_joint_states,
     )
@@ -186,25 +199,11 @@ def write_bag(run: RunResult, path: Path | str, storage: str = "mcap", decimatio
     for start, points in run.commands:
         content = message_content(names, points) if points else {"joint_names": list(names), "points": []}
         others.append(trajectory_message(f"/rx90_controller/{TRAJECTORY_ACCEPTED}", start * period_ns, content))
-    for stamp_ns, name, temperature in _temperatures(run):
-        others.append(temperature_message(f"/{TEMPERATURES}", stamp_ns, name, temperature))
     if not isinstance(decimation, int | np.integer) or decimation < 1:
         raise ConfigError(f"decimation is {decimation}; accepted: a whole number >= 1")
     kept = slice(None, None, decimation)
-    series = [one if topic in _ON_BASE_TICKS else one.take(kept) for topic, one in run.series.items()]
+    series = [one if topic in _NOT_DECIMATED else one.take(kept) for topic, one in run.series.items()]
     write_joint_states(path, series, storage=storage, messages=others)
-
-
-def _temperatures(run: RunResult) -> Iterator[tuple[int, str, float]]:
-    """Yield stamp, ns, name of element or motor, and temperature, degrees Celsius, as the nodes publish them."""
-    period_ns = run.setup.rates.period_ns * run.setup.rates.temperature_ticks
-    friction, motors = run.setup.friction, range(6) if run.setup.drives.winding.used else ()
-    elements = [i for i, element in enumerate(friction.elements) if element.temperature is not None]
-    for row, (joints, windings) in enumerate(zip(run.slow.temperatures, run.slow.windings, strict=True)):
-        for i in elements:
-            yield row * period_ns, friction.names[i], float(joints[i])
-        for i in motors:
-            yield row * period_ns, MOTOR_NAMES[i], float(windings[i])
 
 
 def save_arrays(run: RunResult, file: Path | str) -> None:
@@ -231,6 +230,8 @@ def save_arrays(run: RunResult, file: Path | str) -> None:
         arrays["temperature [degC]"] = run.slow.temperatures
         arrays["winding temperature [degC]"] = run.slow.windings
     for topic, series in run.series.items():
+        if topic == TEMPERATURES:
+            continue
         if topic == MOTOR_STATES:
             ticks = np.arange(len(series.stamp_ns), dtype=np.float64)
             arrays["base time [s]"] = np.asarray(ticks * run.setup.rates.period)

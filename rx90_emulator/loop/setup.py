@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rx90_common.base.errors import check_type
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import check_type, warn_caller
 from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters, load_drives
 from rx90_common.description.robot import RobotModel, load_robot
@@ -14,6 +15,7 @@ from rx90_common.friction import FrictionSet, load_friction
 from rx90_common.friction.parts.scatter import check_seed
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters, load_controller
+from rx90_sim.joint_temperatures import beyond_law
 from rx90_sim.plant import Plant
 
 
@@ -66,13 +68,26 @@ class Setup:
             seed,
         )
 
-    def plant(self, substeps: int = 1) -> Plant:
-        """Return a new plant, at rest in the zero pose."""
+    def plant(self, substeps: int | None = None) -> Plant:
+        """Return a new plant, at rest in the zero pose, with so many steps in a tick, or as many as the arm needs.
+
+        Raises:
+            ConfigError: if that is less than it needs, or more than it takes unasked, saying what asks for it.
+        """
         return Plant(self.robot, self.drives, self.friction, self.rates, substeps, self.seed)
 
     def cs7b(self) -> CS7B:
         """Return a new controller."""
         return CS7B(self.robot, self.drives, self.controller, self.rates)
+
+    def warn_of_friction(self) -> None:
+        """Warn of elements that are not passive up to the joints' full speed."""
+        warn_caller(self.friction.passivity_warnings(self.robot.max_velocity.tolist()))
+
+    def warn_of_heat(self, temperatures: Array) -> None:
+        """Warn of joints that got warmer, degrees Celsius, shape (n, 7), than the law of their friction holds."""
+        hot = beyond_law(self.friction, temperatures.max(axis=0)) if len(temperatures) else ""
+        warn_caller([hot] if hot else [])
 
 
 def load_setup(

@@ -144,6 +144,7 @@ class Day:
             raise ConfigError(f"{where}no friction element has a temperature; accepted: one or more")
         if not (math.isfinite(change) and change > 0.0):
             raise ConfigError(f"the change between cycles is {change} K; accepted: a finite number > 0")
+        setup.warn_of_friction()
         self._setup, self._task, self._bound = setup, task, change
         self._cycles = _Cycles(setup, task)
         self._capacity, self._conductance, self._ambient, self._now = _nodes([*parts, *_believed(setup)])
@@ -180,9 +181,10 @@ class Day:
         return True
 
     def result(self) -> RepeatedLine:
-        """Return the cycles that were simulated."""
+        """Return the cycles that were simulated, and warn of joints that got too warm for their law."""
         times, temperatures, windings, cycles = zip(*self._rows, strict=True)
         joints = np.array(temperatures)
+        self._setup.warn_of_heat(joints[:, :7])
         heat, *values = (np.array([getattr(one, name) for one in cycles]) for name in _VALUES)
         rows = (np.array(times), joints[:, :7], np.array(windings), heat[:, :7], joints[:, 7:], *values)
         return RepeatedLine(self._setup, self._task, self._cycles.duration, *rows)

@@ -21,6 +21,7 @@ from rx90_emulator.loop.setup import Setup
 from rx90_emulator.perturbation.batch import FEW, lanes_for, pack
 from rx90_emulator.perturbation.group_step import Series, Tables, run_few, run_many
 from rx90_emulator.perturbation.nominal import NominalMotion, linearise, nominal_motion, nominal_torque
+from rx90_sim.plant_steps import plant_steps
 
 SPACING = 0.01
 """From one point of the linearisation to the next, s."""
@@ -108,7 +109,7 @@ class PerturbationModel:
 
         Raises:
             ConfigError: if the batch is empty, the numbers of frictions and controllers differ, an element has a part,
-                or a controller feeds forward by a model.
+                a controller feeds forward by a model, or friction needs more than one plant step in a tick.
         """
         runs = len(frictions)
         if runs == 0:
@@ -118,6 +119,9 @@ class PerturbationModel:
         for friction in frictions:
             elements = dict(zip(friction.names, friction.elements, strict=True))
             refuse_parts(elements, "the perturbation method", held=("bristles",))
+            # Its step is the plant's of a tick, so it bears no more.
+            setup, arm = self.setup, self.plants["arm"]
+            plant_steps(setup.robot, setup.drives, friction, arm, setup.rates.period, asked=1, braked=False)
         lanes = lanes_for(runs)
         groups = pack(frictions, self._laws(controllers, runs), lanes)
         states, motion = groups.states, self.motion

@@ -15,7 +15,6 @@ from rx90_common.base.arrays import Array
 from rx90_common.description.kinematics import path_error
 from rx90_common.description.tip import tip_position
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.loop.line import SETTLING
 from rx90_emulator.loop.result import RunResult
 
 
@@ -76,8 +75,8 @@ def measure(task: LineTask, result: RunResult) -> tuple[float | int, ...]:
 
 
 def _window(task: LineTask, times: Array) -> slice:
-    end = task.rest_before + task.profile().duration + min(SETTLING, task.rest_after)
-    first, last = np.searchsorted(times, task.rest_before), np.searchsorted(times, end, side="right")
+    begin, end = task.counted
+    first, last = np.searchsorted(times, begin), np.searchsorted(times, end, side="right")
     return slice(int(first), int(last))
 
 

@@ -98,12 +98,12 @@ class SweepBase:
     Attributes:
         files: robot, tool, drives, friction, controller and task.
         rates: of the loops.
-        substeps: plant steps in a tick.
+        substeps: plant steps in a tick; None for as many as the arm of each run needs.
     """
 
     files: RobotFiles = field(default_factory=RobotFiles)
     rates: Rates = field(default_factory=Rates)
-    substeps: int = 1
+    substeps: int | None = None
 
     def hashes(self) -> dict[str, dict[str, str] | None]:
         """Return name and SHA-256 of each file by its role; a shipped file's name is its path below config/.

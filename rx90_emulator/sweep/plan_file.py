@@ -129,7 +129,10 @@ PLAN = Group(
                 "position_rate": Integer(
                     "Rate of the position loop.", "Hz", low=1, high=10**9, default=Rates.position_hz
                 ),
-                "substeps": Integer("Plant steps in a tick.", low=1, high=1000, default=1),
+                "substeps": Integer(
+                    "Plant steps in a tick; left out: as many as the arm of each run needs.",
+                    low=1, high=1000, default=LEFT_OUT,
+                ),
             },
             default=LEFT_OUT,
         ),
@@ -189,7 +192,7 @@ def _base(section: Section, content: dict[str, Any], robot: str | None) -> Sweep
     own = _beside(section, content["robot"]) if "robot" in content else None
     files = _built(section, "robot", lambda: RobotFiles.named(own if robot is None else robot, **names))
     rates = _built(section, "base_rate", lambda: Rates(content["base_rate"], content["position_rate"]))
-    return SweepBase(files, rates=rates, substeps=content["substeps"])
+    return SweepBase(files, rates=rates, substeps=content.get("substeps"))
 
 
 def _file(section: Section, role: str, given: str) -> str:

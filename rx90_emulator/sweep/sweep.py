@@ -16,9 +16,9 @@ from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.application import apply
 from rx90_emulator.loop.catalogue import Catalogue, Value
-from rx90_emulator.loop.closed_loop import simulate
+from rx90_emulator.loop.closed_loop import run_commands
 from rx90_emulator.loop.line import plan_line
-from rx90_emulator.loop.result import RunResult
+from rx90_emulator.loop.result import MotionCommand, RunResult
 from rx90_emulator.loop.setup import Setup
 from rx90_emulator.sweep.metrics import Metric, measure, metrics_of
 from rx90_emulator.sweep.plan import SweepPlan, plan_hash
@@ -105,7 +105,7 @@ class Sweep:
             LineError: if the arm cannot travel the line of the plan's own task.
         """
         period = self.setup.rates.position_period
-        simulate(self.setup, self._motion(self.task), duration=period, substeps=self.plan.base.substeps)
+        self._follow(self.setup, self._motion(self.task), period)
 
     def simulate(self, index: int) -> RunResult:
         """Run one run through the closed loop and return all of it.
@@ -118,7 +118,12 @@ class Sweep:
 
     def _simulate(self, run: RunDescription) -> tuple[LineTask, RunResult]:
         setup, task = apply(self.setup, self.task, self.runs.changes(run))
-        return task, simulate(setup, self._motion(task), substeps=self.plan.base.substeps)
+        points = self._motion(task)
+        return task, self._follow(setup, points, float(points.times[-1]))
+
+    def _follow(self, setup: Setup, points: TrajectoryPoints, duration: float) -> RunResult:
+        commands, substeps = (MotionCommand(0, points),), self.plan.base.substeps
+        return run_commands(setup, commands, points.position[0], duration, substeps=substeps)
 
     def run(self, index: int) -> RunOutcome:
         """Run one run and measure it; an error is an outcome too, one that nobody thought of as well."""

@@ -94,6 +94,8 @@ class SimulatedArm:
         text = f"ready: {self._robot_name}, {parameters.time_mode} at {parameters.rates.base_hz} Hz"
         if parameters.time_mode == LOCK_STEP:
             text += f", real_time_factor {node.get_parameter('real_time_factor').value:g}"
+        if self._plant.substeps > 1:
+            text += f", {self._plant.substeps} plant steps in a tick"
         text += f", states on {node.resolve_topic_name(MOTOR_STATES)}"
         if self.ticks.control.paused:
             text += f"; paused until {node.resolve_service_name('~/pause')} is called with false"
@@ -142,6 +144,7 @@ class SimulatedArm:
             "ticks that waited for a command": str(ticks.held.waited),
             "commands out of turn": str(ticks.lockstep.ignored),
             "brakes": "closed" if plant.brakes_closed else "open",
+            "plant steps in a tick": str(plant.substeps),
             "saturated ticks": " ".join(str(n) for n in plant.saturated),
         }
         texts = warm_motors(plant.constants, plant.winding_temperatures()), plant.temperatures.beyond_law()

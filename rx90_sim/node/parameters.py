@@ -17,6 +17,7 @@ from rx90_common.exchange.topics import LOCK_STEP, SEED, TEMPERATURE_RATE, TIME_
 from rx90_common.friction import load_friction
 from rx90_common.friction.parts.scatter import LARGEST_SEED
 from rx90_sim.plant import Plant
+from rx90_sim.plant_steps import MOST_STEPS
 
 FILE_PARAMETERS = ("urdf", "tool", "drives", "friction")
 """Files of the robot that the node can be given."""
@@ -88,7 +89,10 @@ def read_parameters(node: Node) -> SimulationParameters:
         duration=declare(node, "duration", 0.0, "simulated time after which the node ends, s; 0: never",
                          low=0.0, high=1e9),
         paused=declare(node, "paused", False, "begin with time standing still"),
-        substeps=declare(node, "substeps", 1, "steps of the plant in a tick", low=1, high=1000),
+        substeps=declare(
+            node, "substeps", 0, "steps of the plant in a tick; 0: as many as friction, mass and gears need", low=0,
+            high=MOST_STEPS,
+        ),
         seed=declare(
             node, SEED, 0, "of all that is random in the arm, such as the scatter of its friction; a reset begins "
             "with it again", low=0, high=LARGEST_SEED,
@@ -111,7 +115,8 @@ def build_plant(node: Node, files: RobotFiles, parameters: SimulationParameters)
     friction = load_friction(files.friction, robot.joint_names)
     for line in friction.passivity_warnings(robot.max_velocity.tolist()):
         node.get_logger().warning(one_line(line))
-    plant = Plant(robot, load_drives(files.drives), friction, parameters.rates, parameters.substeps, parameters.seed)
+    drives, substeps = load_drives(files.drives), parameters.substeps or None
+    plant = Plant(robot, drives, friction, parameters.rates, substeps, parameters.seed)
     plant.reset(parameters.initial_position)
     plant.warm_up()
     return robot, plant

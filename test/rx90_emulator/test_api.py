@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
+import math
 import os
 import pydoc
 import re
@@ -240,3 +242,30 @@ def test_arguments_of_a_wrong_type_are_named(call: Callable[[rx.Setup], object],
     """Arguments in a wrong order or of another type are a TypeError that names argument and type."""
     with pytest.raises(TypeError, match=message):
         call(rx.load_setup())
+
+
+def test_the_api_warns_of_what_rx90_run_announces(tmp_path: Path) -> None:
+    """Friction that is not passive, and joints too warm for their law, are warnings of the line that asked for a run.
+
+    A constant c1 of 100 Nm s/rad on 25 Nm is passive below 4 tau_c / c1 = 1 rad/s; 0.01 J/K warm at once.
+    """
+    warm = rx.TemperaturePart(40.0, 20.0, 41.0, 41.0, 41.0, 0.01, 1e3, 20.0)
+    setup = rx.load_setup(rates=rx.Rates(temperature_hz=10))
+    first, *others = setup.friction.elements
+    elements = (dataclasses.replace(first, omega_d=math.inf, temperature=warm), *others)
+    setup = dataclasses.replace(setup, friction=dataclasses.replace(setup.friction, elements=elements))
+    with pytest.warns(rx.Rx90Warning) as caught:
+        run = rx.simulate(setup, points(), duration=0.3)
+    lines = [str(one.message) for one in caught]
+    assert len(lines) == 2
+    assert re.search(r"joint_1\.c1 is 100 Nm s/rad, not passive from 1 rad/s on", lines[0])
+    assert lines[1].startswith("joint_1 at ")
+    assert {one.filename for one in caught} == {__file__}
+    series = run.series["temperatures"]
+    rx.write_bag(run, tmp_path / "bag")
+    bag = rx.read_bag(tmp_path / "bag")["temperatures"]
+    assert series.names == bag.names == ("joint_1",)
+    assert series.temperature is not None
+    assert bag.temperature is not None
+    assert series.temperature.tobytes() == bag.temperature.tobytes()
+    assert series.stamp_ns.tolist() == bag.stamp_ns.tolist()

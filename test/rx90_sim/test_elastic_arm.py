@@ -43,9 +43,10 @@ def test_second_order_for_the_whole_arm(shipped: Setup, side: str, damping: floa
     rng = np.random.default_rng(1)
     pieces = [part * setup.drives.peak_torque for part in rng.uniform(-0.5, 0.5, (2, 6))]
     ticks, errors = 40, []
-    start = snapshot(prepared(setup, 1))
+    start = snapshot(prepared(setup, 2))
     want = solved(setup, start, pieces, ticks * setup.rates.period)
-    for substeps in COUNTS:
+    counts = COUNTS if side == MOTOR else 2 * COUNTS  # friction on links has their inertia alone
+    for substeps in counts:
         plant, got = prepared(setup, int(substeps)), []
         for motor in pieces:
             for _ in range(ticks):
@@ -107,7 +108,7 @@ def step_matrix(setup: Setup, pose: Array) -> Array:
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("damping", [0.0, 2e-4])
+@pytest.mark.parametrize("damping", [2e-5, 2e-4])
 def test_an_infinite_stiffness_is_the_rigid_plant(shipped: Setup, damping: float) -> None:
     """The way of stiff gears nears that of rigid ones by the inverse of the stiffness, however far above the tick."""
     rigid = way(shipped)
@@ -122,9 +123,9 @@ def test_load_is_what_the_link_gets_whichever_side_friction_is_on(shipped: Setup
     """With friction by load, too, stiff gears move as rigid ones do, be the friction before the gear or behind it."""
     elements = tuple(dataclasses.replace(one, load=LoadPart(0.3, 0.2)) for one in shipped.friction.elements)
     setup = dataclasses.replace(shipped, friction=dataclasses.replace(shipped.friction, elements=elements))
-    rigid = way(setup)
-    assert np.abs(rigid - way(shipped)).max() > 1e-3  # rad
-    miss = [np.abs(way(elastic(setup, SOFT * k, 2e-4 * SOFT * k, 0.0, side)) - rigid).max() for k in (1e5, 1e7)]
+    rigid = way(setup, 2)
+    assert np.abs(rigid - way(shipped, 2)).max() > 1e-3  # rad
+    miss = [np.abs(way(elastic(setup, SOFT * k, 2e-4 * SOFT * k, 0.0, side), 2) - rigid).max() for k in (1e5, 1e7)]
     assert miss[1] < 0.03 * miss[0] < 1e-8
 
 
@@ -134,12 +135,13 @@ def test_rigid_and_elastic_gears_share_an_arm(shipped: Setup) -> None:
     for drive in range(6):
         stiffness = np.full(6, np.inf)
         stiffness[drive] = 1e15
-        assert np.abs(way(elastic(shipped, stiffness)) - rigid).max() < 1e-10
+        damping = np.where(np.isinf(stiffness), 0.0, 2e11)
+        assert np.abs(way(elastic(shipped, stiffness, damping)) - rigid).max() < 1e-10
 
 
-def way(setup: Setup) -> Array:
+def way(setup: Setup, substeps: int = 1) -> Array:
     """Return the joints' way under random torques, rad, shape (200, 6)."""
-    plant, rng, rows = prepared(setup, 1), np.random.default_rng(5), []
+    plant, rng, rows = prepared(setup, substeps), np.random.default_rng(5), []
     for k in range(200):
         if k % 50 == 0:
             motor = rng.uniform(-0.4, 0.4, 6) * setup.drives.peak_torque
@@ -218,10 +220,11 @@ def test_friction_brakes_the_side_that_the_file_names(shipped: Setup) -> None:
 def test_a_ripple_goes_by_the_angle_of_that_side(shipped: Setup, side: str) -> None:
     """In a step with twisted gears the sliding torque is that of the motors' angles, or of the links'."""
     ripple = RipplePart((500.0,), (0.5,))
-    element = FrictionElement(*[10.0] * 4, 0.05, 1.0, 1e12, 0.0, 0.0, ripple=ripple)  # settled as soon as it moves
+    element = FrictionElement(*[10.0] * 4, 0.05, 1.0, 1e2, 0.0, 0.0, ripple=ripple)
     setup = elastic(floating(shipped), SOFT, 0.0, 0.0, side)
     setup = dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, (element,) * 7))
-    plant = setup.plant()
+    plant = setup.plant(1)
+    plant.constants["friction"]["c0"] = 1e12  # settled as soon as it moves
     state = free(plant, POSE)
     twist = 1e-3 * np.arange(1.0, 7.0)
     state["v"], state["transmission"]["twist"] = 0.3, twist

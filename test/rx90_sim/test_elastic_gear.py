@@ -69,8 +69,9 @@ def one_joint(shipped: Setup, rotor: float, gear: tuple[float, float, float], su
     heavy, ones = np.full(6, 1e12), np.ones(6)
     heavy[0] = rotor
     drives = dataclasses.replace(
-        setup.drives, rotor_inertia=heavy, gear=ones, torque_constant=ones, peak_current=1e9 * ones
-    )
+        setup.drives, rotor_inertia=heavy, gear=ones, torque_constant=ones, peak_current=1e9 * ones,
+        brake_stiffness=ones, brake_damping=ones,
+    )  # fmt: skip
     return dataclasses.replace(setup, drives=drives).plant(substeps)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 
-from benchmarks.accuracy import compare, full_speed, run_plant, without_rounding
+from benchmarks.accuracy import compare, full_speed, run_plant, scaled, without_rounding
 from benchmarks.closed_loop import Work
 from benchmarks.hybrid_reference import StiffPlant, hybrid_reference
 from rx90_emulator.loop.setup import Setup
@@ -58,7 +58,7 @@ def test_shipped_encoders_move_the_tip_by_a_count_at_most(work: Work) -> None:
 @pytest.mark.parametrize(("stiffening", "rate"), [(1.0, 5.0), (100.0, 500.0)])
 def test_full_joint_speed_is_stable(shipped: Setup, stiffening: float, rate: float) -> None:
     """Coasting from full joint speed, bristles many times faster than the tick, the step follows the solver."""
-    found = full_speed(shipped, stiffening)
+    found = full_speed(scaled(shipped, c0=stiffening))
     assert found.rate > rate
     assert found.joints < 1e-5
     assert found.torque < 1e-4

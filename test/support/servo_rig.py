@@ -20,7 +20,7 @@ class Surroundings:
     def __init__(self) -> None:
         self.lines: list[str] = []
         self.published: list[int] = []
-        self.taken: list[tuple[int, int]] = []
+        self.taken: list[tuple[int, int, str]] = []
         self.report: Callable[[], None] = lambda: None
 
     def info(self, text: str) -> None:
@@ -39,9 +39,9 @@ class Surroundings:
         """Note when."""
         self.published.append(stamp_ns)
 
-    def accepted(self, trajectory: SimpleNamespace, start_ns: int) -> None:
-        """Note how many points, and when they start."""
-        self.taken.append((len(trajectory.points), start_ns))
+    def accepted(self, trajectory: SimpleNamespace, start_ns: int, source: str = "") -> None:
+        """Note how many points, when they start, and where they come from."""
+        self.taken.append((len(trajectory.points), start_ns, source))
 
     def wake(self) -> None:
         """Report at once."""

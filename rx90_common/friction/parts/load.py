@@ -43,8 +43,9 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from rx90_common.base.entries import LEFT_OUT, Number
+from rx90_common.base.errors import ConfigError
 from rx90_common.base.groups import Group
-from rx90_common.friction.parts.part import FrictionPart
+from rx90_common.friction.parts.part import LEAST_SPEED, FrictionPart
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.elementary import exponential, power
 from rx90_common.kernels.lanes import Lanes, absolute, load, select, store
@@ -104,6 +105,14 @@ class LoadPart(FrictionPart):
     quadratic_driven: float = 0.0
     omega_s: float = 0.0
     relax_time: float = RELAX_TIME
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if 0.0 < self.omega_s < LEAST_SPEED:
+            raise ConfigError(
+                f"load: omega_s is {self.omega_s:g} rad/s; accepted: 0 for that of the element, or a number in "
+                f"[{LEAST_SPEED:g}, 1e+06]"
+            )
 
 
 def load_dtype(width: int) -> np.dtype[np.void]:

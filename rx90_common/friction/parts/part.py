@@ -6,11 +6,14 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 from rx90_common.base.entries import REQUIRED, Entry, ListOf, Number
 from rx90_common.base.groups import Group
 from rx90_common.base.section import Section, range_text
+
+LEAST_SPEED: Final = 1e-9
+"""Of Stribeck and fading velocities, rad/s: an arm that goes so far in a second stands, and 1 / v is still a number."""
 
 
 @dataclass(frozen=True)

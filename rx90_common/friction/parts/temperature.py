@@ -134,6 +134,13 @@ class TemperaturePart(FrictionPart):
         """Return whether static friction changes with the temperature."""
         return self.speed_slope != 0.0 or self.static_slope != 0.0
 
+    @property
+    def viscous_range(self) -> tuple[float, float]:
+        """Return the least and the largest number that the viscous friction of a run is multiplied with."""
+        rise = np.array([self.highest, min(self.start, self.ambient)]) - self.reference
+        warm, cold = self.viscous_floor + (1.0 - self.viscous_floor) * np.exp(-rise / self.viscous_scale)
+        return float(warm), float(cold)
+
     def weakest(self, element: Any) -> Any:
         """Return an element that has nowhere more friction than this one has at any temperature."""
         ends = np.array([self.lowest, self.highest]) - self.reference

@@ -164,7 +164,8 @@ def test_constant_damping_gives_energy_back_beyond_its_limit(record: Record) -> 
     element = FrictionElement(25.0, 25.0, 50.0, 50.0, 0.01, 1.0, 1e5, 100.0, 0.0)
     compiled = record(element)
     limit = element.passivity_limit(10.0)
-    assert limit == pytest.approx(1.0, rel=0.01)  # c1 v = 4 c0 g: 100 v = 4 * 25
+    assert limit == pytest.approx(1.0, rel=1e-12)  # c1 v = 4 c0 g: 100 v = 4 * 25
+    assert [element.passivity_limit(top) for top in (0.99, 1.5)] == [math.inf, limit]
 
     def dissipated(v: float) -> float:
         step, stored = 1e-8, 50.0 / element.c0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.section import PROVENANCE
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.friction import FrictionElement, FrictionSet, load_friction
+from rx90_common.friction.element import element_arrays
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, legend
 from rx90_common.friction.parts.bristles import KINDS, BristlesPart, ElastoPlastic, MaxwellSlip
@@ -167,7 +169,7 @@ def test_an_omega_d_that_is_left_out_may_be_written(shipped_files: RobotFiles, e
         if good:
             assert load_friction(path, NAMES).elements[0].omega_d == math.inf
         else:
-            with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number > 0"):
+            with pytest.raises(ConfigError, match=rf"joint_1.{key} is {value}; accepted: a (finite )?number >= 1e-09"):
                 load_friction(path, NAMES)
 
 
@@ -188,11 +190,13 @@ def test_the_range_stands_in_the_message_as_in_the_table() -> None:
     for parameter in FRICTION_PARAMETERS:
         if parameter.bounds is not None:
             low, high = parameter.bounds
-            assert parameter.accepted == f"a number in [{low}, {high:g}]"
+            bounded = f"a number in [{low:g}, {high:g}]"
+            assert parameter.accepted.endswith(bounded if high < math.inf else f"number >= {low:g}")
             parameter.check("x", low)
-            parameter.check("x", high)
-            for beyond in (np.nextafter(low, 0.0), np.nextafter(high, 9.0), math.inf):
-                with pytest.raises(ConfigError, match=r"x is .*; accepted: a number in "):
+            above = [] if parameter.default == math.inf else [math.inf]
+            above += [np.nextafter(high, 9.0)] if high < math.inf else []
+            for beyond in (np.nextafter(low, 0.0), *above):
+                with pytest.raises(ConfigError, match=r"x is .*; accepted: a (finite )?number "):
                     parameter.check("x", beyond)
             continue
         if parameter.positive:
@@ -264,9 +268,10 @@ def elements(draw: st.DrawFn) -> FrictionElement:
     """Return any element at all, with equal or with different values for the signs."""
     up = sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))
     down = draw(st.sampled_from([up, sorted(draw(st.lists(POSITIVE, min_size=2, max_size=2)))]))
-    omega_s, delta, c0 = (draw(POSITIVE) for _ in range(3))
+    delta, c0 = (draw(POSITIVE) for _ in range(2))
+    omega_s = draw(st.floats(1e-9, allow_infinity=False))
     c1, c2 = (draw(st.floats(min_value=0.0, allow_infinity=False)) for _ in range(2))
-    omega_d, alpha = draw(POSITIVE | st.just(math.inf)), draw(st.just(1.0) | st.floats(0.3, 2.0))
+    omega_d, alpha = draw(st.floats(1e-9)), draw(st.just(1.0) | st.floats(0.3, 2.0))
     parts = {name: draw(st.none() | part) for name, part in ANY_PART.items()}
     return FrictionElement(up[0], down[0], up[1], down[1], omega_s, delta, c0, c1, c2, omega_d, alpha, **parts)
 
@@ -424,3 +429,20 @@ def test_a_set_has_seven_elements(shipped: Setup) -> None:
     with pytest.raises(ConfigError, match="6 elements and 7 names; accepted: 7"):
         FrictionSet(shipped.friction.names, shipped.friction.elements[:6])
     assert np.all([e.c0 > 0 for e in shipped.friction.elements])
+
+
+def test_velocities_that_cannot_be_divided_by_are_refused() -> None:
+    """Stribeck and fading velocities too small for 1 / v to be a number are refused; the least ones give no warning."""
+    element = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
+    with pytest.raises(ConfigError, match=r"omega_s is 5e-324; accepted: a finite number >= 1e-09"):
+        dataclasses.replace(element, omega_s=5e-324)
+    with pytest.raises(ConfigError, match=r"omega_d is 5e-324; accepted: a number >= 1e-09"):
+        dataclasses.replace(element, omega_d=5e-324)
+    with pytest.raises(ConfigError, match=r"load: omega_s is .*e-324 rad/s; accepted: 0 .*or a number in \[1e-09"):
+        LoadPart(0.1, 0.1, omega_s=5e-324)
+    least = dataclasses.replace(element, omega_s=1e-9, omega_d=1e-9, delta=50.0, load=LoadPart(0.1, 0.1, omega_s=1e-9))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert least.steady_torque([-6.0, 0.0, 6.0]).tolist() == [-109.0, 0.0, 109.0]
+        assert element_arrays([least])["inverse_omega_s"][0] == pytest.approx([1e9])
+        assert math.isinf(least.passivity_limit(6.0))

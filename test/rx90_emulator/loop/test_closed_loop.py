@@ -14,7 +14,6 @@ from rx90_common.base.errors import ConfigError, DivergenceError, TrajectoryErro
 from rx90_common.base.rates import Rates
 from rx90_common.description.current_sensor import CurrentSensor
 from rx90_common.description.winding import Windings
-from rx90_common.friction import FrictionSet
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
@@ -204,10 +203,11 @@ def test_what_the_controller_refuses_the_run_refuses(shipped: Setup) -> None:
 
 
 def diverging(setup: Setup) -> Setup:
-    """Return a setup whose fourth joint no explicit step can integrate."""
-    elements = list(setup.friction.elements)
-    elements[3] = dataclasses.replace(elements[3], c1=1e5, omega_d=1e6)
-    return dataclasses.replace(setup, friction=FrictionSet(setup.friction.names, tuple(elements)))
+    """Return a setup whose fourth joint an amplifier without limits and a far too large gain drive apart."""
+    kv = setup.controller.kv * [1, 1, 1, 30, 1, 1]
+    wild = dataclasses.replace(setup.controller, kv=kv, following_error=np.full(6, 1e9), over_speed=1e9)
+    drives = dataclasses.replace(setup.drives, peak_current=1e6 * setup.drives.peak_current)
+    return dataclasses.replace(setup, controller=wild, drives=drives)
 
 
 def test_a_diverging_run_is_an_error(shipped: Setup) -> None:

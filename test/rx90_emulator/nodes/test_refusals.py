@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,11 +90,30 @@ def test_an_environment_that_cannot_be_is_one_line(
 def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     processes: Processes, edited_yaml: Any, shipped_files: Any
 ) -> None:
-    """A micro-viscous damping beyond what any step can carry ends the run with one line, not with NaN."""
-    file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_4", "c1"), 1.0e9)
+    """A gain far too large for an amplifier without limits ends the run with one line, not with NaN."""
+    drives: Path = edited_yaml(shipped_files.drives, ("motor", "peak_current"), [1e7] * 6)
+    law: Path = edited_yaml(shipped_files.controller, ("servo", "kv"), [400.0] * 3 + [1.2e4] + [400.0] * 2)
+    law = edited_yaml(law, ("supervision", "following_error"), [1e9] * 6)
+    law = edited_yaml(law, ("supervision", "over_speed"), 1e9)
     cell = processes.start(
-        "rx90_cell", "--ros-args", "-p", f"rx90_sim:friction:={file}", "-p", "rx90_sim:real_time_factor:=0.0"
-    )
-    cell.wait_for(r"rx90_cell: the state of joint_\d diverged in tick \d+.*substeps")
+        "rx90_cell", "--ros-args", "-p", f"drives:={drives}", "-p", f"rx90_controller:controller:={law}",
+        "-p", "rx90_sim:real_time_factor:=0.0",
+    )  # fmt: skip
+    cell.wait_for(r"rx90_cell: the state of joint_\d diverged in tick \d+")
     assert cell.wait() == 3
     assert "Traceback" not in cell.output
+
+
+@pytest.mark.ros
+def test_the_simulation_takes_the_steps_that_the_arm_needs_or_says_so(
+    processes: Processes, edited_yaml: Any, shipped_files: Any
+) -> None:
+    """Stiff bristles: the log tells how many plant steps the node takes by itself; fewer asked for are one line."""
+    file: Path = edited_yaml(shipped_files.friction, ("elements", "joint_6", "c0"), 5.0e5)
+    told = ["--ros-args", "-p", f"friction:={file}"]
+    simulation = processes.start("rx90_sim", *told)
+    simulation.wait_for(r"ready: .*, [2-9] plant steps in a tick")
+    done = processes.run("rx90_sim", *told, "-p", "substeps:=2")
+    assert done.returncode == 2
+    line = the_line(done.stderr)
+    assert re.search(r"friction\.joint_6\.c0 is 500000 Nm/rad, .*2 plant steps.*substeps [3-9]", line), line

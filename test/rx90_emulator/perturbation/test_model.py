@@ -101,7 +101,7 @@ CASES = {
     "as shipped": (Rates(), 0.0),
     "later start": (Rates(), 0.037),
     "other rates": (Rates(8000, 500), 0.0),
-    "one rate": (Rates(2000, 2000), 0.01),
+    "one rate": (Rates(4000, 4000), 0.01),
 }
 
 
@@ -232,18 +232,30 @@ def test_the_order_of_the_runs_does_not_matter(
     assert len({tip.tobytes() for tip in straight.tip_deviation}) == len(frictions)
 
 
-def test_a_lost_run_is_named_and_harms_no_other(shipped: Setup, model: PerturbationModel) -> None:
-    """Viscous friction too stiff for the tick, on which the full simulation diverges, loses its own run alone."""
-    friction = shipped.friction
-    stiff = dataclasses.replace(friction.elements[2], c2=1e6)
-    wild = FrictionSet(friction.names, (*friction.elements[:2], stiff, *friction.elements[3:]))
+def test_a_lost_run_is_named_and_harms_no_other(shipped: Setup) -> None:
+    """A gain far too large, without a limit of current, diverges in full and loses its own run alone."""
+    drives = dataclasses.replace(shipped.drives, peak_current=1e6 * shipped.drives.peak_current)
+    setup = dataclasses.replace(shipped, drives=drives)
+    model = prepare(setup, there_and_back(), HOME, 0.4)
+    friction, tame = shipped.friction, shipped.controller
+    kv = tame.kv * [1, 1, 1, 30, 1, 1]
+    wild = dataclasses.replace(tame, kv=kv, following_error=np.full(6, 1e9), over_speed=1e9)
     with pytest.raises(DivergenceError):
-        simulate(dataclasses.replace(shipped, friction=wild), there_and_back(), HOME, 0.4)
-    result = model.run([friction, wild, friction])
+        simulate(dataclasses.replace(setup, controller=wild), there_and_back(), HOME, 0.4)
+    result = model.run([friction] * 3, [tame, wild, tame])
     alone = model.run_one()
     assert result.diverged.tolist() == [False, True, False]
     for run in (0, 2):
         assert result.tip_deviation[run].tobytes() == alone.tip_deviation[0].tobytes()
+
+
+def test_friction_too_stiff_for_a_tick_is_refused(shipped: Setup, model: PerturbationModel) -> None:
+    """The method takes one plant step in a tick, so it refuses bristles that need more, which the plant takes."""
+    elements = tuple(dataclasses.replace(one, c0=100.0 * one.c0) for one in shipped.friction.elements)
+    stiff = dataclasses.replace(shipped.friction, elements=elements)
+    assert dataclasses.replace(shipped, friction=stiff).plant().substeps > 1
+    with pytest.raises(ConfigError, match=r"friction\.joint_6\.c0 is 500000 Nm/rad.*1 plant step.*substeps"):
+        model.run_one(stiff)
 
 
 def test_coarse_points_are_close_enough(shipped: Setup) -> None:

@@ -1,0 +1,253 @@
+"""How many steps the plant must take in a tick: what bristles, brakes, stops and gears ask for on the arm's inertia.
+
+**A stuck joint.** Where all bristles stick, a step of length h is linear. With the midpoint velocity that the last
+acceleration predicts, v_m = v + h/2 a, the exact bristle, mean torque c0 (z + h/2 v_m) + d v_m, d = c1 and the viscous
+slope at rest, and the mass m, its eigenvalues s are the roots of
+
+    2 s (s - 1)^2 + [k + (k/2 + d) (s - 1)] (3 s - 1) = 0,    k = c0 h^2 / m,   d = d h / m.
+
+By Jury's criterion they lie within the unit circle where d < 1 and (k - 2 d) (k + d) < 4 d. Without damping a vibration
+grows by k^2 / 8 in a step, whatever the step.
+
+**The arm.** Its map is the same polynomial with matrices M, K = W^T C0 W and D, W being what the elements turn for
+velocities of the arm. Multiplied by its eigenvector from the left it is the scalar one, whose k and d are Rayleigh
+quotients. So k is at most the largest eigenvalue of (h^2 K, M), d that of (h D, M), also where only some of the
+elements stick, and M^-1 K has the eigenvalues of sqrt(C0) (W M^-1 W^T) sqrt(C0). Of W M^-1 W^T the largest entries over
+poses in all of the range are kept, once for an arm: a matrix of positive numbers that bounds another's entries bounds
+its eigenvalues (Perron and Frobenius).
+
+**Bounds.** Friction: k <= 0.05, where a stuck joint's frequency is 1 % off, and d <= 0.5, half of what is stable.
+Closed brakes and end stops, where the arm stands or is stopped: k <= 0.25, d <= 0.8. What damping does not cover of k,
+by the criterion above, is kept so small that a vibration grows by at most GROWTH in a second. Other bristles are as
+stiff as LuGre's where they stick.
+
+**Elastic gears** are implicit, stable for every stiffness. But a frequency w far above the step is seen at another one,
+where the controller may drive it: h w <= 0.5, unless damping d >= 0.05 h k takes it away within some ten steps.
+Friction on the motors' side has the inertia of the rotors alone where the gear is soft, and this is what counts here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from rx90_common.base.arrays import Array
+from rx90_common.base.errors import ConfigError
+from rx90_common.description.drives import DriveParameters
+from rx90_common.description.elasticity import LINK
+from rx90_common.description.robot import RobotModel
+from rx90_common.description.wrist import coupling_matrix, element_matrix
+from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
+from rx90_common.dynamics.manipulator import mass_and_bias
+from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+
+MOST_AUTOMATIC: Final = 64
+"""Steps in a tick that the plant takes without being asked to."""
+
+MOST_STEPS: Final = 1000
+"""Steps in a tick that it can be asked for."""
+
+GROWTH: Final = 0.1
+"""By which a vibration of a stuck arm may grow in a second where nothing damps it, 1/s."""
+
+_POSES = 128
+_LARGE = 1e100  # beyond all that an eigenvalue can be computed of
+_GEAR_DAMPING = 0.05  # d / (h k) from which a gear's vibration is gone within some ten steps
+_FRICTION, _HELD, _GEARS = slice(0, ELEMENT_COUNT), slice(0, ELEMENT_COUNT + 12), slice(ELEMENT_COUNT + 12, None)
+
+
+class _Rows(NamedTuple):
+    """What acts on the arm: seven friction elements, six brakes, end stops, gears; each a stiffness and a damper.
+
+    Attributes:
+        names: of stiffness and damping of each, for messages.
+        told: the damping that such a name means, Nm s/rad.
+        stiffness: Nm/rad.
+        damping: the least at rest, Nm s/rad.
+        most_damping: the most up to full speed, Nm s/rad.
+    """
+
+    names: Sequence[tuple[str, str]]
+    told: Array
+    stiffness: Array
+    damping: Array
+    most_damping: Array
+
+
+class _Load(NamedTuple):
+    """What has to keep within a bound.
+
+    Attributes:
+        largest: eigenvalue.
+        row: that has the largest part in it.
+        most: its bound.
+        cover: k that a d of 1 covers; None if damping does not count, 0 for a bound of d.
+    """
+
+    largest: float
+    row: int
+    most: float
+    cover: float | None
+
+
+def plant_steps(
+    robot: RobotModel,
+    drives: DriveParameters,
+    friction: FrictionSet,
+    arm: Any,
+    period: float,
+    asked: int | None = None,
+    braked: bool = True,
+) -> int:
+    """Return how many steps the plant takes in a tick: those asked for, or as many as the arm needs.
+
+    Args:
+        robot: its limits.
+        drives: brakes, end stops, gears.
+        friction: the seven elements.
+        arm: the rigid arm, shape (1,), MANIPULATOR_DTYPE; with the rotors.
+        period: of a tick, s.
+        asked: steps in a tick, None for as many as it needs.
+        braked: whether there are brakes and end stops.
+
+    Raises:
+        ConfigError: for less than the arm needs, and for more than MOST_AUTOMATIC that nobody asked for, naming what
+            asks for them, its value, what is accepted and the steps that would do.
+    """
+    rows = _rows(drives, friction, robot.max_velocity)
+    numbers = (np.asarray(one, np.float64).tobytes() for one in (robot.lower, robot.upper, drives.rotor_inertia))
+    elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
+    gram = _compliance(arm.tobytes(), *numbers, elastic, link_friction)
+    most = MOST_AUTOMATIC if asked is None else asked
+
+    def bear(steps: int) -> bool:
+        return all(load.largest <= load.most for load in _loads(rows, gram, period / steps, braked))
+
+    if bear(1 if asked is None else asked):
+        return 1 if asked is None else asked
+    needed = _first(bear)
+    if needed is not None and needed <= most:
+        return needed
+    loads = sorted(_loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most)
+    raise ConfigError(_refusal(rows, gram, loads, period / most, most, asked, needed))
+
+
+def _first(bear: Any) -> int | None:
+    """Return the least number of steps in a tick that will do, None if there is none: all bounds ease with the step."""
+    if not bear(MOST_STEPS):
+        return None
+    low, high = 1, MOST_STEPS
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if bear(middle) else (middle + 1, high)
+    return low
+
+
+def _rows(drives: DriveParameters, friction: FrictionSet, max_velocity: Array) -> _Rows:
+    speeds = (*max_velocity, max_velocity[4] + max_velocity[5])
+    slopes = [e.viscous_slopes(speed) for e, speed in zip(friction.elements, speeds, strict=True)]
+    c1 = np.array([element.c1 for element in friction.elements])
+    least, cold, fast = np.array(slopes).T
+    rest, most = c1 + least, np.maximum(c1 + cold, fast)
+    elasticity = drives.elasticity
+    gears = np.where(elasticity.elastic, elasticity.stiffness, 0.0)
+    others = np.concatenate([drives.brake_damping, drives.stop_damping, elasticity.damping])
+    names = [
+        (f"friction.{name}.c0", f"friction.{name}.{'c1' if by_c1 else 'c2'}")
+        for name, by_c1 in zip(friction.names, c1 >= 0.5 * most, strict=True)
+    ]
+    for block in ("brake_", "stop_", "elasticity."):
+        names += [(f"drives.{block}stiffness[{i}]", f"drives.{block}damping[{i}]") for i in range(6)]
+    return _Rows(
+        names,
+        np.concatenate([np.where(c1 >= 0.5 * most, c1, most), others]),
+        np.concatenate([[e.c0 for e in friction.elements], drives.brake_stiffness, drives.stop_stiffness, gears]),
+        np.concatenate([rest, others]),
+        np.concatenate([most, others]),
+    )
+
+
+def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Load]:
+    """Yield what has to keep within its bound for a step, s."""
+    k, d = step * step * rows.stiffness, step * rows.damping
+    still = math.sqrt(8.0 * GROWTH * step)  # k whose undamped vibration grows by GROWTH
+    for part, most_k, most_d in ((_FRICTION, 0.05, 0.5), (_HELD, 0.25, 0.8))[: 1 + braked]:
+        stiff = _load(k, part, gram, most_k, None)
+        yield stiff
+        yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
+        cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)  # up to this k the criterion lies above still + cover d
+        yield _load(k - cover * d, part, gram, still, cover)
+    yield _load(k - d / _GEAR_DAMPING, _GEARS, gram, 0.25, 1.0 / _GEAR_DAMPING)
+
+
+def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
+    """Return the largest eigenvalue of k or d, infinite for numbers that are too large, beside its bound."""
+    values = np.maximum(values[part], 0.0)
+    largest, row = float(values.max()), int(values.argmax())
+    if largest > 0.0:
+        root = np.sqrt(np.minimum(values, _LARGE))
+        found, modes = np.linalg.eigh(root[:, None] * gram[part, part] * root)
+        largest = float(found[-1]) if largest < _LARGE else math.inf
+        row = int(np.argmax(np.abs(modes[:, -1])))
+    return _Load(largest, row + (part.start or 0), most, cover)
+
+
+@lru_cache(maxsize=8)
+def _compliance(arm: bytes, lower: bytes, upper: bytes, rotor: bytes, elastic: bytes, link_friction: bool) -> Array:
+    """Return the largest entries, by size, of W M^-1 W^T over the arm's range, 1/(kg m^2), shape (25, 25).
+
+    The inertia that a row feels alone is the inverse of its entry on the diagonal.
+    """
+    record, body = np.frombuffer(arm, MANIPULATOR_DTYPE).copy()[0], np.zeros(1, BODY_DTYPE)[0]
+    low, high = np.frombuffer(lower), np.frombuffer(upper)
+    soft = np.frombuffer(elastic, np.bool_)
+    # Points that fill a cube evenly: multiples of powers of a root of x^7 = x + 1, modulo 1 (Kronecker's sequence).
+    powers = 1.112775684278706 ** -np.arange(1.0, 7.0)
+    share = (0.5 + np.arange(1.0, _POSES + 1.0)[:, None] * powers) % 1.0
+    mass, bias, still = np.empty((_POSES, 6, 6)), np.empty(6), np.zeros(6)
+    for pose, matrix in zip(low + share * (high - low), mass, strict=True):
+        mass_and_bias(record, body, pose, still, matrix, bias)
+    coupling, inputs = coupling_matrix(), element_matrix()
+    turns = np.linalg.inv(coupling)  # of the joints as the motors have them, for those of the motors
+    count = int(soft.sum())
+    whole = np.zeros((_POSES, 6 + count, 6 + count))
+    whole[:, :6, :6] = mass
+    if count:  # the motors run ahead of the links by twists
+        inertia = np.diag(np.frombuffer(rotor))
+        whole[:, :6, 6:] = (coupling.T @ inertia)[:, soft]
+        whole[:, 6:, :6] = (inertia @ coupling)[soft]
+        whole[:, 6:, 6:] = inertia[np.ix_(soft, soft)]
+    w = np.zeros((ELEMENT_COUNT + 18, 6 + count))
+    w[:ELEMENT_COUNT, :6] = inputs
+    if not link_friction:
+        w[:ELEMENT_COUNT, 6:] = (inputs @ turns)[:, soft]
+    w[7:13, :6], w[7:13, 6:] = coupling, np.eye(6)[:, soft]
+    w[13:19, :6] = np.eye(6)
+    w[19:, 6:] = np.eye(6)[:, soft]
+    return np.asarray(np.abs(w @ np.linalg.inv(whole) @ w.T).max(axis=0))
+
+
+def _refusal(
+    rows: _Rows, gram: Array, loads: Sequence[_Load], step: float, most: int, asked: int | None, needed: int | None
+) -> str:
+    """Return what is beyond `most` steps in a tick, the last of the loads most of all, and what is accepted."""
+    load = loads[-1]
+    over, row = load.largest / load.most, load.row
+    damping = load.cover == 0.0
+    name = rows.names[row][damping]
+    size, unit = (rows.told, "Nm s/rad") if damping else (rows.stiffness, "Nm/rad")
+    slope = " at its steepest" * name.endswith("c2")
+    steps = "1 plant step in a tick bears" if most == 1 else f"{most} plant steps in a tick bear"
+    accepted = [f"up to about {size[row] / over:.3g}"]
+    if load.cover and loads[-2].largest <= loads[-2].most:
+        accepted.append(f"{rows.names[row][1]} from about {rows.stiffness[row] * step / load.cover:.3g}")
+    if needed is not None:
+        accepted.append(f"substeps {needed}" + (f", more than the {most} taken unasked" if asked is None else ""))
+    return (
+        f"{name} is {size[row]:.6g} {unit}{slope}, {over:.3g} times what {steps} on {1.0 / gram[row, row]:.3g} kg m^2; "
+        f"accepted: {', or '.join(accepted)}"
+    )
