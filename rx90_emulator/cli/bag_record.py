@@ -88,8 +88,8 @@ def _report(topics: Sequence[str], counts: Sequence[TopicCount], stalls: Sequenc
         if count.missing:
             complete = False
             print(
-                f"lost: {count.missing} trajectories that were sent on {count.topic}: the controller has accepted "
-                "them, and they did not come here",
+                f"not recorded: {count.missing} trajectories of {count.topic} that the controller has accepted: sent "
+                "before the recording was ready, or lost",
                 file=sys.stderr,
             )
         if count.refused:

@@ -147,7 +147,7 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
     assert rig.loop.rejected == 2
     rig.loop.offer(rig.trajectory(0.1, stamp=(60, 100_000_000)))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
-    assert rig.around.taken == [(1, 60_100_000_000)]
+    assert rig.around.taken == [(1, 60_100_000_000, "")]
 
 
 def test_an_end_is_told_once(rig: Rig) -> None:
@@ -155,7 +155,7 @@ def test_an_end_is_told_once(rig: Rig) -> None:
     rig.loop.hold(rig.states(0))
     rig.around.lines.clear()
     rig.loop.offer(rig.trajectory(0.1, stamp=(0, 500_000)))
-    assert rig.around.taken == [(1, 1_000_000)]
+    assert rig.around.taken == [(1, 1_000_000, "")]
     rig.run(0, 4004)
     assert len(rig.around.lines) == 1
     rig.run(4004, 5)
@@ -180,7 +180,7 @@ def test_an_empty_trajectory_stops_within_the_accelerations_and_holds(rig: Rig, 
     assert got[-1, 0] == pytest.approx(rest)
     end = 0.42 + np.ceil(1e3 * (got[20, 1] / most).max()) / 1e3
     assert rig.around.lines[1:] == [f"empty trajectory: stopping from 0.420 s on, at rest at {end:.3f} s"]
-    assert rig.around.taken[1:] == [(0, 420_000_000)]
+    assert rig.around.taken[1:] == [(0, 420_000_000, "")]
     rig.run(1600, 4000)
     assert rig.around.lines[2:] == [f"stopped at {end:.3f} s; holding"]
 

@@ -69,9 +69,9 @@ class Graph:
 @pytest.mark.parametrize(
     ("looks", "timeout", "sent_at", "said"),
     [
-        ([(1, 1)], 30.0, 0.5, 0),
+        ([(1, 1)], 30.0, 1.2, 0),
         # A recorder shows up in the graph after 0.2 s and is matched 0.3 s later.
-        ([(1, 1)] * 4 + [(2, 1)] * 6 + [(2, 2)], 30.0, 1.0, 0),
+        ([(1, 1)] * 4 + [(2, 1)] * 6 + [(2, 2)], 30.0, 1.7, 0),
         # It is stopped, and is never matched.
         ([(2, 1)], 2.0, 2.05, 1),
     ],
@@ -79,7 +79,7 @@ class Graph:
 def test_it_waits_for_all_that_listen(
     monkeypatch: pytest.MonkeyPatch, looks: list[tuple[int, int]], timeout: float, sent_at: float, said: int
 ) -> None:
-    """Half a second after the last one was matched, or the timeout after somebody was not, which is said."""
+    """1.2 s after the last one was matched, or the timeout after somebody was not, which is said."""
     graph: Any = Graph(looks, timeout)
     monkeypatch.setattr(trajectory_client.time, "monotonic", lambda: graph.now)
     TrajectoryClient(graph, "rx90_controller").send(NAMES, POINTS)

@@ -72,7 +72,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "metadata binary": (lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe"), "metadata.yaml: cannot be read"),
     "metadata of aliases": (
         lambda bag: (bag / "metadata.yaml").write_text(ALIASES),
-        "metadata.yaml: not valid YAML (more than 1,000,000 values",
+        "metadata.yaml: not valid YAML (more than 400,000 values",
     ),
     "metadata without topics": (
         lambda bag: edit_metadata(bag, lambda c: c.pop("topics_with_message_count")),

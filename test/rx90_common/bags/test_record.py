@@ -267,8 +267,8 @@ def test_a_trajectory_that_did_not_come_fails(tmp_path: Path, start: Start, caps
         time.sleep(0.1)
     recorders["lacking"].signal(signal.SIGINT)
     code, _, err = recorders["lacking"].finish()
-    lost = "lost: 2 trajectories that were sent on /c/joint_trajectory: the controller has accepted them"
-    assert (code, err) == (1, f"{lost}, and they did not come here\n")
+    lacking = "not recorded: 2 trajectories of /c/joint_trajectory that the controller has accepted: sent before the"
+    assert (code, err) == (1, f"{lacking} recording was ready, or lost\n")
     assert run("rx90_bag", ["info", str(tmp_path / "lacking")]) == 0
     lacks = "/c/joint_trajectory lacks 3 of the trajectories that the controller accepted: sent before the recording"
     assert lacks in capsys.readouterr().out

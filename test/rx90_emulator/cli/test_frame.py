@@ -140,6 +140,7 @@ WRITTEN = {
         "rx90_line": ["--task", "nowhere"],
         "rx90_run": ["--task", "nowhere"],
         "rx90_sweep": ["run", "nowhere"],
+        "rx90_view": ["nowhere"],
     },
     "--report": {
         "rx90_identify": ["nowhere"],
