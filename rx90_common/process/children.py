@@ -24,6 +24,8 @@ TIMEOUT = 120.0
 """Longest wait for a line or an end, s: generous, for a loaded machine with nothing compiled yet."""
 
 _LAST_LINES_S = 10.0  # the longest wait, after the end, for what had been printed before
+_WATCHES_STDIN = "RX90_CHILD_WATCHES_STDIN"  # in the environment of a child
+_ORPHAN_GRACE_S = 20.0  # from the interrupt of a child without a parent until it is killed
 
 _started: WeakSet[ChildProcess] = WeakSet()
 
@@ -51,7 +53,8 @@ class ChildProcess:
         # A session of its own: Ctrl-C reaches the parent alone, which ends the children in order.
         self._process = subprocess.Popen(
             command,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,  # never written to; it ends with this process, however that ends
+            env={**os.environ, _WATCHES_STDIN: "1"},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             encoding="utf-8",
@@ -129,6 +132,8 @@ class ChildProcess:
         except subprocess.TimeoutExpired as error:
             raise ProcessError(f"the {self.name} did not end within {timeout:g} s: {self._last_line()}") from error
         self._hear_the_rest()
+        assert self._process.stdin is not None
+        self._process.stdin.close()
         return code
 
     def _hear_the_rest(self) -> None:
@@ -207,6 +212,20 @@ class ProcessGroup:
                     member.wait(max(0.0, deadline - time.monotonic()))
             unwilling += [member for member in left if member.returncode is None and member not in unwilling]
         return unwilling
+
+
+def end_with_parent() -> None:
+    """In a child process: be interrupted once its parent is gone, be it killed, and killed where that does not help."""
+    if os.environ.pop(_WATCHES_STDIN, ""):
+        threading.Thread(target=_end_with_stdin, name="parent", daemon=True).start()
+
+
+def _end_with_stdin() -> None:
+    while os.read(0, 1):
+        pass
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(_ORPHAN_GRACE_S)
+    os.killpg(0, signal.SIGKILL)  # a session of its own: this process and what it has started
 
 
 def kill_all() -> None:

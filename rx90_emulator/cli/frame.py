@@ -18,6 +18,7 @@ from rx90_common.base.errors import DISK_ERRORS, FAILED, INTERRUPTED, REFUSED, R
 from rx90_common.base.quoting import one_line, plain
 from rx90_common.base.requirements import missing_module
 from rx90_common.kernels.announcement import announce_compilation
+from rx90_common.process.children import end_with_parent
 from rx90_common.process.interrupts import (
     keep_exit_code,
     leave_when_asked,
@@ -65,6 +66,7 @@ def main() -> int:
     if name not in EXECUTABLES:
         print(f"usage: python -m rx90_emulator {{{','.join(EXECUTABLES)}}} ...", file=sys.stderr)
         return REFUSED
+    end_with_parent()
     return execute(name, sys.argv[2:])
 
 

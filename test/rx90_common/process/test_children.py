@@ -73,6 +73,44 @@ def test_an_end_does_not_wait_for_who_holds_the_stream_open() -> None:
     os.killpg(child.pid, signal.SIGKILL)
 
 
+PARENT = """
+import sys, time
+from rx90_common.process.children import ChildProcess, executable
+child = ChildProcess("child", COMMAND)
+child.wait_for("UP")
+print("child", child.pid, flush=True)
+time.sleep(600)
+"""
+DEAF = """
+import signal, time
+import rx90_common.process.children as module
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+module._ORPHAN_GRACE_S = 0.2
+module.end_with_parent()
+print("up", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "up"),
+    [
+        pytest.param("executable('rx90_bag', 'record', '--output', 'bag', 'none')", "waiting for", id="command"),
+        pytest.param(f"[sys.executable, '-c', {DEAF!r}]", "up", id="deaf to SIGINT"),
+    ],
+)
+def test_a_child_ends_with_a_parent_that_is_killed(
+    command: str, up: str, processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kill -9 of a command leaves none of the package's processes behind."""
+    monkeypatch.chdir(tmp_path)
+    parent = processes.start(sys.executable, "-c", PARENT.replace("COMMAND", command).replace("UP", up))
+    child = int(parent.wait_for(r"child (\d+)")[1])
+    parent.signal(signal.SIGKILL)
+    assert parent.wait() == -signal.SIGKILL
+    wait_until(lambda: ended(child), "the child to be gone", 20.0)
+
+
 def test_more_interrupts_leave_no_child_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where Ctrl-C and SIGTERM come again while the children end, these are ended all the same."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
