@@ -32,8 +32,7 @@ MODULES = {
 }
 FOLDERS = sorted(name for name, path in MODULES.items() if path.name == "__init__.py")
 _ROS = re.compile(r"(rcl|rosidl|rosbag2|ament|launch|tf2|unique_identifier)\w*|\w+_(msgs|srvs|interfaces|ros|py)")
-LONGEST = 400
-LARGEST_CLASS = 150
+LONGEST = 500
 MOST_POSITIONAL = 7
 PLAIN = {
     "__future__",
@@ -312,14 +311,11 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 def test_a_module_can_be_read_at_one_sitting() -> None:
-    """No module exceeds 400 lines, no class 150, no function seven positional arguments; each says what it holds."""
+    """No module exceeds 500 lines, no function seven positional arguments; each says what it holds."""
     for name, path in MODULES.items():
         tree = parse(name)
         assert path.read_text(encoding="utf-8").count("\n") <= LONGEST, name
         assert ast.get_docstring(tree), name
-        for node in ast.walk(tree):
-            if isinstance(node, ast.ClassDef):
-                assert (node.end_lineno or 0) - node.lineno < LARGEST_CLASS, f"{name}.{node.name}"
         for function in functions(tree):
             arguments = (*function.args.posonlyargs, *function.args.args)
             given = [argument.arg for argument in arguments if argument.arg not in {"self", "cls"}]

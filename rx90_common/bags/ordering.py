@@ -12,7 +12,6 @@ from enum import Enum, auto
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.base.rates import NANOSECONDS
@@ -20,7 +19,6 @@ from rx90_common.base.stamps import ENCAPSULATION, cdr_stamp_ns
 
 _HOLD_NS = 500_000_000  # of simulated time; far above what topics run apart
 _MAX_UNDATED_BYTES = 16 << 20
-_UNKNOWN = -1  # in place of a log time
 OTHER_CLOCK_NS: Final = 86_400 * NANOSECONDS
 """A stamp this far from the newest one is not of the same clock: wall-clock time beside simulated time, for example."""
 _COUNT = slice(ENCAPSULATION, ENCAPSULATION + 4)  # where a list has its length
@@ -74,33 +72,74 @@ class Arrived(NamedTuple):
 
 
 class _Clock:
-    """The newest log time at any time of reception, and how far it is ahead of the stamps.
+    """Simulated time, as the stamps of one clock tell it: log times, of which none goes back.
 
-    Args:
-        newest: the log time before all these messages, None if there was none.
-        offset: by how much it was ahead.
-        received_ns: times of reception of messages that give the time, int64 (n,).
-        stamps: theirs, int64 (n,).
-        log_ns: their log times, int64 (n,).
+    Where stamps go back, after a reset of the simulation, log time goes on from where it was, and is ahead of them from
+    then on.
+
+    Attributes:
+        newest: the newest log time, ns, None before the first.
+        set_backs: as in `LogOrder`.
     """
 
-    def __init__(
-        self, newest: int | None, offset: int, received_ns: Int64Array, stamps: Int64Array, log_ns: Int64Array
-    ) -> None:
-        order = np.argsort(received_ns, kind="stable")
-        self._received = received_ns[order]
-        first = _UNKNOWN if newest is None else newest
-        self._newest = np.maximum.accumulate(np.concatenate([[first], log_ns[order]]))
-        self._offset = np.maximum.accumulate(np.concatenate([[offset], (log_ns - stamps)[order]]))
+    def __init__(self) -> None:
+        self.newest: int | None = None
+        self.set_backs: list[tuple[int, int]] = []
+        self._stamps: dict[int, int] = {}  # newest of each topic
+        self._epochs: dict[int, int] = {}  # of each topic: how often its stamps went back
+        self._offsets = [0]  # log time less stamp, for each epoch
+        self._known: list[Int64Array] = []  # (3, m): times of reception, log times then, by how much these were ahead
 
-    def date(self, stamps: Int64Array, received_ns: Int64Array) -> Int64Array:
-        """Return log times for stamps; for 0, and for another clock's, the newest one before the time of reception.
+    @property
+    def newest_stamp(self) -> int | None:
+        """Return the newest stamp, ns, None before the first."""
+        return None if self.newest is None else self.newest - self._offsets[-1]
 
-        That is _UNKNOWN before the first one.
-        """
-        at = np.searchsorted(self._received, received_ns)
-        log_ns, newest = stamps + self._offset[at], self._newest[at]
-        return np.where(_same_clock(stamps, log_ns, newest), log_ns, newest)
+    def forget(self) -> None:
+        """Let `at` begin with the time as it is now."""
+        self._known = [] if self.newest is None else [self._since_ever(self.newest)]
+
+    def take(self, arrived: Arrived) -> Int64Array | None:
+        """Go on by messages of a topic; return their log times, int64 (n,), None if they are of another clock."""
+        topic, _, messages, received_ns = arrived
+        stamps = messages.stamps_ns()
+        newest = self.newest_stamp
+        if topic not in self._stamps and newest is not None and abs(int(stamps[0]) - newest) >= OTHER_CLOCK_NS:
+            return None
+        if newest is None:
+            self._known = [self._since_ever(int(stamps[0]))]
+        offsets = np.empty_like(stamps)
+        ends = [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]
+        for begin, end in zip([0, *ends[:-1]], ends, strict=True):  # from one set-back to the next
+            offset = self._offset(topic, int(stamps[begin]), int(stamps[end - 1]))
+            self.newest = max(self.newest or 0, int(stamps[end - 1]) + offset)
+            offsets[begin:end] = offset
+        self._known.append(np.stack([received_ns, stamps + offsets, offsets]))
+        return stamps + offsets
+
+    def at(self, received_ns: Int64Array) -> tuple[Int64Array, Int64Array]:
+        """Return the newest log times before times of reception, and by how much they were ahead of the stamps."""
+        known = np.concatenate(self._known, axis=1)
+        known = known[:, np.argsort(known[0], kind="stable")]
+        at = np.searchsorted(known[0], received_ns) - 1
+        return np.maximum.accumulate(known[1])[at], np.maximum.accumulate(known[2])[at]
+
+    def _since_ever(self, log_ns: int) -> Int64Array:
+        return np.array([[np.iinfo(np.int64).min], [log_ns], [self._offsets[-1]]])
+
+    def _offset(self, topic: int, first: int, last: int) -> int:
+        """Return log time less stamp; topics go back one after the other, each with its own next message."""
+        before = self._stamps.get(topic)
+        self._stamps[topic] = last
+        if before is None:
+            self._epochs[topic] = len(self._offsets) - 1
+        elif first < before:
+            self._epochs[topic] += 1
+            if self._epochs[topic] == len(self._offsets):
+                newest = self.newest or 0
+                self.set_backs.append((newest - self._offsets[-1], first))
+                self._offsets.append(newest + 1 - first)
+        return self._offsets[self._epochs[topic]]
 
 
 class LogOrder:
@@ -109,10 +148,7 @@ class LogOrder:
     All log times are of one clock: that of the first topic that gives the time. Messages with stamps of another clock
     are dated by their reception, as messages without a stamp are. Those that come before the first one that gives the
     time get that one's. Where no topic gives the time, it is the clock of the first stamp, or the wall clock's time of
-    reception.
-
-    Log time never goes back, or a reader, which sorts by it, would mix two runs. Where stamps go back, after a reset of
-    the simulation, log time goes on from where it was, and runs ahead of the stamps from then on.
+    reception. Log time never goes back, or a reader, which sorts by it, would mix two runs.
 
     Attributes:
         set_backs: for each time that the stamps went back, the newest one before and the first one after, ns.
@@ -121,25 +157,20 @@ class LogOrder:
     """
 
     def __init__(self) -> None:
+        self._clock = _Clock()
         self._by_reception = False
-        self._newest: int | None = None
-        self._first: int | None = None
-        self._stamps: dict[int, int] = {}  # newest of each clock topic
-        self._epochs: dict[int, int] = {}  # of each clock topic: how often its stamps went back
-        self._offsets = [0]  # log time less stamp, for each epoch
-        self.set_backs: list[tuple[int, int]] = []
+        self._ahead: int | None = None  # of the wall clock, where no topic gives the time
         self._held: list[Dated] = []
         self._undated: list[Arrived] = []
-        self._undated_bytes = 0
         self._next_release = 0
+        self.set_backs = self._clock.set_backs
         self.held_bytes = 0
         self.other_clock: Counter[int] = Counter()
-        self._started: tuple[int, int] | None = None  # without a topic that gives the time: a log time, its reception
 
     @property
     def newest_ns(self) -> int | None:
         """Return the newest stamp seen, None before the first."""
-        return None if self._newest is None else self._newest - self._offsets[-1]
+        return self._clock.newest_stamp
 
     def expect_no_clock(self) -> None:
         """Date by reception: none of the topics will give the time."""
@@ -147,29 +178,22 @@ class LogOrder:
 
     def add(self, arrived: Sequence[Arrived]) -> None:
         """Take the messages that have arrived since the last call."""
-        newest, offset = self._newest, self._offsets[-1]
-        clocks: list[Arrived] = []
-        dated: list[tuple[Int64Array, Int64Array]] = []
-        others: list[Arrived] = []
-        for each in arrived:
-            if each.source is TimeSource.CLOCK and self._gives_time(each):
-                clocks.append(each)
-                dated.append(self._add_clock(each))
+        self._clock.forget()
+        for each in (each for each in arrived if len(each.messages)):
+            self.held_bytes += each.messages.total
+            gives_time = each.source is TimeSource.CLOCK and each.topic not in self.other_clock
+            log_ns = self._clock.take(each) if gives_time else None
+            if log_ns is None:
+                self._undated.append(each)
             else:
-                others.append(each)
-        if others:
-            fields = zip(*((each.received_ns, *times) for each, times in zip(clocks, dated, strict=True)), strict=True)
-            columns = [np.concatenate(field) for field in fields] or [np.zeros(0, dtype=np.int64)] * 3
-            clock = _Clock(newest, offset, *columns)
-            for each in others:
-                self._add_other(each, clock)
-        self.held_bytes += sum(each.messages.total for each in arrived)
-        if newest is None and self._newest is not None:
-            self._date(self._first)
+                self._hold(each, log_ns)
+        undated_bytes = sum(each.messages.total for each in self._undated)
+        if self._clock.newest is not None or self._by_reception or undated_bytes > _MAX_UNDATED_BYTES:
+            self._date()
 
     def release(self) -> Dated | None:
         """Return what is old enough that nothing older can be expected, if there is any."""
-        newest = self._newest
+        newest = self._clock.newest
         if newest is None:
             return self.release_all() if self._by_reception else None
         if newest < self._next_release:
@@ -179,7 +203,7 @@ class LogOrder:
 
     def release_all(self) -> Dated | None:
         """Return all that is held, if there is any."""
-        self._date(self._newest)
+        self._date()
         return self._cut(None)
 
     def _cut(self, last: int | None) -> Dated | None:
@@ -195,103 +219,29 @@ class LogOrder:
         self.held_bytes -= released.messages.total
         return released if end else None
 
-    def _gives_time(self, arrived: Arrived) -> bool:
-        """Return whether the messages of a topic that has the time are stamped by the clock of this log."""
-        topic, newest = arrived.topic, self.newest_ns
-        if topic in self._stamps or topic in self.other_clock or newest is None or not len(arrived.messages):
-            return topic not in self.other_clock
-        return abs(int(arrived.messages.stamps_ns()[0]) - newest) < OTHER_CLOCK_NS
+    def _hold(self, arrived: Arrived, log_ns: Int64Array) -> None:
+        topics = np.full(len(log_ns), arrived.topic, dtype=np.int64)
+        self._held.append(Dated(log_ns, topics, arrived.messages))
 
-    def _hold(self, topic: int, log_ns: Int64Array, messages: MessageBatch) -> None:
-        if len(messages):
-            self._held.append(Dated(log_ns, np.full(len(messages), topic, dtype=np.int64), messages))
+    def _date(self) -> None:
+        """Date what is undated: by its stamps, where they are of the clock of this log, else by its reception."""
+        undated, self._undated = self._undated, []
+        for each in undated:
+            stamps = _stamps_ns(each.messages, each.source)
+            now, ahead = self._at(each.received_ns, stamps)
+            stamped = stamps > 0
+            other = stamped & (np.abs(stamps + ahead - now) >= OTHER_CLOCK_NS)
+            if other.any():
+                self.other_clock[each.topic] += int(other.sum())
+            self._hold(each, np.where(stamped & ~other, stamps + ahead, now))
 
-    def _add_other(self, arrived: Arrived, clock: _Clock) -> None:
-        """Take messages of a topic that does not give the time."""
-        topic, source, messages, received_ns = arrived
-        stamps = _stamps_ns(messages, source)
-        log_ns = clock.date(stamps, received_ns)
-        dated = log_ns != _UNKNOWN
-        if self._newest is None and self._by_reception:
-            log_ns = self._since_start(stamps, received_ns)
-            dated[:] = True
-        self._note_other_clock(topic, stamps[dated], log_ns[dated])
-        if dated.all():
-            self._hold(topic, log_ns, messages)
-            return
-        self._hold(topic, log_ns[dated], messages.take(np.flatnonzero(dated)))
-        undated = np.flatnonzero(~dated)
-        self._undated.append(Arrived(topic, source, messages.take(undated), received_ns[undated]))
-        self._undated_bytes += self._undated[-1].messages.total
-        if self._undated_bytes > _MAX_UNDATED_BYTES:
-            self._date(None)
-
-    def _add_clock(self, arrived: Arrived) -> tuple[Int64Array, Int64Array]:
-        """Take messages of a topic that gives the time, from one set-back to the next; return stamps and log times."""
-        topic, _, messages, _ = arrived
-        stamps = messages.stamps_ns()
-        log_ns = np.empty_like(stamps)
-        begin = 0
-        for end in [*(np.flatnonzero(np.diff(stamps) < 0) + 1).tolist(), len(stamps)]:
-            if end > begin:
-                offset = self._offset(topic, int(stamps[begin]), int(stamps[end - 1]))
-                log_ns[begin:end] = stamps[begin:end] + offset
-                self._advance(int(log_ns[begin]), int(log_ns[end - 1]))
-            begin = end
-        self._hold(topic, log_ns, messages)
-        return stamps, log_ns
-
-    def _offset(self, topic: int, first: int, last: int) -> int:
-        """Return log time less stamp; topics go back one after the other, each with its own next message."""
-        before = self._stamps.get(topic)
-        self._stamps[topic] = last
-        if before is None:
-            self._epochs[topic] = len(self._offsets) - 1
-        elif first < before:
-            self._epochs[topic] += 1
-            if self._epochs[topic] == len(self._offsets):
-                newest = self._newest or 0
-                self.set_backs.append((newest - self._offsets[-1], first))
-                self._offsets.append(newest + 1 - first)
-        return self._offsets[self._epochs[topic]]
-
-    def _advance(self, first: int, last: int) -> None:
-        if self._newest is None:
-            self._first = self._newest = self._next_release = first
-        self._newest = max(self._newest, last)
-
-    def _date(self, log_ns: int | None) -> None:
-        """Date what is undated, by its time of reception when `log_ns` is None."""
-        undated, self._undated, self._undated_bytes = self._undated, [], 0
-        for topic, source, messages, received_ns in undated:
-            stamps = _stamps_ns(messages, source)
-            if log_ns is None:
-                found = self._since_start(stamps, received_ns)
-            else:
-                newest = np.full(len(messages), log_ns)
-                found = np.where(_same_clock(stamps, stamps, newest), stamps, newest)
-            self._note_other_clock(topic, stamps, found)
-            self._hold(topic, found, messages)
-
-    def _since_start(self, stamps: Int64Array, received_ns: Int64Array) -> Int64Array:
-        """Return log times where no topic gives the time: stamps, and receptions by the clock of the first message."""
-        if self._started is None and len(stamps):
-            self._started = int(stamps[0]) or int(received_ns[0]), int(received_ns[0])
-        begin, reception = self._started or (0, 0)
-        log_ns = begin + received_ns - reception
-        return np.where(_same_clock(stamps, stamps, log_ns), stamps, log_ns)
-
-    def _note_other_clock(self, topic: int, stamps: Int64Array, log_ns: Int64Array) -> None:
-        """Count the stamps that were not taken because they are of another clock."""
-        count = int(((stamps > 0) & (np.abs(stamps + self._offsets[-1] - log_ns) >= OTHER_CLOCK_NS)).sum())
-        if count:
-            self.other_clock[topic] += count
-
-
-def _same_clock(stamps: Int64Array, log_ns: Int64Array, newest: Int64Array) -> NDArray[np.bool_]:
-    """Return whether there are stamps, and their log times of the clock that tells the newest one."""
-    same: NDArray[np.bool_] = (stamps > 0) & (newest != _UNKNOWN) & (np.abs(log_ns - newest) < OTHER_CLOCK_NS)
-    return same
+    def _at(self, received_ns: Int64Array, stamps: Int64Array) -> tuple[Int64Array, Int64Array]:
+        """Return the log time at each time of reception, and by how much it is ahead of stamps of the same clock."""
+        if self._clock.newest is not None:
+            return self._clock.at(received_ns)
+        if self._ahead is None:
+            self._ahead = int(stamps[0] - received_ns[0]) if stamps[0] else 0
+        return received_ns + self._ahead, np.zeros_like(stamps)
 
 
 def _stamps_ns(messages: MessageBatch, source: TimeSource) -> Int64Array:
