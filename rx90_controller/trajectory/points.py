@@ -19,8 +19,10 @@ LONGEST = 3600.0
 _SHORTEST_STEP = 0.5e-9  # s; messages have whole nanoseconds
 # What joint_trajectory_controller takes for rest: time-optimal plans end at 1e-17 to 1e-15 rad/s.
 _REST = float(np.finfo(np.float32).eps)  # rad/s
-# A last point that says the one before again: of a plan whose duration is a multiple of its step, but for rounding.
-_SAME_TIME, _SAME_POSITION, _SAME_VELOCITY = 1e-7, 1e-6, 1e-5  # s, rad, rad/s
+# A last point that says the one before again. MoveIt's time-optimal plans are sampled each 0.1 s and at their end, with
+# the velocities at the end of a step of 1 ms: where the end comes less than that later, both points are at rest, apart
+# by what was braked.
+_SAME_TIME, _SAME_POSITION, _SAME_VELOCITY = 0.999e-3, 1e-4, 1e-5  # s, rad, rad/s
 
 
 class Way(NamedTuple):
@@ -72,8 +74,8 @@ class TrajectoryPoints:
     ) -> TrajectoryPoints:
         """Check raw points, joints in any order; an empty vector, or none at all, means "not given".
 
-        Velocities within float's epsilon of 0 at the last point are 0, and a last point that says the one before again
-        takes its place.
+        Velocities within float's epsilon of 0 at the last point are 0, and a last point that says the one before again,
+        less than a millisecond later, takes its place.
 
         Args:
             robot_joints: names of the six joints.
@@ -238,8 +240,8 @@ def _degrees(velocity: Sequence[Sequence[float]], acceleration: Sequence[Sequenc
 def _says_again(
     times: Sequence[float], position: Sequence[Sequence[float]], velocity: Sequence[Sequence[float]]
 ) -> bool:
-    """Return whether the last point says the one before again, but for rounding."""
-    if len(times) < 2 or not abs(times[-1] - times[-2]) <= _SAME_TIME:
+    """Return whether the last point says the one before again."""
+    if len(times) < 2 or not -_SHORTEST_STEP <= times[-1] - times[-2] <= _SAME_TIME:
         return False
     return all(
         len(rows) == 0 or (len(rows[-1]) == len(rows[-2]) and np.allclose(rows[-1], rows[-2], rtol=0.0, atol=most))

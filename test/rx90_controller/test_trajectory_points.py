@@ -104,19 +104,23 @@ def test_faults_name_the_joint_in_the_order_it_came() -> None:
         create(joint_names=names, position=[ROW, NAN_ROW, ROW])
 
 
-@pytest.mark.parametrize("later", [0.0, 5e-17, 2e-9])
+@pytest.mark.parametrize("later", [0.0, 5e-17, 2e-9, 0.9e-3])
 def test_a_last_point_that_says_the_one_before_again_takes_its_place(later: float) -> None:
-    """A plan sampled each 0.1 s whose duration is 0.2 s and a rounding has its end twice, and is taken once."""
+    """A plan sampled each 0.1 s whose duration is 0.2 s and little more has its end twice, and is taken once."""
     again = {"times": [0.1, 0.2, 0.2 + later], "position": [ROW, REST, [1e-16] * 6]}
     got = create(**again, velocity=[REST, [1e-10] * 6, REST])
     assert got.times.tolist() == [0.1, 0.2 + later]
     assert got.position.tolist() == [ROW, [1e-16] * 6]
-    for other in ({"position": [ROW, REST, [2e-6] * 6]}, {"velocity": [REST, [0.1] * 6, REST]}):
+    for other in ({"position": [ROW, REST, [2e-4] * 6]}, {"velocity": [REST, [0.1] * 6, REST]}):
         if later < 1e-9:
             with pytest.raises(TrajectoryError, match=r"point 2: time_from_start 0\.2 s after 0\.2 s"):
                 create(**(again | other))
         else:
             assert len(create(**(again | other)).times) == 3
+    for apart in (0.999999999e-3, 1e-3):
+        assert len(create(**(again | {"times": [0.1, 0.2, 0.2 + apart]})).times) == 3
+    with pytest.raises(TrajectoryError, match=r"point 2: time_from_start 0\.1999 s after 0\.2 s"):
+        create(**(again | {"times": [0.1, 0.2, 0.1999]}))
 
 
 def test_rest_is_what_joint_trajectory_controller_takes_for_it() -> None:
