@@ -22,7 +22,7 @@ _REST = float(np.finfo(np.float32).eps)  # rad/s
 # A last point that says the one before again. MoveIt's time-optimal plans are sampled each 0.1 s and at their end, with
 # the velocities at the end of a step of 1 ms: where the end comes less than that later, both points are at rest, apart
 # by what was braked.
-_SAME_TIME, _SAME_POSITION, _SAME_VELOCITY = 0.999e-3, 1e-4, 1e-5  # s, rad, rad/s
+_SAME_TIME, _SAME_POSITION, _SAME_VELOCITY = 0.999e-3, 1e-4, 1e-9  # s, rad, rad/s
 
 
 class Way(NamedTuple):
