@@ -95,7 +95,7 @@ class TrajectoryGenerator(Motions):
             held = self._base(now).entry(begin)
             first = points.held_at(held[0])
             check_near(first, held, self.limits)
-            if first.velocity is not None:
+            if first.velocity is not None and (first.degrees is None or first.degrees[0] > 1):
                 self.limits.check_start(held, np.stack([held[0], first.velocity[0]]), self.period)
         return self._take(left, now, begin, follow=anywhere)
 
@@ -188,7 +188,8 @@ def points_left(
     """
     begin = now if start is None else max(start, now)
     late = 0.0 if start is None else (begin - start) * period
-    left = points.after(late)
+    # Nothing but the start: whoever is there already has reached it.
+    left = points if late == 0.0 and len(points.times) == 1 else points.after(late)
     if not len(left.times):
         ended = (begin * period - late) + points.times[-1]
         raise PastError(

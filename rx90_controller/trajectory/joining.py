@@ -5,13 +5,14 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rx90_common.base.arrays import Array, Mask
 from rx90_common.base.errors import TrajectoryError
 from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop, straight
-from rx90_controller.trajectory.spline import Spline, interpolate, smooth
+from rx90_controller.trajectory.spline import Spline, interpolate, resting, smooth
 
 
 def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Spline:
@@ -29,6 +30,13 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         acceleration = None if acceleration is None else np.vstack([held[2], acceleration])
     else:
         check_near(points, held, limits)
+    if len(times) == 1:
+        return resting(position[-1].copy())
+    if velocity is not None and points.degrees is not None:
+        degrees = points.degrees if later else points.degrees[1:]
+        start = held[1] if degrees[0] == 1 else velocity[0]
+        velocity = np.vstack([start, velocity[1:]])
+        return _by_degrees(times, (position, velocity, acceleration), degrees, limits, points.first - later)
     if velocity is None:
         return straight(times, position, held[1], limits, first=points.first - later)
     if points.smooth:
@@ -37,6 +45,38 @@ def connect(points: TrajectoryPoints, held: Array, limits: JointLimits) -> Splin
         return interpolate(times, position, velocity, acceleration)
     head = interpolate(times[:2], position[:2], velocity[:2], None if acceleration is None else acceleration[:2])
     return Spline(times, np.concatenate([head.coefficients, points.way.coefficients]), position[-1].copy())
+
+
+def _by_degrees(
+    times: Array,
+    tables: tuple[Array, Array, Array | None],
+    degrees: NDArray[np.intp],
+    limits: JointLimits,
+    first: int,
+) -> Spline:
+    """Return the spline through points, the ways between which have the given degrees, shape (n - 1,).
+
+    Args:
+        times: s, shape (n,).
+        tables: positions, velocities and, if any are given, accelerations, shape (n, 6) each.
+        degrees: 1, 3 or 5.
+        limits: whose accelerations the ramps of straight lines have, at both ends from and to the velocities there.
+        first: number of the first point, for refusals.
+    """
+    begins = np.flatnonzero(np.diff(degrees, prepend=0))
+    parts = []
+    for begin, end in zip(begins, [*begins[1:], len(degrees)], strict=True):
+        run = slice(begin, end + 1)
+        q, v, a = (None if table is None else table[run] for table in tables)
+        assert q is not None
+        assert v is not None
+        if degrees[begin] == 1:
+            parts.append(straight(times[run], q, v[0], limits, first + int(begin), v[-1]))
+        else:
+            parts.append(interpolate(times[run], q, v, a if degrees[begin] == 5 else None))
+    knots = np.concatenate([*(part.times[:-1] for part in parts), times[-1:]])
+    coefficients = np.concatenate([part.coefficients for part in parts])
+    return Spline(knots, coefficients, tables[0][-1].copy(), max(part.miss for part in parts))
 
 
 def check_near(points: TrajectoryPoints, held: Array, limits: JointLimits) -> None:

@@ -13,6 +13,7 @@ from rx90_common.base.errors import ConfigError, TrajectoryError
 
 # A spline that should run exactly at a limit, or end on it, may miss it by rounding.
 _SLACK = 1e-9
+_POSITION_SLACK = 1e-6  # rad; planners clip to limits that were printed, or were held as angles of their own
 # Times in messages are whole nanoseconds, which changes an acceleration over some milliseconds by some millionths.
 _ACCELERATION_SLACK = 1e-5  # of the limit
 
@@ -132,7 +133,7 @@ class JointLimits:
         """Return position, velocity and acceleration with their limits; those of the position are given."""
         v, a = self.velocity, self.acceleration
         return (
-            _Quantity("position", "rad", lower, upper),
+            _Quantity("position", "rad", lower, upper, _POSITION_SLACK),
             _Quantity("velocity", "rad/s", -v, v),
             _Quantity("acceleration", "rad/s^2", -a, a, _ACCELERATION_SLACK * a),
         )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from rx90_common.bags.topics import POINT_FIELDS
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
@@ -109,10 +111,18 @@ class StampedPoint(NamedTuple):
 
 def stamped_points(points: TrajectoryPoints) -> list[StampedPoint]:
     """Return the points as a message has them."""
+    count, degrees = len(points.times), points.degrees
     columns = [
-        [[]] * len(points.times) if values is None else values.tolist()
+        [[]] * count if values is None else values.tolist()
         for values in (points.position, points.velocity, points.acceleration)
     ]
+    if degrees is not None:
+        # Of what a point carries counts what a way on one of its sides has.
+        around = np.maximum(degrees, np.append(degrees[1:], 1))
+        columns[1:] = [
+            [row if degree >= least else [] for row, degree in zip(rows, around, strict=True)]
+            for rows, least in zip(columns[1:], (3, 5), strict=True)
+        ]
     times = [divmod(round(float(time) * NANOSECONDS), NANOSECONDS) for time in points.times]
     return [StampedPoint(*time, *row) for time, *row in zip(times, *columns, strict=True)]
 

@@ -17,7 +17,14 @@ from rx90_controller.trajectory.limits import JointLimits
 from rx90_controller.trajectory.spline import Spline
 
 
-def straight(times: Array, position: Array, velocity: Array, limits: JointLimits, first: int = 0) -> Spline:
+def straight(
+    times: Array,
+    position: Array,
+    velocity: Array,
+    limits: JointLimits,
+    first: int = 0,
+    end_velocity: Array | float = 0.0,
+) -> Spline:
     """Return straight lines through points, with ramps of the velocity.
 
     The first and the last point are met at their times; points in between are missed by dv^2/(8 a).
@@ -28,28 +35,29 @@ def straight(times: Array, position: Array, velocity: Array, limits: JointLimits
         velocity: at the first point, rad/s, shape (6,).
         limits: whose accelerations the ramps have.
         first: number of the first point, for refusals.
+        end_velocity: at the last point, rad/s, shape (6,).
 
     Raises:
         TrajectoryError: naming the first point that comes too early for the ramps.
     """
     span, way = np.diff(times), np.diff(position, axis=0)
     speed = way / span[:, None]
-    last = len(span) - 1
+    last, final = len(span) - 1, np.zeros(6) + end_velocity
     if last == 0:
-        begin = end = _both_ends(first + 1, span[0], way[0], velocity, limits)
-        speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin)
+        begin = end = _both_ends(first + 1, span[0], way[0], (velocity, final), limits)
+        speed[0] = (way[0] - (velocity + final) * (begin / 2.0)) / (span[0] - begin)
     else:
         begin = _one_end(first + 1, span[0], way[0], velocity, limits)
         speed[0] = (way[0] - velocity * (begin / 2.0)) / (span[0] - begin / 2.0)
-        end = _one_end(first + last + 1, span[last], way[last], np.zeros(6), limits)
-        speed[last] = way[last] / (span[last] - end / 2.0)
+        end = _one_end(first + last + 1, span[last], way[last], final, limits)
+        speed[last] = (way[last] - final * (end / 2.0)) / (span[last] - end / 2.0)
     change = np.diff(speed, axis=0)
     half = (np.abs(change) / (2.0 * limits.acceleration)).max(axis=1, initial=0.0)
     _check_room(span, np.concatenate([[begin], half]), np.concatenate([half, [end]]), first)
     # Where each ramp begins and how long it lasts.
     ramp = np.concatenate([[begin], 2.0 * half, [end]])
     start = np.concatenate([[times[0]], times[1:-1] - half, [times[-1] - end]])
-    around = np.vstack([velocity, speed, np.zeros(6)])
+    around = np.vstack([velocity, speed, final])
     miss = float((half[:, None] * np.abs(change)).max(initial=0.0)) / 4.0
     return _pieces(start, ramp, around, position[0], position[-1].copy(), miss)
 
@@ -88,16 +96,16 @@ def _one_end(point: int, span: float, way: Array, velocity: Array, limits: Joint
     return float((span - np.sqrt(span * span - missing)).max())
 
 
-def _both_ends(point: int, span: float, way: Array, velocity: Array, limits: JointLimits) -> float:
-    """Return the duration of the ramps at both ends of a single line, s: from `velocity`, and to rest.
+def _both_ends(point: int, span: float, way: Array, ends: tuple[Array, Array], limits: JointLimits) -> float:
+    """Return the duration of the ramps at both ends of a single line, s, from and to the velocities there.
 
-    way = (velocity + v) tau/2 + v (span - 2 tau) + v tau/2, with |v - velocity| <= a tau and |v| <= a tau; each
+    way = (v0 + v) tau/2 + v (span - 2 tau) + (v + v1) tau/2, with |v - v0| <= a tau and |v - v1| <= a tau; each
     is a quadratic inequality in tau.
     """
-    a = limits.acceleration
+    a, (v0, v1) = limits.acceleration, ends
     least, most = 0.0, span / 2.0
     for sign in (1.0, -1.0):
-        for b, c in ((velocity / 2.0, way), (-velocity / 2.0, way - velocity * span)):
+        for b, c in (((v0 - v1) / 2.0, way - v1 * span), ((v1 - v0) / 2.0, way - v0 * span)):
             middle = (span + sign * b / a) / 2.0
             square = middle * middle - sign * c / a
             _refuse_early(point, square < 0.0, span, way, limits)

@@ -128,7 +128,7 @@ def test_long_trajectories_are_checked_to_their_end() -> None:
     for at in (4.095, 4.096, 4.097, 300.0):
         times = [at - 1.0, at, at + 1.0, at + 400.0]
         spike = HOME.copy()
-        spike[5] = -2.0 - 1e-6
+        spike[5] = -2.0 - 2e-6
         said = refused(
             TrajectoryGenerator(LIMITS, PERIOD, HOME),
             lambda p=spike, t=times: points(t, [HOME, p, HOME, HOME], [ZERO] * 4),

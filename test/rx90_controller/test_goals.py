@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from goal_arm import Arm, checked, message, stamp, tolerance, two
-from joint_moves import HOME, NAMES, ZERO
+from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import ConfigError
 from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.tolerances import GoalTolerances
 
 
-def uneven() -> list[SimpleNamespace]:
-    """Return two points of which one alone has velocities."""
-    points = two(0.5, 1.0)
-    points[0].velocities = []
+def apart() -> list[SimpleNamespace]:
+    """Return two points at the same time, in different places."""
+    points = two(1.0, 1.0)
+    points[0].positions = [0.0] * 6
     return points
 
 
@@ -30,14 +30,13 @@ REFUSED: dict[str, tuple[dict[str, Any], ResultCode, str]] = {
     "a subset": ({"joint_names": list(NAMES[:5])}, ResultCode.INVALID_JOINTS, "'joint_6' is missing; accepted: all"),
     "no points": ({"points": []}, ResultCode.INVALID_GOAL, "no points; accepted: at least one"),
     "end velocity": ({"velocities": [0, 0.1, 0, 0, 0, 0]}, ResultCode.INVALID_GOAL, "joint_2 ends at 0.1 rad/s"),
-    "equal times": ({"points": two(1.0, 1.0)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 1 s after 1 s"),
+    "equal times": ({"points": apart()}, ResultCode.INVALID_GOAL, "point 1: time_from_start 1 s after 1 s"),
     "falling times": ({"points": two(1.0, 0.5)}, ResultCode.INVALID_GOAL, "point 1: time_from_start 0.5 s after 1 s"),
     "a time before the start": ({"points": two(-1.0, 0.5)}, ResultCode.INVALID_GOAL, "time_from_start -1 s; accepted"),
     "no positions": ({"positions": []}, ResultCode.INVALID_GOAL, "no positions; accepted: positions of all"),
     "few positions": ({"positions": [0.0] * 5}, ResultCode.INVALID_GOAL, "5 positions; accepted: 6"),
     "many velocities": ({"velocities": [0.0] * 7}, ResultCode.INVALID_GOAL, "7 velocities; accepted: 6"),
     "few accelerations": ({"accelerations": [0.0]}, ResultCode.INVALID_GOAL, "1 accelerations; accepted: 6"),
-    "velocities in one point": ({"points": uneven()}, ResultCode.INVALID_GOAL, "point 0: 0 velocities; accepted: 6"),
     "effort": ({"effort": [1.0] * 6}, ResultCode.INVALID_GOAL, "point 0: carries effort; accepted:"),
     "not a number": ({"positions": [0.0] * 5 + [np.nan]}, ResultCode.INVALID_GOAL, "of joint_6 is nan; accepted"),
     "more than joints": (
@@ -170,3 +169,41 @@ def test_what_cannot_be_followed_now_is_refused(
     assert arm.runner.active is None
     arm.run(100)
     assert np.all(np.array(arm.setpoints) == [HOME, ZERO, ZERO])
+
+
+@pytest.mark.parametrize("begins", [0.0, 0.2])
+@pytest.mark.parametrize("speed", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("velocities", [[], [0.0] * 6])
+def test_a_point_at_the_start_where_the_arm_is_succeeds_at_once(
+    begins: float, speed: float, velocities: list[float]
+) -> None:
+    """What planners return for "already there", one point at time 0, is reached in its first tick; nothing moves."""
+    for options in ({}, {"allow_trajectory_replacement": True}):
+        arm = Arm(**options)
+        arm.trajectory.set_speed_scaling(speed, 0)
+        there = message(to=HOME + 1e-6, seconds=0.0, stamp=begins, velocities=velocities)
+        assert arm.offer("there", there) is None
+        events = arm.run(300)
+        assert [(event.key, event.outcome.phase.name) for event in events] == [("there", "SUCCEEDED")]
+        assert events[0].outcome.tick == round(begins / PERIOD)
+        moved = np.array(arm.setpoints)
+        assert np.abs(moved[:, 0] - HOME).max() < 1.1e-6
+        assert not moved[:, 1:].any()
+
+
+def test_a_point_at_the_start_elsewhere_or_over_is_refused() -> None:
+    """A motion cannot take no time: elsewhere, while the arm moves, and once its start is over, it is refused."""
+    arm = Arm()
+    elsewhere = message(to=HOME + 0.2, seconds=0.0)
+    with pytest.raises(
+        GoalError, match=r"joint_1 starts at 0\.3 rad, the set-point there is 0\.1 rad; accepted: within"
+    ):
+        arm.offer("elsewhere", elsewhere)
+    arm.offer("moves", message())
+    arm.run(300)
+    with pytest.raises(GoalError, match=r"starts at 0 rad/s, the set-point there moves at"):
+        arm.offer("stop", message(to=arm.trajectory.setpoints(arm.tick)[0, 0], seconds=0.0))
+    with pytest.raises(GoalError, match=r"the last point is at 0\.1 s") as caught:
+        arm.offer("over", message(seconds=0.0, stamp=0.1))
+    assert caught.value.code is ResultCode.OLD_HEADER_TIMESTAMP
+    assert [event.outcome.phase.name for event in arm.run(600)] == ["SUCCEEDED"]

@@ -62,17 +62,22 @@ REFUSALS: list[tuple[dict[str, Any], str]] = [
     ({"joint_names": ()}, "joint 'joint_1' is missing"),
     ({"times": [], "position": [], "velocity": [], "acceleration": []}, "no points; accepted: at least one"),
     ({"times": [-0.5, 2.0, 3.0]}, "point 0: time_from_start -0.5 s; accepted: >= 0"),
-    ({"times": [1.0, 2.0, 2.0]}, "point 2: time_from_start 2 s after 2 s; accepted: increasing"),
+    ({"times": [1.0, 1.0, 2.0]}, "point 1: time_from_start 1 s after 1 s; accepted: increasing"),
+    (
+        {"times": [1.0, 2.0, 2.0], "position": [ROW, REST, ROW]},
+        "point 2: time_from_start 2 s after 2 s; accepted: incr",
+    ),
     ({"times": [1.0, 0.5, 3.0]}, "point 1: time_from_start 0.5 s after 1 s"),
     ({"times": [1.0, math.nan, 3.0]}, "point 1: time_from_start nan s; accepted: a number"),
     ({"times": [math.nan, 2.0, 3.0]}, "point 0: time_from_start nan s; accepted: a number"),
     ({"times": [1.0, 2.0, math.inf]}, "point 2: time_from_start inf s; accepted: a number up to"),
     ({"times": [1.0, 2.0, 2147483647.0]}, "point 2: time_from_start 2.14748e+09 s; accepted: a number up to"),
-    ({"position": [ROW, ROW[:5], ROW]}, "point 1: 5 positions; accepted: 6 in every point"),
+    ({"position": [ROW, ROW[:5], ROW]}, "point 1: 5 positions; accepted: 6"),
     ({"position": [ROW, ROW, [*ROW, 0.0]]}, "point 2: 7 positions"),
     ({"position": [ROW, [], ROW]}, "point 1: 0 positions"),
     ({"position": [[], [], []]}, "point 0: no positions"),
-    ({"velocity": [REST, [], REST]}, "point 1: 0 velocities; accepted: 6 in every point, or none in any"),
+    ({"velocity": [REST, [], REST]}, "point 1: accelerations without velocities; accepted: velocities too"),
+    ({"velocity": [REST, ROW[:5], REST]}, "point 1: 5 velocities; accepted: 6, or none"),
     ({"acceleration": [REST, REST, REST[:1]]}, "point 2: 1 accelerations"),
     ({"velocity": [[], [], []]}, "accelerations without velocities"),
     ({"position": [ROW, ROW, NAN_ROW]}, "point 2: positions of joint_3 is nan; accepted: a finite number"),
@@ -99,10 +104,34 @@ def test_faults_name_the_joint_in_the_order_it_came() -> None:
         create(joint_names=names, position=[ROW, NAN_ROW, ROW])
 
 
-def test_a_single_point_at_the_start_is_refused() -> None:
-    """One point at time 0 is no motion."""
-    with pytest.raises(TrajectoryError, match="one point at time_from_start 0"):
-        create(times=[0.0], position=[ROW], velocity=[REST], acceleration=[REST])
+@pytest.mark.parametrize("later", [0.0, 5e-17, 2e-9, 0.9e-3])
+def test_a_last_point_that_says_the_one_before_again_takes_its_place(later: float) -> None:
+    """A plan sampled each 0.1 s whose duration is 0.2 s and little more has its end twice, and is taken once."""
+    again = {"times": [0.1, 0.2, 0.2 + later], "position": [ROW, REST, [1e-16] * 6]}
+    got = create(**again, velocity=[REST, [1e-10] * 6, REST])
+    assert got.times.tolist() == [0.1, 0.2 + later]
+    assert got.position.tolist() == [ROW, [1e-16] * 6]
+    for other in ({"position": [ROW, REST, [2e-4] * 6]}, {"velocity": [REST, [0.1] * 6, REST]}):
+        if later < 1e-9:
+            with pytest.raises(TrajectoryError, match=r"point 2: time_from_start 0\.2 s after 0\.2 s"):
+                create(**(again | other))
+        else:
+            assert len(create(**(again | other)).times) == 3
+    for apart in (0.999999999e-3, 1e-3):
+        assert len(create(**(again | {"times": [0.1, 0.2, 0.2 + apart]})).times) == 3
+    with pytest.raises(TrajectoryError, match=r"point 2: time_from_start 0\.1999 s after 0\.2 s"):
+        create(**(again | {"times": [0.1, 0.2, 0.1999]}))
+
+
+def test_rest_is_what_joint_trajectory_controller_takes_for_it() -> None:
+    """Up to float's epsilon the velocity at the end is 0; the next number is refused, and allowed as what it is."""
+    epsilon = 2.0**-23
+    for value in (5e-17, -1e-15, epsilon, -epsilon):
+        assert not create(velocity=[REST, REST, [value] * 6]).velocity[-1].any()
+    beyond = [0.0, float(np.nextafter(epsilon, 1.0)), 0.0, 0.0, 0.0, 0.0]
+    with pytest.raises(TrajectoryError, match=r"joint_2 ends at 1\.19209e-07 rad/s; accepted: 0 within 1\.19e-07"):
+        create(velocity=[REST, REST, beyond])
+    assert create(velocity=[REST, REST, beyond], moving_end=True).velocity[-1].tolist() == beyond
 
 
 def test_broken_bytes_of_a_trajectory_are_named_by_their_field() -> None:

@@ -45,7 +45,7 @@ def refusals() -> dict[str, tuple[Callable[[float], Any], str]]:
         "no points": (lambda _: goal(), "no points; accepted: at least one"),
         "end velocity": (lambda _: goal(point(1.0, [0.0] * 6, [0.0, 0.1] * 3)), "joint_2 ends at 0.1 rad/s"),
         "the past": (lambda now: move(0.0, 0.1, start=now - 0.11), "the last point is at"),
-        "equal times": (lambda _: goal(end, end), "time_from_start 1 s after 1 s"),
+        "equal times": (lambda _: goal(end, point(1.0, [0.1] * 6)), "time_from_start 1 s after 1 s"),
         "wrong size": (lambda _: goal(point(1.0, [0.0] * 5)), "5 positions; accepted: 6"),
         "effort": (efforts, "carries effort"),
         "accelerations alone": (accelerations_alone, "accelerations without velocities"),
