@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rx90_common.base.errors import IdentificationError
-from rx90_emulator.identification.experiments.folder import IdentificationBags, read_index
+from rx90_emulator.identification.experiments.folder import IdentificationBags, read_emulated, read_index
 from rx90_emulator.identification.model.options import RobotOptions, ValidationTolerances
 from rx90_emulator.identification.model.robot import RecordedRobot
 from rx90_emulator.identification.records.reading import read_record
@@ -54,6 +54,7 @@ def identify_friction(
     chosen = bags if isinstance(bags, IdentificationBags) else read_index(Path(bags))
     _check_bags(chosen, bristle_kinds=bristle_kinds)
     source = RecordedRobot.load(robot)
+    truth = read_emulated([*chosen.sliding, *chosen.presliding])
     if not chosen.presliding and source.fallback is None:
         raise IdentificationError(
             "no bag with micro-oscillations, and nothing to take c0 and c1 from; accepted: --presliding BAG ..., or "
@@ -66,7 +67,7 @@ def identify_friction(
         progress(record.source.name)
         checks.append(validate(source, result.lugre, result.sliding, record, tolerances))
     used = tuple((use, record.bag) for use, some in records.items() for record in some)
-    return replace(result, bags=used, validations=tuple(checks))
+    return replace(result, bags=used, validations=tuple(checks), truth=truth)
 
 
 def _check_bags(bags: IdentificationBags, *, bristle_kinds: bool) -> None:

@@ -158,13 +158,12 @@ def effects_plot(figures: SweepFigures, effects: Sequence[MainEffect], shown: ND
     for one in effects:
         column = figures.columns[one.name]
         unit = {SWITCH: " (0 off, 1 on)", "1": ""}.get(column.unit, f", {column.unit}")
-        factor = "factor of " * column.meaning.startswith("factor")
         rows = shown[np.isfinite(column.values[shown])]
         marks: list[Mark] = [
             Dots(column.values[rows], figures.worst[rows], "runs", COLOURS[5]),
             Curve(one.values, one.means, "mean", INK, 1.8, dots=True),
         ]
-        panels.append(Panel(marks, "", f"{factor}{one.name}{unit}", "worst path error, mm"))
+        panels.append(Panel(marks, "", f"{one.name}{unit}", "worst path error, mm"))
     return Plot(panels, columns=min(2, len(panels)), height=2.4)
 
 
@@ -196,4 +195,4 @@ def _value(column: SweptColumn, value: float) -> str:
     if column.unit == SWITCH:
         return "on" if value else "off"
     unit = "" if column.unit == "1" else f" {column.unit}"
-    return f"{'x ' * column.meaning.startswith('factor')}{value:.4g}{unit}"
+    return f"{value:.4g}{unit}"

@@ -50,6 +50,11 @@ class Column:
     unit: str
     factor: bool
 
+    @property
+    def title(self) -> str:
+        """Return the column's name in tables, which says of factors what they multiply."""
+        return f"{'factor of ' * self.factor}{self.name}"
+
 
 @dataclass(frozen=True)
 class _Bound:

@@ -35,6 +35,7 @@ KEY = b"rx90_sweep"
 """Under which the file's metadata hold JSON: plan, runs, identity, versions, sources."""
 
 _PANDAS = b"PANDAS_ATTRS"  # pandas puts what it finds here into DataFrame.attrs
+_TOLD = ("unit", "meaning")  # of each column, in attrs as units and meanings
 
 
 def schema_of(sweep: Sweep) -> pa.Schema:
@@ -58,8 +59,8 @@ def schema_of(sweep: Sweep) -> pa.Schema:
         "sources": sweep.sources,
         "provenance": sweep.provenance,
     }
-    units = {field.name: field.metadata[b"unit"].decode() for field in fields}
-    return pa.schema(fields, {KEY: json.dumps(about), _PANDAS: json.dumps({"units": units})})
+    told = {f"{key}s": {field.name: field.metadata[key.encode()].decode() for field in fields} for key in _TOLD}
+    return pa.schema(fields, {KEY: json.dumps(about), _PANDAS: json.dumps(told)})
 
 
 def _field(name: str, kind: pa.DataType, unit: str, role: str, meaning: str) -> pa.Field:
@@ -70,7 +71,7 @@ def _parameter_field(column: Column) -> pa.Field:
     what = "factor of" if column.factor else "value of"
     meaning = f"{what} {', '.join(column.paths)}; null where the run leaves it as in the files"
     kind = pa.bool_() if column.unit == SWITCH else pa.float64()
-    return _field(column.name, kind, "" if column.unit == SWITCH else column.unit, "parameter", meaning)
+    return _field(column.title, kind, "" if column.unit == SWITCH else column.unit, "parameter", meaning)
 
 
 def table_of(sweep: Sweep, schema: pa.Schema, outcomes: Iterable[RunOutcome]) -> pa.Table:

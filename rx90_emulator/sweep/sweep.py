@@ -80,8 +80,9 @@ class Sweep:
     def _check_names(self) -> None:
         taken = {*RUN_COLUMNS, *(metric.name for metric in self.metrics)}
         for column in self.runs.columns:
-            if column.name in taken:
-                raise ConfigError(f"a parameter has the name '{column.name}' of a result; accepted: another name")
+            if column.title in taken:
+                raise ConfigError(f"a parameter has the name '{column.title}' of a result; accepted: another name")
+            taken.add(column.title)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_motion"}

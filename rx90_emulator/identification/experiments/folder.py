@@ -10,10 +10,14 @@ from rx90_common.base.config import load_yaml, yaml_text
 from rx90_common.base.entries import LEFT_OUT, Texts
 from rx90_common.base.errors import IdentificationError
 from rx90_common.base.groups import Group
+from rx90_common.friction import FrictionElement, FrictionSet
+from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.process.files import write_text
 from rx90_emulator.identification.experiments.plan import Experiment, Kind
 
 INDEX = "experiments.yaml"
+EMULATED = "emulated_friction.yaml"
+"""The friction that made the runs of a folder; beside runs of the emulator alone."""
 
 EXPERIMENTS = Group(
     "The bags of a series of experiments by use, as rx90_experiment writes it: names in the same folder.",
@@ -81,6 +85,28 @@ def write_index(folder: Path, done: Sequence[Experiment]) -> None:
     there = [kind for kind in Kind if kind is not Kind.EXCITATION or any(one.kind is kind for one in done)]
     content = {str(kind): [e.name for e in done if e.kind is kind] for kind in there}
     write_text(folder / INDEX, yaml_text(content))
+
+
+def write_emulated(folder: Path, friction: FrictionSet) -> None:
+    """Write the friction that runs were made with, to stand beside what is identified from them.
+
+    Raises:
+        Rx90Error: if it cannot be written.
+    """
+    elements = dict(zip(friction.names, friction.elements, strict=True))
+    text = FrictionFile(elements, "assumed", "the emulator made the runs beside this file with it").text()
+    write_text(folder / EMULATED, text)
+
+
+def read_emulated(bags: Iterable[Path]) -> dict[str, FrictionElement]:
+    """Return the friction that all bags were made with, by element; none where that is not known of all of them.
+
+    Raises:
+        ConfigError: if it is no friction file.
+    """
+    places = {bag.absolute().parent / EMULATED for bag in bags}
+    found = [dict(FrictionFile.read(place).elements) if place.is_file() else {} for place in sorted(places)]
+    return found[0] if all(one == found[0] for one in found) else {}
 
 
 def _names(folder: Path) -> list[str]:

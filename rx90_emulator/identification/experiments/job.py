@@ -14,7 +14,7 @@ from tqdm import tqdm
 from rx90_common.base.errors import IdentificationError
 from rx90_common.exchange.topics import MOTOR_NAMES
 from rx90_emulator.identification.experiments.engine import run_on_engine
-from rx90_emulator.identification.experiments.folder import make_folder, write_index
+from rx90_emulator.identification.experiments.folder import make_folder, write_emulated, write_index
 from rx90_emulator.identification.experiments.load import check_load
 from rx90_emulator.identification.experiments.plan import Experiment, PlanOptions, make_plan
 from rx90_emulator.identification.experiments.poses import Poses
@@ -81,6 +81,8 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
     with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment") as bar:
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name, storage)
+            if not number:
+                write_emulated(new, setup.friction)
             write_index(new, plan[: number + 1])
 
 

@@ -18,6 +18,7 @@ from rx90_emulator.identification.output.plots import (
     kind_plot,
     validation_plot,
 )
+from rx90_emulator.identification.output.summary import which
 from rx90_emulator.identification.presliding.element_kinds import decisions
 from rx90_emulator.identification.presliding.kinds import MOST_MOTIONS, MOST_OF_BAG, TOLD
 from rx90_emulator.identification.result.identification import (
@@ -62,21 +63,18 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         now: date of the identification; by default the present.
     """
     named = list(zip(result.arm.element_names, result.elements, strict=True))
-    unidentifiable = [
-        (name, parameter, estimate.reason, one.value(parameter))
-        for name, one in named
-        for parameter, estimate in one.estimates.items()
-        if not estimate.identifiable
-    ]
     compared = [kind for kind in result.kinds if kind.choice is not None]
-    others = [kind.element for kind in compared if kind.trial is not None]
+    own_bristles = [kind.element for kind in compared if kind.trial is not None]
     return render_page(
         "rx90_emulator.identification.output",
         "identification.html.j2",
-        elements=named,
+        elements=[pair for pair in named if pair[0] in result.told],
+        others=[name for name in result.arm.element_names if name not in result.told],
+        truth=result.truth,
+        scope=result.scope,
+        assumed=[(which(names), reason) for reason, names in result.unidentifiable.items()],
         parameters=shown_parameters(result),
         units=FRICTION_UNITS,
-        unidentifiable=unidentifiable,
         fallback=result.fallback_name,
         fading=[(name, one.element.omega_d) for name, one in named if math.isfinite(one.element.omega_d)],
         shared=result.arm.element_names[len(result.arm.names) :],
@@ -91,8 +89,8 @@ def report_page(result: FrictionIdentification, friction_file: str, now: datetim
         plateaus=result.sliding.plateaus,
         motions=result.presliding.motions,
         curves=curve_plots(result),
-        loops=[hysteresis_plot(loop) for loop in result.presliding.loops if loop.joint not in others],
-        others=others,
+        loops=[hysteresis_plot(loop) for loop in result.presliding.loops if loop.joint not in own_bristles],
+        own_bristles=own_bristles,
         compared=compared,
         decisions=decisions(result.kinds),
         given=result.with_given_bristles,

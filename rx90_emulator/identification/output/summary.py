@@ -10,12 +10,14 @@ from rx90_emulator.identification.result.validation import Validation
 
 
 def identification_summary(result: FrictionIdentification) -> str:
-    """Return values with standard deviations, parameters that are not identifiable and why, and the verdicts."""
+    """Return values with deviations, true ones below, what is not identifiable and why, and the verdicts."""
     width = max(10, *(len(name) + 1 for name in result.arm.element_names))
-    parameters = shown_parameters(result)
+    parameters, others = shown_parameters(result), []
     lines = [f"{'element':<{width}}" + "".join(f"{name:>22}" for name in parameters)]
-    lacking: dict[str, dict[str, list[str]]] = {}
     for name, one in zip(result.arm.element_names, result.elements, strict=True):
+        if name not in result.told:
+            others.append(name)
+            continue
         cells = []
         for parameter in parameters:
             estimate = one.estimates.get(parameter)
@@ -24,11 +26,14 @@ def identification_summary(result: FrictionIdentification) -> str:
                 continue
             text = " +- ".join(estimate.texts()) if estimate.identifiable else "not identifiable"
             cells.append(f"{text:>22}")
-            if not estimate.identifiable:
-                lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
         lines.append(f"{name:<{width}}" + "".join(cells))
-    reasons = [f"not identifiable: {_which(names)}: {reason}" for reason, names in lacking.items()]
-    verdicts = [_verdict(check) for check in result.validations]
+        if name in result.truth:
+            true = (f"{getattr(result.truth[name], parameter):.6g}" for parameter in parameters)
+            lines.append(f"{'  true':<{width}}" + "".join(f"{value:>22}" for value in true))
+    if others:
+        lines.append(f"{', '.join(others)}: nothing identified")
+    reasons = [f"not identifiable: {which(names)}: {reason}" for reason, names in result.unidentifiable.items()]
+    verdicts = [_verdict(check, result.scope) for check in result.validations]
     return "\n".join([*lines, *reasons, *_kinds(result.kinds), *_given(result), *_fit(result), *verdicts])
 
 
@@ -81,7 +86,7 @@ def check_summary(checks: Sequence[Validation]) -> str:
     return "\n".join(lines)
 
 
-def _which(lacking: Mapping[str, Sequence[str]]) -> str:
+def which(lacking: Mapping[str, Sequence[str]]) -> str:
     """Return parameters with the elements that lack them, elements that lack the same ones together."""
     together: dict[str, list[str]] = {}
     for name, parameters in lacking.items():
@@ -89,7 +94,7 @@ def _which(lacking: Mapping[str, Sequence[str]]) -> str:
     return "; ".join(f"{parameters} of {', '.join(names)}" for parameters, names in together.items())
 
 
-def _verdict(check: Validation) -> str:
+def _verdict(check: Validation, scope: str = "") -> str:
     limits = check.tolerances
     joint = int(check.rms_share.argmax())
     worst = int(check.worst_share.argmax())
@@ -99,7 +104,7 @@ def _verdict(check: Validation) -> str:
         else f"tip worst {check.tip_worst * 1e6:.2f} um (limit {limits.tip * 1e6:g}), RMS {check.tip_rms * 1e6:.2f} um"
     )
     return (
-        f"validation {check.source}: {'confirmed' if check.passed else 'NOT CONFIRMED'}: torque RMS "
+        f"validation {check.source}: {'confirmed' if check.passed else 'NOT CONFIRMED'}{scope}: torque RMS "
         f"{check.rms_share[joint]:.2%} ({check.names[joint]}, limit {limits.torque:.0%}), worst "
         f"{check.worst_share[worst]:.2%} ({check.names[worst]}, limit {limits.worst_torque:.0%}); {tip}"
     )

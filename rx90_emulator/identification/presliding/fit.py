@@ -30,6 +30,7 @@ _NEAR_SLIDING = 0.75  # of an element's Coulomb torque: beyond it small errors o
 _ALL_SLIDING = 0.95  # of it: bristles slide
 _MISFIT = 0.3  # of the friction torque
 _WRONG_INERTIA = 2.0  # standard deviations of the inertia's errors if the prior held
+_REACTIONS = "its joints were moved by the reactions of others alone; accepted: micro-oscillations of their own"
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +150,12 @@ def identify_presliding(
     moved: list[MovedGroup] = []
     used = 0
     for group in groups:
-        own = [motion for motion in motions if motion.joints == group.joints]
+        seen = [motion for motion in motions if motion.joints == group.joints]
+        own = [motion for motion in seen if motion.driven]
         if not own:
+            if seen:
+                for e in group.elements:
+                    estimates[e] = ElementEstimate.unknown(arm.element_names[e], PRESLIDING, _REACTIONS)
             continue
         elements = [sliding[e] for e in group.elements]
         chosen = _chosen(own, group, elements, plant_period)

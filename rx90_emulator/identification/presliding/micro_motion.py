@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ _SMALLEST_OSCILLATION = 5e-6  # rad, RMS; smaller ones are below the resolution 
 _SHORTEST, _LONGEST = 0.8, 10.0  # s
 _SLIDES = 0.7  # of the break-away torque: beyond it bristles slide, and their torque depends little on c0 and c1
 _FAINT = 0.25  # of the strongest motion of a group
+_OWN = 2.0  # times the torque of the other joints' accelerations: so much is no mere reaction
 _MOST = 3  # motions of a group in a bag
 _FINEST = 0.00025  # s, step of the simulation: recorded faster, torques are averaged over it
 _SLOW, _FAST = 2.0, 60.0  # Hz, the band of micro-oscillations
@@ -48,6 +49,7 @@ class MicroMotion:
         inertia: its diagonal, kg m^2, shape (n,).
         record: the bag's record.
         interval: s, of the record's time.
+        driven: whether the joints are moved by their motors, and not only by the reactions of other joints.
     """
 
     joints: tuple[int, ...]
@@ -60,6 +62,14 @@ class MicroMotion:
     inertia: Array
     record: JointRecord
     interval: tuple[float, float]
+    driven: bool = True
+
+    @property
+    def own(self) -> float:
+        """Return torque over that of the other joints' accelerations, RMS, of the joint where this is least."""
+        others = np.delete(np.arange(self.mass.shape[1]), self.joints)
+        reaction = self.acceleration[:, others] @ self.mass[:, others].T
+        return float((np.std(self.drive - reaction, axis=0) / np.maximum(np.std(reaction, axis=0), 1e-12)).min())
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +105,13 @@ def find_micro_motions(
         for first, last in _runs(np.asarray(active[:, list(group)].any(axis=1)), round(_SHORTEST / grid.step)):
             end = min(last, first + round(_LONGEST / grid.step))
             found.append(_motion(record, arm, tuple(group), grid, (grid.position, velocity), first, end))
-    return found
+    return [replace(motion, driven=motion.own >= min(_OWN, _most_own(motion, found))) for motion in found]
+
+
+def _most_own(motion: MicroMotion, found: Sequence[MicroMotion]) -> float:
+    """Return how much of their own the joints have that have most at the same time."""
+    begin, end = motion.interval
+    return max(other.own for other in found if other.interval[0] < end and begin < other.interval[1])
 
 
 def most_informative(motions: Sequence[MicroMotion], break_away: Array) -> list[MicroMotion]:

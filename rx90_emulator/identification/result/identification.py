@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rx90_common.base.errors import IdentificationError
@@ -86,6 +86,7 @@ class FrictionIdentification:
         bags: what was read, by use: sliding, presliding, validation.
         validations: comparisons with bags that were not used.
         kinds: of the elements' bristles; empty where it was not asked for.
+        truth: of emulated runs, the elements that made them, by name; empty where none are known.
     """
 
     arm: RigidArm
@@ -96,6 +97,7 @@ class FrictionIdentification:
     bags: tuple[tuple[str, BagSource], ...] = ()
     validations: tuple[Validation, ...] = ()
     kinds: tuple[ElementKind, ...] = ()
+    truth: Mapping[str, FrictionElement] = field(default_factory=dict)
 
     @property
     def lugre(self) -> tuple[FrictionElement, ...]:
@@ -121,6 +123,29 @@ class FrictionIdentification:
     def confirmed(self) -> bool:
         """Return whether every validation agrees; True without any."""
         return all(check.passed for check in self.validations)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Return the elements of which the bags identify any parameter."""
+        named = zip(self.arm.element_names, self.elements, strict=True)
+        return tuple(name for name, one in named if any(each.identifiable for each in one.estimates.values()))
+
+    @property
+    def scope(self) -> str:
+        """Return what a verdict is about, " for joint_3, with 54 of 63 values assumed"; "" where none is assumed."""
+        estimates = [each for one in self.elements for each in one.estimates.values()]
+        assumed = sum(not each.identifiable for each in estimates)
+        return f" for {', '.join(self.told)}, with {assumed} of {len(estimates)} values assumed" if assumed else ""
+
+    @property
+    def unidentifiable(self) -> dict[str, dict[str, list[str]]]:
+        """Return the parameters that the bags do not identify, by reason and element."""
+        lacking: dict[str, dict[str, list[str]]] = {}
+        for name, one in zip(self.arm.element_names, self.elements, strict=True):
+            for parameter, estimate in one.estimates.items():
+                if not estimate.identifiable:
+                    lacking.setdefault(estimate.reason, {}).setdefault(name, []).append(parameter)
+        return lacking
 
 
 def shown_parameters(result: FrictionIdentification) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from processes import Processes, open_files, wait_until
 from schema_faults import schema_faults
 
@@ -68,8 +69,35 @@ def test_python_identifies_and_writes_what_the_command_does(
 def test_the_sweeps_of_one_joint_leave_the_weights_of_the_others_alone(identified: tuple[Path, str]) -> None:
     """A series for joint 4 alone is confirmed on a run of all joints to 1 % of each joint's torque."""
     _, said = identified
-    (share,) = re.findall(r"confirmed: torque RMS ([\d.]+)%", said)
+    (share,) = re.findall(r"confirmed for joint_4, .* assumed: torque RMS ([\d.]+)%", said)
     assert float(share) < 1.0
+
+
+def test_the_runs_of_one_joint_tell_that_joint_alone(
+    tmp_path: Path, check_report: Callable[[Path], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neighbours that only react to joint 3 are not identified, the verdict says for what, true values stand beside."""
+    folder, output = tmp_path / "series", tmp_path / "friction.yaml"
+    arguments = ["run", "--engine", "--quick", "--group", "joint_3", "--output", str(folder)]
+    assert run("rx90_experiment", arguments) == DONE
+    assert run("rx90_identify", [str(folder), "--output", str(output)]) == DONE
+    said = capsys.readouterr().out
+    assert "confirmed for joint_3, with 54 of 63 values assumed: torque RMS" in said
+    (share,) = re.findall(r"assumed: torque RMS ([\d.]+)%", said)
+    assert float(share) < 0.3  # with c0 and c1 of joints 2, 5 and 6 from their reactions it was 0.6 %
+    parameters = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]["parameters"]
+    told = {name for name, one in parameters.items() if any("interval" in each for each in one.values())}
+    assert told == {"joint_3"}
+    truth = yaml.safe_load((folder / "emulated_friction.yaml").read_text(encoding="utf-8"))["elements"]["joint_3"]
+    for name in ("c0", "c1"):
+        low, high = parameters["joint_3"][name]["interval"]
+        assert low < truth[name] < high
+    page = output.with_suffix(".html").read_text(encoding="utf-8")
+    assert re.findall(r'class="fact *([a-z]*)"><b>confirmed', page) == [""]  # not green beside assumed values
+    assert page.count("nothing identified") == 1
+    for value in ("18", "23", "0.05", "1", "7", "70000", "60"):
+        assert f"true {value}<" in page
+    check_report(output.with_suffix(".html"))
 
 
 def test_nothing_is_replaced_on_refusal(series: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,7 @@ def test_the_drawn_curve_is_the_identified_one(sweeps: object, arm: RigidArm) ->
 
 
 def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> None:
-    """Every bag stands in the report with its use and digest, and every assumed value is marked as one."""
+    """Every bag stands in the report with its use and digest, and every assumed value is marked as one, or its row."""
     output, _ = identified
     page = output.with_suffix(".html").read_text(encoding="utf-8")
     identification = yaml.safe_load(output.read_text(encoding="utf-8"))["identification"]
@@ -62,9 +62,17 @@ def test_the_report_names_bags_and_assumptions(identified: tuple[Path, str]) -> 
         assert f"<td>{bag['path']}</td>" in page
         assert bag["sha256"] in page
     assert [page.count(f"<td>{use}</td>") for use in ("sliding", "presliding", "validation")] == [1, 1, 1]
-    assumed = [entry for element in identification["parameters"].values() for entry in element.values()
-               if entry["provenance"] == "assumed"]  # fmt: skip
-    if "<th>alpha<br>" not in page:  # no element has an exponent, and the table no column of it
-        assumed = assumed[: -len(identification["parameters"])]
-    assert len(re.findall(r'<br><span class="assumed">assumed', page)) == len(assumed) > 0
+    parameters = {
+        name: {key: entry for key, entry in element.items() if key != "alpha" or "<th>alpha<br>" in page}
+        for name, element in identification["parameters"].items()
+    }
+    told = {
+        name: [entry["provenance"] == "assumed" for entry in element.values()]
+        for name, element in parameters.items()
+        if any(entry["provenance"] == "identified" for entry in element.values())
+    }
+    assert len(re.findall(r'<br><span class="assumed">assumed', page)) == sum(map(sum, told.values()))
+    others = ", ".join(name for name in parameters if name not in told)
+    assert others
+    assert page.count(f"{others}: nothing identified") == 1
     assert "omega_d, at which c1 fades" in page

@@ -155,7 +155,7 @@ def test_a_failing_run_is_a_row(
     assert 0 < good["path_error_worst"] < 1e-3
     assert bad["error"].startswith(said)
     assert all(bad[metric.name] is None for metric in sweep.metrics)
-    assert bad["swept"] == values[1]
+    assert bad["factor of swept" if factor else "swept"] == values[1]
 
 
 def test_an_error_that_nobody_thought_of_is_a_row(sweep: Sweep, monkeypatch: pytest.MonkeyPatch) -> None:

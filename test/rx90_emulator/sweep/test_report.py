@@ -56,7 +56,7 @@ def test_the_figures_are_those_of_the_runs(results: Path, sweep: Sweep, outcomes
     assert [value is None for value in errors] == np.isnan(figures.worst).tolist()
     good = sorted(1e3 * value for value in errors if value is not None)
     assert np.sort(figures.worst[np.isfinite(figures.worst)]) == pytest.approx(good)
-    assert {one.name for one in figures.effects} == {column.name for column in sweep.runs.columns}
+    assert {one.name for one in figures.effects} == {column.title for column in sweep.runs.columns}
     (panel,) = distribution_plot(figures).panels
     assert isinstance(panel, Panel)
     (curve,) = (mark for mark in panel.marks if isinstance(mark, Curve) and mark.label == "worst")

@@ -36,10 +36,16 @@ def test_units_and_plan_are_in_the_file(output: Path, sweep: Sweep) -> None:
     assert units["path_error_worst"] == "m"
     assert units["friction_work_joint_5_6"] == "J"
     assert units["arm.link_3.mass"] == "kg"
-    assert units["friction.*.c0"] == "1"
+    assert units["factor of friction.*.c0"] == "1"
+    assert "friction.*.c0" not in units  # what is a factor does not stand under the parameter's name
     assert schema.field("viscous").type == pa.bool_()
     frame = pd.read_parquet(output)
     assert frame.attrs["units"] == units
+    meanings = frame.attrs["meanings"]
+    assert list(meanings) == list(units) == list(frame.columns)
+    assert meanings["factor of friction.*.c0"].startswith("factor of friction.*.c0;")
+    assert meanings["arm.link_3.mass"].startswith("value of arm.link_3.mass;")
+    assert all(meanings.values())
     assert frame["index"].tolist() == list(range(len(sweep)))
     assert frame["path_error_worst"].isna().equals(frame["error"].notna())
     about = json.loads(schema.metadata[KEY])
