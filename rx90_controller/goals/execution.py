@@ -61,16 +61,16 @@ class Feedback(NamedTuple):
 
 
 class Execution:
-    """One goal from its start to its end: a state machine that is stepped with set-points and measured states.
+    """One goal, or a trajectory of the topic, to its end: a state machine stepped with set-points and measured states.
 
     Attributes:
         phase: where it is.
         feedback: how it went in the last step; None before the first.
     """
 
-    def __init__(self, tolerances: GoalTolerances, period: float) -> None:
-        """Wait for the start of a goal with these tolerances; `period` is that of the position loop, s."""
-        self.phase = Phase.WAITING
+    def __init__(self, tolerances: GoalTolerances, period: float, *, waits: bool = True) -> None:
+        """Hold a goal to tolerances, from its start on if it `waits`; `period` is that of the position loop, s."""
+        self.phase = Phase.WAITING if waits else Phase.RUNNING
         self.feedback: Feedback | None = None
         self._tolerances, self._period = tolerances, period
         self._began = self._settling = 0
@@ -87,9 +87,9 @@ class Execution:
             actual: measured, likewise.
             progress: of the trajectory at this tick.
         """
-        first = self.phase is Phase.WAITING
-        if first and progress.time < 0.0:
+        if self.phase is Phase.WAITING and progress.time < 0.0:
             return None
+        first = self.feedback is None
         error = desired - actual
         if first:
             self.phase, self._began = Phase.RUNNING, tick

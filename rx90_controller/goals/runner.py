@@ -11,13 +11,14 @@ from rx90_common.base.errors import TrajectoryError
 from rx90_controller.goals.execution import Execution, Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
+from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.trajectory import PastError, Schedule, TrajectoryGenerator, points_left
 from rx90_controller.trajectory.message import check_horizon
 from rx90_controller.trajectory.planning import Plan
 
 
 class Event(NamedTuple):
-    """How a goal has ended, and which: `key` is what `GoalRunner.offer` was given."""
+    """How a goal has ended, and which: `key` is what `GoalRunner.offer` was given, None for what is watched."""
 
     key: object
     outcome: Outcome
@@ -35,6 +36,7 @@ class GoalRunner:
     - `cancel` when the client cancels the active goal: CANCELED at once, the arm stops along the path and holds.
     - `drop` when the controller no longer follows the goal's trajectory (brakes, disabled, fault, reset, deactivated,
       no states, or a trajectory on the topic): ABORTED with INVALID_GOAL and the reason. Set-points are left alone.
+    - `watch` for a trajectory of the topic, until the next of these calls.
 
     A goal that succeeds leaves the arm at its last point. Once no goal is active there is nothing to call but `step`.
 
@@ -83,6 +85,16 @@ class GoalRunner:
         self.active, self._execution = key, Execution(goal.tolerances, self._trajectory.period)
         return schedule, ended
 
+    def watch(self, tolerances: GoalTolerances) -> None:
+        """Hold the trajectory that was taken last to tolerances, and what runs until it starts; without a goal."""
+        if tolerances.end_motions:
+            self._execution = Execution(tolerances, self._trajectory.period, waits=False)
+
+    @property
+    def watching(self) -> bool:
+        """Return whether there is a goal, or a trajectory that is watched."""
+        return self._execution is not None
+
     def check_future(self, goal: Goal, now: int) -> None:
         """Check whether a goal, offered at position tick `now`, would have a point left.
 
@@ -126,7 +138,8 @@ class GoalRunner:
 
     def drop(self, reason: str, now: int) -> Event | None:
         """End the active goal with INVALID_GOAL and a reason; set-points are left as they are. None without a goal."""
-        if self._execution is None:
+        if self._execution is None or self.active is None:
+            self._execution = None
             return None
         text = f"{reason}, at {now * self._trajectory.period:.6g} s"
         return self._ended(self._execution.end(Phase.ABORTED, text, now))

@@ -67,6 +67,11 @@ class GoalTolerances:
                 table[0, list(names).index(joint)] = _parameter(f"{joint}.{key}", value)
         return cls(tuple(names), path, at_goal, _parameter("goal_time", goal_time))
 
+    @property
+    def end_motions(self) -> bool:
+        """Return whether they can end a motion before it reaches its goal."""
+        return math.isfinite(self.goal_time) or bool(np.isfinite(self.path).any())
+
     def of_goal(self, path: Sequence[Any], goal: Sequence[Any], goal_time: float) -> GoalTolerances:
         """Return these with those of a goal in their place: 0 keeps the default, -1 erases it.
 

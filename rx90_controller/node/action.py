@@ -17,9 +17,7 @@ if TYPE_CHECKING:
     from rx90_controller.node.controller_state import ControllerState
 
 
-def make_action(
-    node: Node, loop: ServoLoop, parameters: GoalParameters, cs7b: CS7B, channel: TickChannel
-) -> FollowJointTrajectoryAction | None:
+def make_action(node: Node, loop: ServoLoop, cs7b: CS7B, channel: TickChannel) -> FollowJointTrajectoryAction | None:
     """Serve the action and what belongs to it; without control_msgs say once how to get it, and return None."""
     missing = missing_control_msgs()
     if missing is not None:
@@ -32,7 +30,7 @@ def make_action(
     SpeedScaling(node, loop)
     StateQuery(node, loop, cs7b)
     return FollowJointTrajectoryAction(
-        node, loop, parameters.tolerances, cs7b.rates, lambda: channel.matches().publishers > 0
+        node, loop, cs7b.joint_names, cs7b.rates, lambda: channel.matches().publishers > 0
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,7 +16,6 @@ from rx90_common.base.rates import Rates
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, check_goal
 from rx90_controller.goals.results import GoalError, ResultCode
-from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.node.action_messages import feedback_message, result_message
 from rx90_controller.node.offering import joined
 from rx90_controller.node.servo_loop import ServoLoop
@@ -105,26 +104,23 @@ class FollowJointTrajectoryAction:
     Args:
         node: whose action it is.
         loop: follows the goals.
-        tolerances: where a goal has none of its own.
+        names: of the joints.
         rates: of the loops.
         simulation_there: tells whether there is a simulation.
-
-    Attributes:
-        tolerances: may be changed for the next goal.
     """
 
     def __init__(
         self,
         node: Node,
         loop: ServoLoop,
-        tolerances: GoalTolerances,
+        names: Sequence[str],
         rates: Rates,
         simulation_there: Callable[[], bool],
     ) -> None:
-        self.tolerances = tolerances
+        self._names = names
         self._node, self._loop, self._simulation_there = node, loop, simulation_there
         self._position_hz = rates.position_hz
-        self._feedback = partial(feedback_message, names=tolerances.names, tick_ns=rates.period_ns * rates.ratio)
+        self._feedback = partial(feedback_message, names=names, tick_ns=rates.period_ns * rates.ratio)
         self._senders: dict[bytes, _Sender] = {}  # of the goals that a client may still cancel
         self._checked: Goal | None = None  # the goal that is accepted next
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
@@ -170,12 +166,12 @@ class FollowJointTrajectoryAction:
     def _check(self, message: Any) -> GoalResponse:
         loop = self._loop
         with loop.between_ticks() as goals:
-            options = goals.options
+            options, tolerances = goals.options, goals.tolerances
         try:
             if self._ending:
                 raise GoalError(ResultCode.INVALID_GOAL, _ENDS)
             # Not between two ticks: a long one takes longer than these.
-            goal = check_goal(message, self.tolerances.names, self.tolerances, options, self._position_hz)
+            goal = check_goal(message, self._names, tolerances, options, self._position_hz)
             with loop.between_ticks() as goals:
                 goals.check(goal, loop.inactive or self._missing())
         except GoalError as error:

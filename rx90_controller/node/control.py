@@ -189,7 +189,7 @@ class Control:
         self._loop.active = self._loop.enabled = False
         self._law.change_with(self._loop.law_changes.add)
         with self._loop.between_ticks() as requests:
-            requests.options = goals.options
+            requests.options, requests.tolerances = goals.options, goals.tolerances
             requests.scale(goals.scaling)
         outputs.report_with(self._loop.report)
         messages = MotorMessages(channel.subscribe_topic, MOTOR_NAMES, rates, cs7b.command, outputs.error)
@@ -201,8 +201,8 @@ class Control:
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
         self.node.create_service(SetBool, "~/enable", self._on_enable)
-        self._action = make_action(self.node, self._loop, goals, cs7b, channel)
-        allow_goal_changes(node, cs7b, self._loop, self._action)
+        self._action = make_action(self.node, self._loop, cs7b, channel)
+        allow_goal_changes(node, cs7b, self._loop)
         self._diagnostics = Diagnostics(self.node, ControllerStatus(cs7b, self._loop, self._serving, pacer).collect)
 
     def _build(self, files: RobotFiles, rates: Rates) -> tuple[RobotModel, CS7B, LawParameters]:

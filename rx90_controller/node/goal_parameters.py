@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 from rclpy.node import Node
 
@@ -17,9 +16,6 @@ from rx90_controller.goals.goal import GoalOptions
 from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
-
-if TYPE_CHECKING:
-    from rx90_controller.node.action_server import FollowJointTrajectoryAction
 
 _LARGEST = 1e6  # rad, rad/s, s
 
@@ -36,11 +32,11 @@ _OPTIONS = {
 
 @dataclass(frozen=True)
 class GoalParameters:
-    """What goals are held to, and how often it is said how they go.
+    """What trajectories and goals are held to, and how often it is said how they go.
 
     Attributes:
         options: what else is accepted.
-        tolerances: where a goal has none of its own.
+        tolerances: of trajectories, and of goals that have none of their own.
         monitor_ticks: position ticks from one feedback to the next.
         state_ticks: position ticks from one state of the controller to the next.
         scaling: share of a trajectory's own speed at which it is followed, until another one is asked for.
@@ -76,10 +72,8 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
     )  # fmt: skip
 
 
-def allow_goal_changes(
-    node: ManagedNode, cs7b: CS7B, loop: ServoLoop, action: FollowJointTrajectoryAction | None
-) -> None:
-    """Let what is accepted, and with the action its tolerances, be changed for the next goals."""
+def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
+    """Let what is accepted, and the tolerances, be changed for the next goals and trajectories."""
 
     def next_goals(effective: Effective) -> None:
         with loop.between_ticks():
@@ -91,15 +85,13 @@ def allow_goal_changes(
             goals.options = options
         next_goals(effective)
 
-    node.changes.allow(ChangeGroup(tuple(_OPTIONS), lambda values: GoalOptions(**values), set_options))
-    if action is None:
-        return
-
     def set_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
-        action.tolerances = tolerances
+        with loop.between_ticks() as goals:
+            goals.tolerances = tolerances
         next_goals(effective)
 
     names = cs7b.joint_names
+    node.changes.allow(ChangeGroup(tuple(_OPTIONS), lambda values: GoalOptions(**values), set_options))
     node.changes.allow(ChangeGroup(tuple(_limits(names)), partial(_tolerances, names), set_tolerances))
 
 
@@ -111,7 +103,7 @@ def _options(node: Node) -> GoalOptions:
 def _limits(names: Sequence[str]) -> dict[str, tuple[float, str]]:
     """Return the parameters of tolerances, with their defaults and what they mean."""
     limits = {
-        "constraints.goal_time": (0.0, "how long after its end a goal may take to be reached, s; 0: for ever"),
+        "constraints.goal_time": (0.0, "how long after its end a motion may take to be at its goal, s; 0: for ever"),
         "constraints.stopped_velocity_tolerance": (
             0.01,
             "velocity that a joint may have at the goal, rad/s; 0: any",

@@ -13,6 +13,7 @@ from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, GoalOptions
 from rx90_controller.goals.results import GoalError, ResultCode
 from rx90_controller.goals.runner import Event, GoalRunner
+from rx90_controller.goals.tolerances import GoalTolerances
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.requests import Requests
 from rx90_controller.trajectory.planning import Entrance, Plan
@@ -44,25 +45,32 @@ class GoalRequests:
         requests: what is said goes through it; its options say what else is accepted.
         horizon: how far ahead of the controller's time, s, a goal may start.
         monitor_ticks: position ticks from one feedback to the next.
+
+    Attributes:
+        tolerances: of goals that have none of their own, and of trajectories on the topic; may be changed for the next.
     """
 
     def __init__(self, cs7b: CS7B, requests: Requests, horizon: float, monitor_ticks: int) -> None:
         self._cs7b, self._requests, self._monitor_ticks = cs7b, requests, monitor_ticks
         self._runner = GoalRunner(cs7b.trajectory, requests.options, horizon)
+        self.tolerances = GoalTolerances.defaults(cs7b.joint_names)
         self._waiting: _Waiting | None = None
 
     # The ticking thread.
 
     def step(self) -> None:
-        """Watch the active goal, if there is one, after a tick of the position loop."""
+        """Watch the active goal or trajectory, if there is one, after a tick of the position loop."""
         runner = self._runner
-        if runner.active is None:
+        if not runner.watching:
             return
         cs7b = self._cs7b
         tick = cs7b.position_tick - 1
-        sender = cast(Sender, runner.active)
+        sender = cast(Sender | None, runner.active)
         event = runner.step(tick, cs7b.setpoint, *cs7b.measured())
-        if event is not None:
+        if sender is None:
+            if event is not None and event.outcome.phase is Phase.ABORTED:
+                self._requests.note(f"trajectory aborted: {event.outcome.text}; stopping and holding", wrong=True)
+        elif event is not None:
             self._tell(event.outcome, sender)
         elif tick % self._monitor_ticks == 0 and runner.feedback is not None:
             self._requests.post(partial(sender.went, runner.feedback))
@@ -74,6 +82,10 @@ class GoalRequests:
             self.take(*waiting, inactive)
 
     # Either thread.
+
+    def watch(self) -> None:
+        """Hold a trajectory of the topic that was just taken to the tolerances, as a goal is."""
+        self._runner.watch(self.tolerances)
 
     @property
     def pending(self) -> bool:

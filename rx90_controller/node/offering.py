@@ -66,3 +66,5 @@ def offer(ticks: TickedLoop, requests: Requests, trajectory: Any) -> None:
         elif not requests.take(request, ticks.inactive, plan):
             return
         goals.drop("replaced by a trajectory on the topic", wanted=True)
+        if ticks.running:
+            goals.watch()

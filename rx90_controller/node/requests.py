@@ -101,11 +101,10 @@ class Requests:
         self._waiting = request
         self.note(f"a trajectory waits for the simulation's first tick{instead}")
 
-    def begin(self, inactive: str) -> None:
-        """Take the trajectory that has waited, if there is one."""
+    def begin(self, inactive: str) -> bool:
+        """Take the trajectory that has waited; return whether one is followed."""
         waiting, self._waiting = self._waiting, None
-        if waiting is not None:
-            self.take(waiting, inactive)
+        return waiting is not None and self.take(waiting, inactive)
 
     def checked(self, trajectory: Any) -> TrajectoryRequest:
         """Return a trajectory_msgs/JointTrajectory, checked by itself; not between ticks, as that may take long.

@@ -81,7 +81,8 @@ class ServoLoop:
                 self._requests.note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
             self.running = True
-            self._requests.begin(self.inactive)
+            if self._requests.begin(self.inactive):
+                self._goals.watch()
             self._goals.begin(self.inactive)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:

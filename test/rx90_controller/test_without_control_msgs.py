@@ -16,6 +16,6 @@ def test_one_line_says_that_the_action_is_off_and_how_to_turn_it_on(monkeypatch:
     said: list[str] = []
     node: Any = SimpleNamespace(get_logger=lambda: SimpleNamespace(info=said.append))
     nothing: Any = None
-    assert action.make_action(node, nothing, nothing, nothing, nothing) is None
+    assert action.make_action(node, nothing, nothing, nothing) is None
     assert action.make_controller_state(node, nothing, nothing) is None
     assert said == ["the action follow_joint_trajectory is off: needs control_msgs; accepted: make action"]

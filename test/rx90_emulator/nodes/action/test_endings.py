@@ -51,10 +51,14 @@ def test_tolerances_along_the_path_and_at_the_goal(bench: Bench, acceleration: N
     assert ended.status == SUCCEEDED
     assert bench.goals.wait(result).result.error_code == -1
 
-    for limit, code in ((1e-9, -4), (0.0, 0)):  # the default, changed for the next goal
+    for limit, code in ((1e-9, -4), (0.0, 0)):  # the default, changed for what comes next
         assert bench.client.set_parameters("rx90_controller", constraints__joint_3__trajectory=limit) == [""]
         assert bench.follow(move(0.01, 0.4)).result.error_code == code
         bench.time.run(0.3)
+        bench.client.send([(0.4, [0.0] * 6)])  # on the topic: the same
+        bench.time.run(0.6)
+        lines = re.findall(r"\[ERROR\].* trajectory aborted: (\S+): .*; stopping and holding", bench.cell.output)
+        assert lines == ["joint_3"]
 
 
 @pytest.mark.parametrize("seed", range(3))
