@@ -116,7 +116,10 @@ class CS7B:
             tripped = position_loop(self.law, self.state, self.setpoint, position, velocity)
             if tripped:
                 self.note_fault()
-        velocity_loop(self.law, self.state, velocity)
+        lost = velocity_loop(self.law, self.state, velocity)
+        if lost and self.fault is None:
+            time = self.tick * self.rates.period
+            self.fault = DriveFault.of_torque(self.joint_names, self.law, self.state, time)
         self.tick += 1
         return self.command
 

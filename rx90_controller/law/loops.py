@@ -15,7 +15,7 @@ from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
 from rx90_controller.law.model_torque import FRESH, MODEL_STATE_DTYPE, add_model_torque, begin_parts, hand_over
 from rx90_controller.law.servo import load_gains, position_servo, velocity_servo
-from rx90_controller.law.supervision import beyond_limits
+from rx90_controller.law.supervision import beyond_limits, not_finite
 
 LAW_STATE_DTYPE = np.dtype(
     [
@@ -101,13 +101,16 @@ def position_loop(laws: Record, states: Record, setpoint: Array, position: Array
 
 
 @kernel
-def velocity_loop(laws: Record, states: Record, velocity: Array) -> None:
+def velocity_loop(laws: Record, states: Record, velocity: Array) -> bool:
     """Run D and C for one base tick and write `command`, motor torques in Nm, into the state.
 
     Args:
         laws: constants, shape (1,), CONTROLLER_DTYPE.
         states: state, shape (1,), LAW_STATE_DTYPE, advanced in place.
         velocity: measured motor velocities, rad/s, shape (6,).
+
+    Returns:
+        Whether a torque is not finite: the drives are to be switched off.
     """
     law, state = laws[0], states[0]
     loop = velocity_servo(
@@ -124,3 +127,4 @@ def velocity_loop(laws: Record, states: Record, velocity: Array) -> None:
     store(state.command, loop.command)
     store(state.limited, loop.limited)
     store(state.saturated, load(state.saturated, 6) + loop.limited * loop.limited)
+    return not_finite(loop.command)

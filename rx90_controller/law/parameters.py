@@ -63,11 +63,11 @@ CONTROLLER = Group(
         "servo": Group(
             "Gains of the loops.",
             keys={
-                "inertia": _six("Nominal inertia, rotors included.", "kg m^2", above=True),
-                "kp": _six("Proportional gain of the position loop.", "1/s"),
-                "kv": _six("Gain of the velocity loop.", "1/s"),
-                "ki": _six("Integral gain.", "1/s^3"),
-                "integrator_limit": _six("The most that the integrator gives.", "Nm"),
+                "inertia": _six("Nominal inertia, rotors included.", "kg m^2", above=True, high=1e5),
+                "kp": _six("Proportional gain of the position loop.", "1/s", high=1e4),
+                "kv": _six("Gain of the velocity loop.", "1/s", high=1e5),
+                "ki": _six("Integral gain.", "1/s^3", high=1e9),
+                "integrator_limit": _six("The most that the integrator gives.", "Nm", high=1e6),
             },
         ),
         "feed_forward": Group(
@@ -84,11 +84,11 @@ CONTROLLER = Group(
                 "friction_model": Switch(
                     "Friction of the model, in place of Coulomb and viscous friction compensation.", default=False
                 ),
-                "coulomb_torque": _six("Coulomb friction to compensate.", "Nm"),
+                "coulomb_torque": _six("Coulomb friction to compensate.", "Nm", high=1e6),
                 "coulomb_velocity": _positive(
-                    "Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s"
+                    "Velocity of the set-point at which the Coulomb compensation is complete.", "rad/s", high=10.0
                 ),
-                "viscous_friction": _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent"),
+                "viscous_friction": _six("Viscous friction to compensate.", "Nm (s/rad)^viscous_exponent", high=1e6),
                 "viscous_exponent": Numbers(
                     "Exponent of the viscous friction to compensate.", "1",
                     count=6, low=ALPHA_BOUNDS[0], high=ALPHA_BOUNDS[1], default=(1.0,) * 6,
@@ -106,8 +106,10 @@ CONTROLLER = Group(
         "supervision": Group(
             "What cuts the power, joint by joint.",
             keys={
-                "following_error": _six("Position error at which the power is cut.", "rad", above=True),
-                "over_speed": _positive("Speed at which the power is cut, times the nominal speed of the joint."),
+                "following_error": _six("Position error at which the power is cut.", "rad", above=True, high=1.0),
+                "over_speed": _positive(
+                    "Speed at which the power is cut, times the nominal speed of the joint.", high=10.0
+                ),
             },
         ),
         "trajectory": Group(

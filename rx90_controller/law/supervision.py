@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,6 +12,25 @@ from rx90_common.base.arrays import Array, Record
 from rx90_common.description.wrist import to_joint
 from rx90_common.kernels.compiled import inlined
 from rx90_common.kernels.lanes import Lanes, absolute, any_lane, append, first, lane, load, select
+
+_PARAMETERS = {
+    "inertia": "servo.inertia",
+    "derivative": "servo.kv",
+    "proportional": "servo.kp",
+    "integral": "servo.ki",
+    "integrator_limit": "servo.integrator_limit",
+    "coulomb": "feed_forward.coulomb_torque",
+    "viscous": "feed_forward.viscous_friction",
+}
+"""Constants of the law by the parameter that makes them; those that go into others come first."""
+_ABSURD = 1e100
+_LARGEST = sys.float_info.max
+
+
+@inlined
+def not_finite(torque: Lanes) -> bool:
+    """Return whether one of six torques is infinite or NaN."""
+    return any_lane(select(absolute(torque) <= _LARGEST, 0.0, 1.0) > 0.0)
 
 
 @inlined
@@ -36,11 +56,12 @@ class DriveFault(NamedTuple):
 
     Attributes:
         joint: name of the joint.
-        quantity: "following error" or "speed".
+        quantity: "following error", "speed" or "torque".
         value: of it, in `unit`.
         limit: the most that is accepted.
-        unit: "rad" or "rad/s".
+        unit: "rad", "rad/s" or "Nm".
         time: of the measurement, s.
+        parameter: what made the law give no finite torque; empty for a limit.
     """
 
     joint: str
@@ -49,6 +70,7 @@ class DriveFault(NamedTuple):
     limit: float
     unit: str
     time: float
+    parameter: str = ""
 
     @classmethod
     def of(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
@@ -70,8 +92,23 @@ class DriveFault(NamedTuple):
         assert found is not None
         return found
 
+    @classmethod
+    def of_torque(cls, names: Sequence[str], laws: Record, states: Record, time: float) -> DriveFault:
+        """Return the first joint whose torque is not finite after a velocity loop that found one at `time`, s."""
+        law, torque = laws[0], states[0]["command"]
+        motor = int(np.argmin(np.isfinite(torque)))
+        absurd = [name for constant, name in _PARAMETERS.items() if not abs(law[constant][motor]) < _ABSURD]
+        other = "the feed-forward's model" if law["model"]["parts"] else "a measured state"
+        parameter = absurd[0] if absurd else other
+        return cls(names[motor], "torque", float(torque[motor]), np.inf, "Nm", time, parameter)
+
     def __str__(self) -> str:
         """Return it as one line with the value and what is accepted."""
+        if self.parameter:
+            return (
+                f"{self.joint}: torque {self.value:g} {self.unit} at {self.time:.6g} s, by {self.parameter}; "
+                "accepted: finite torques"
+            )
         return (
             f"{self.joint}: {self.quantity} {self.value:.4g} {self.unit} at {self.time:.6g} s; accepted: up to "
             f"{self.limit:.4g} {self.unit}"

@@ -103,6 +103,8 @@ class ServoLoop:
             self._unpublished = slow
             if cs7b.fault is None:
                 return True
+            if cs7b.fault.parameter:
+                self._unpublished = False  # torques that are no numbers
             self._publish(stamp_ns)  # before the reset: what has led to the fault is to be seen
             self._trip(cs7b.fault)
             cs7b.release(states.position, cs7b.tick)

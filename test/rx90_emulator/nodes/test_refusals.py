@@ -93,8 +93,8 @@ def test_a_diverging_arm_ends_the_run_with_joint_and_tick(
     """A gain far too large for an amplifier without limits ends the run with one line, not with NaN."""
     drives: Path = edited_yaml(shipped_files.drives, ("motor", "peak_current"), [1e7] * 6)
     law: Path = edited_yaml(shipped_files.controller, ("servo", "kv"), [400.0] * 3 + [1.2e4] + [400.0] * 2)
-    law = edited_yaml(law, ("supervision", "following_error"), [1e9] * 6)
-    law = edited_yaml(law, ("supervision", "over_speed"), 1e9)
+    law = edited_yaml(law, ("supervision", "following_error"), [1.0] * 6)
+    law = edited_yaml(law, ("supervision", "over_speed"), 10.0)
     cell = processes.start(
         "rx90_cell", "--ros-args", "-p", f"drives:={drives}", "-p", f"rx90_controller:controller:={law}",
         "-p", "rx90_sim:real_time_factor:=0.0",
