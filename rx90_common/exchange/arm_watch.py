@@ -79,6 +79,7 @@ class ArmWatch:
 
     Attributes:
         problem: why the newest message of the arm is not one of this robot; empty if it is.
+        namespace: of the nodes, such as /cell; empty for none.
         robot: name of the simulation's robot; None until it is known.
         trajectory: the one that was accepted last, as of the last call of `joints`; None if there is none.
         diagnostics: what the nodes of this namespace say, by their names without it.
@@ -95,12 +96,12 @@ class ArmWatch:
                 f"the controller node's name is {quoted(controller)} ({reason(error)}); "
                 "accepted: a name such as rx90_controller or /cell/rx90_controller"
             ) from error
-        self._namespace = full.rsplit("/", 1)[0]
+        self.namespace = full.rsplit("/", 1)[0]
         self._codecs = JointStateCodec(joints), JointStateCodec(elements)
         self._node = node
-        self._joints, self._elements = self._listen(self._namespace)
+        self._joints, self._elements = self._listen(self.namespace)
         self._ticks: Newest | None = None
-        self._mode = Newest(node, String, f"{self._namespace}/{TIME_MODE}", latched=True)
+        self._mode = Newest(node, String, f"{self.namespace}/{TIME_MODE}", latched=True)
         self._accepted = Newest(node, JointTrajectory, f"{full}/{TRAJECTORY_ACCEPTED}", latched=True)
         self._diagnostics = Newest(node, DiagnosticArray, "/diagnostics", depth=_NODES)
         self.problem = ""
@@ -116,7 +117,7 @@ class ArmWatch:
     def at_ticks(self, *, wanted: bool) -> None:
         """Listen to the friction elements at every tick of the position loop, or no more; see `elements_at_ticks`."""
         if wanted and self._ticks is None:
-            topic = f"{self._namespace}/friction_states"
+            topic = f"{self.namespace}/friction_states"
             self._ticks = Newest(self._node, JointState, topic, raw=True, depth=_TICKS)
         elif not wanted and self._ticks is not None:
             self._ticks.close()
@@ -129,8 +130,8 @@ class ArmWatch:
 
     def _choose(self) -> None:
         """Listen to the topics for those who look on where there are any: they cost the simulation a tenth."""
-        sampled = f"{self._namespace}/{SAMPLED}"
-        space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self._namespace
+        sampled = f"{self.namespace}/{SAMPLED}"
+        space = sampled if self._node.count_publishers(f"{sampled}/joint_states") else self.namespace
         if self.topic != f"{space}/joint_states":
             self._joints.close()
             self._elements.close()
@@ -192,7 +193,7 @@ class ArmWatch:
 
     def _note(self, status: Any) -> None:
         space, _, name = f"/{status.name}".rpartition("/")
-        if space == self._namespace:
+        if space == self.namespace:
             level = status.level[0] if isinstance(status.level, bytes) else int(status.level)
             self.diagnostics[name] = NodeStatus(level, status.message, {pair.key: pair.value for pair in status.values})
 

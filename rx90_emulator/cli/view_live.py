@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from rx90_common.description.robot_files import DEFAULT_ROBOT, RobotFiles
@@ -12,7 +12,9 @@ from rx90_common.process.scheduling import be_nice
 from rx90_emulator.cli.options import CONTROLLER, node_of, whole_number
 
 if TYPE_CHECKING:
+    from rx90_emulator.view.live.record_button import RecordButton
     from rx90_emulator.view.live.tour import Tour
+    from rx90_emulator.view.page import Page
 
 _NICENESS = 10
 
@@ -64,14 +66,17 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
     tour = _tour(options, files, controller) if options.demo else None
     page = Page("rx90_view", options.host, options.port, options.output)
     panel: DoPanel | None = None
+    recording: RecordButton | None = None
     try:
         if tour is not None:
             tour.start()
         be_nice(max(os.getpriority(os.PRIO_PROCESS, 0), _NICENESS) if options.nice is None else options.nice)
         with client_node("rx90_view", 1.0, print, options.ros_args) as client:
-            view = LiveView(page, LiveSource(client, robot, controller), robot, line)
+            source = LiveSource(client, robot, controller)
+            view = LiveView(page, source, robot, line)
             nodes = NodeNames.beside(controller, options.ros_args)
             panel = DoPanel(page, files, view.newest, nodes, view.lay_line)
+            recording = _files_tab(page, source.watch.namespace, options.ros_args)
             page.announce(browser=not options.no_browser)
             if tour is None:
                 started()
@@ -79,11 +84,25 @@ def main(options: argparse.Namespace, started: Callable[[], None]) -> None:
                 tour.follow(page, view, started)
             page.run(check_interrupt=client.check_interrupt)
     finally:
-        if panel is not None:
-            panel.close()
+        for part in (recording, panel):
+            if part is not None:
+                part.close()
         page.close()
         if tour is not None:
             tour.end()
+
+
+def _files_tab(page: Page, namespace: str, ros_args: Sequence[str]) -> RecordButton:
+    """Add the tab with what is written, once all plots are there."""
+    from rx90_emulator.view.live.record_button import RecordButton
+    from rx90_emulator.view.plot_export import PlotExport
+
+    with page.tab("Files"):
+        with page.gui.add_folder("Record a bag"):
+            recording = RecordButton(page, namespace, ros_args)
+        with page.gui.add_folder("Export a plot"):
+            PlotExport(page)
+    return recording
 
 
 def _tour(options: argparse.Namespace, files: RobotFiles, controller: str) -> Tour:

@@ -15,6 +15,8 @@ _STOPS = np.array([(0, 114, 178), (0, 158, 115), (240, 228, 66), (230, 159, 0), 
 _AWAY = np.array([150.0, 150.0, 150.0])
 PLANNED = 140, 60, 190
 """Of what is planned and not measured, a colour that no path error has."""
+HELD = 120, 120, 120
+"""Of the trace that is held."""
 _LENGTH = 600  # samples in the trace
 _STEP = 5e-4  # m between two of them
 _SPOT = (255, 40, 40)
@@ -70,21 +72,29 @@ class LineScene:
             f"{name}/line", ends, (30, 30, 30), thickness=2.0, thickness_units="screen"
         )
         self._spot = scene.add_icosphere(f"{name}/spot", 0.007, _SPOT, subdivisions=2, cast_shadow=False)
-        self._trace = scene.add_line_segments(
-            f"{name}/trace",
-            ends,
-            # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
-            np.full((1, 2, 3), 150, dtype=np.uint8),
-            thickness=5.0,
-            thickness_units="screen",
-            visible=False,
+        self._trace, self._held_trace = (
+            scene.add_line_segments(
+                f"{name}/{what}",
+                ends,
+                # A colour for each end: a page that has seen one for all draws no others until it is loaded again.
+                np.full((1, 2, 3), 150, dtype=np.uint8),
+                thickness=thickness,
+                thickness_units="screen",
+                visible=False,
+            )
+            for what, thickness in (("trace", 5.0), ("held", 3.0))
         )
         self._factor = 1.0
+        self._held = np.empty((0, 3))
+        self._start = self._end = np.full(3, np.nan)
         self.place(start, end)
 
     def place(self, start: Array, end: Array) -> None:
         """Compare with the line from start to end, (3,) m, from now on, with an empty trace and no run."""
+        before = np.concatenate([self._start, self._end])
         self._start, self._end = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+        if not np.array_equal(before, np.concatenate([self._start, self._end])):
+            self.release()
         self.meter = PathErrorMeter(self._start, self._end)
         self._line.points = np.stack([self._start, self._end])[None].astype(np.float32)
         self.clear()
@@ -96,9 +106,26 @@ class LineScene:
         self._changed = False
         self._trace.visible = False
 
+    @property
+    def holds(self) -> bool:
+        """Return whether a trace of this line is held."""
+        return len(self._held) > 0
+
+    def hold(self) -> None:
+        """Keep the trace along the line in one colour, beside the next one, until another line is placed."""
+        on_line = np.isfinite(self._errors)
+        self._held = np.array(self._tips).reshape(-1, 3)[on_line]
+        self._draw_held()
+
+    def release(self) -> None:
+        """Forget the trace that is held."""
+        self._held = np.empty((0, 3))
+        self._draw_held()
+
     def magnify(self, factor: float) -> None:
         """Draw the trace, but not the spot, this many times as far from the line as it is."""
         self._factor, self._changed = factor, True
+        self._draw_held()
 
     def add(self, times: Array, tips: Array) -> float:
         """Lengthen the trace by where the spot was, (n, 3) m, at times (n,) s; return its path error now, m, or NaN."""
@@ -123,6 +150,13 @@ class LineScene:
         self._trace.points = np.stack([drawn[:-1], drawn[1:]], axis=1)
         self._trace.colors = np.stack([colors[:-1], colors[1:]], axis=1)
         self._trace.visible = True
+
+    def _draw_held(self) -> None:
+        self._held_trace.visible = len(self._held) > 1
+        if self._held_trace.visible:
+            drawn = self._magnified(self._held).astype(np.float32)
+            self._held_trace.points = np.stack([drawn[:-1], drawn[1:]], axis=1)
+            self._held_trace.colors = np.full((len(drawn) - 1, 2, 3), _LINEAR[list(HELD)], dtype=np.uint8)
 
     def _magnified(self, tips: Array) -> Array:
         _, across = decompose(tips - self._start, self._end - self._start)

@@ -25,6 +25,7 @@ from rx90_common.base.errors import ConfigError
 from rx90_common.base.quoting import quoted
 from rx90_common.description.robot import RobotModel
 from rx90_common.process.interrupts import interrupts_later
+from rx90_common.report.plot import Panel
 from rx90_emulator.view.announcement import OPENED, TO_OTHERS
 from rx90_emulator.view.guard import PageGuard
 from rx90_emulator.view.output import OutputFolder
@@ -53,6 +54,7 @@ class Page:
         server, gui, scene: viser's own.
         address: what to open in a browser; whoever has it can do what the page can.
         output: gives the path for every name of a file that a user types.
+        panels: what each plot shows at the moment, by its title; for files.
 
     Raises:
         Rx90Error: if host and port cannot be bound to, or the folder cannot be made.
@@ -81,6 +83,7 @@ class Page:
         self._plots = self.gui.add_panel()
         self._plots.dock_left()
         self._plots.set_width(_PLOT_WIDTH)
+        self.panels: dict[str, Callable[[], Panel]] = {}
         # No SimpleQueue: its wait has no end where a signal is handled until after the time-out.
         self._handed_over: queue.Queue[Callable[[], None]] = queue.Queue()
         self._timed: list[tuple[float, int, _Repeated]] = []

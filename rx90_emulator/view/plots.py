@@ -9,10 +9,9 @@ from numpy.typing import ArrayLike
 from viser import uplot
 
 from rx90_common.base.arrays import Array
+from rx90_common.report.plot import COLOURS, Curve, Panel
 from rx90_emulator.view.page import Page
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#555555")
-"""Of the joints, and of the coupled wrist's element; those of the reports."""
 TIME_AXIS = uplot.Axis(label="time [s]", size=30, labelSize=18)
 _LEAST = 2  # samples that make a plot
 _PIXELS = 300  # of a loop's width and height: what is closer cannot be seen
@@ -65,8 +64,9 @@ class RollingPlot:
     ) -> None:
         self._names, self._window, self._parts = tuple(names), window, 1 + gaps
         self._samples = np.full((capacity, 1 + len(self._names)), np.nan)
-        self._count = 0
+        self._count, self._title = 0, title
         self._shown = frozenset(range(len(self._names)))
+        page.panels[title] = self.panel
         self._plot = page.gui.add_uplot(
             (_NOTHING[0], *[_NOTHING[1]] * (len(self._series()) - 1)),
             self._series(),
@@ -97,12 +97,21 @@ class RollingPlot:
         """Send what is to be seen."""
         if self._count < _LEAST:
             return
-        kept = self._samples[: self._count]
-        kept = kept[kept[:, 0] >= kept[-1, 0] - self._window]
+        kept = self._in_window()
         time, *curves = kept.T
         if self._parts > 1:
             curves = [_extent(kept[:, 1:]), *(part for curve in curves for part in parts_of(curve, self._parts))]
         self._plot.data = (time.copy(), *(curve.copy() for curve in curves))
+
+    def panel(self) -> Panel:
+        """Return what is to be seen as a plot for a file."""
+        time, *curves = self._in_window().T
+        shown = [Curve(time, curves[k], self._names[k], COLOURS[k % len(COLOURS)]) for k in sorted(self._shown)]
+        return Panel(shown, "", "time [s]", self._title)
+
+    def _in_window(self) -> Array:
+        kept = self._samples[: self._count]
+        return kept[kept[:, 0] >= kept[-1, 0] - self._window] if len(kept) else kept
 
     def _series(self) -> tuple[uplot.Series, ...]:
         curves = [
@@ -142,6 +151,7 @@ class LoopPlot:
     ) -> None:
         self._samples = np.zeros((0, 2))
         self._least, self._changed = np.array(least), False
+        page.panels[title] = lambda: Panel([Curve(*self._samples.T)], "", x, y)
         self._capacity = capacity
         self._plot = page.gui.add_uplot(
             _NOTHING,

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from html import escape
 
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.report.plot import COLOURS
 from rx90_emulator.view.bags.curves import CurvesPlot, RecordedCurve
 from rx90_emulator.view.bags.difference import Difference
 from rx90_emulator.view.bags.recording import Recording
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
-from rx90_emulator.view.plots import COLOURS
 
 _ALL = "all joints"
 _SPANS = ("0.02", "0.1", "0.5", "2", "10", "60")

@@ -10,6 +10,7 @@ from viser import uplot
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.rates import NANOSECONDS
+from rx90_common.report.plot import Curve, Panel
 from rx90_emulator.view.bags.times import since
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.page import Page
@@ -65,6 +66,8 @@ class CurvesPlot:
         height: int = 185,
     ) -> None:
         self._curves, self._origin, self._least = tuple(curves), origin_ns, least
+        self._title = title
+        page.panels[title] = self.panel
         self._chosen = [True] * len(self._curves)
         self._parts = min(_MOST_PARTS, 1 + max(len(curve.track.gaps()) for curve in self._curves))
         self._span = (0, 0)
@@ -106,6 +109,17 @@ class CurvesPlot:
             for part in parts_of(curve, self._parts):
                 columns.append(np.insert(part, place, [np.interp(shown, time, part)] * 2))
         self._plot.data = (np.insert(time, place, [shown, shown]), extent, *columns, line)
+
+    def panel(self) -> Panel:
+        """Return what is to be seen as a plot for a file: the least and the largest values of each pixel's time."""
+        time, values = self._points
+        marks = [
+            Curve(time, value, f"{curve.label}{' (second bag)' * curve.dashed}", curve.color, 1.0,
+                  "dashed" if curve.dashed else "solid")
+            for curve, value, chosen in zip(self._curves, values, self._chosen, strict=False)
+            if chosen
+        ]  # fmt: skip
+        return Panel(marks, "", "time [s]", self._title)
 
     def _envelopes(self, begin_ns: int, end_ns: int) -> tuple[Array, list[Array]]:
         found = {}

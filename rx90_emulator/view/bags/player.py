@@ -22,6 +22,7 @@ from rx90_emulator.view.bags.times import seconds, since
 from rx90_emulator.view.bags.track import Track
 from rx90_emulator.view.line import legend_html, line_colors
 from rx90_emulator.view.page import Page
+from rx90_emulator.view.plot_export import PlotExport
 
 _POSE_PERIOD = 1.0 / 30.0  # s
 _AROUND_PERIOD = 0.15
@@ -79,6 +80,8 @@ class BagPlayer:
                 page.gui.add_markdown(recording_text(recording, robot.model.name, begin))
         known = [error for error in errors if error is not None]
         self._plots = BagPlots(page, recordings, difference, known, (begin, end))
+        with page.tab("Files"):
+            PlotExport(page)
         self._shown: float | None = None
         self._hidden = False  # the ghost
         self._before: float | None = None

@@ -16,6 +16,7 @@ from rx90_controller.lines.task import LineTask
 from rx90_emulator.view.arm import ArmScene
 from rx90_emulator.view.line import LineScene, legend_html
 from rx90_emulator.view.live.live_plots import LivePlots
+from rx90_emulator.view.live.run_comparison import RunComparison
 from rx90_emulator.view.live.source import LiveSource
 from rx90_emulator.view.live.status import diagnostics_html, status_html
 from rx90_emulator.view.page import Page
@@ -50,6 +51,7 @@ class LiveView:
         self.arm = ArmScene(page, "/arm", robot)
         self._line = None if line is None else LineScene(page, "/reference", np.array(line.start), np.array(line.end))
         self._plots = LivePlots(page, robot)
+        self._runs = RunComparison(page)
         page.look_at_arm(robot)
         with page.tab("Live"):
             self._status = page.gui.add_html("")
@@ -119,6 +121,7 @@ class LiveView:
         self._plots.draw()
         if self._line is not None:
             self._line.draw()
+            self._runs.draw(self._line)
 
     def _tell(self, now: float) -> None:
         watch = self._source.watch

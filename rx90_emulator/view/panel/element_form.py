@@ -12,21 +12,20 @@ from rx90_common.base.errors import ConfigError, Rx90Error
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parameters import FRICTION_PARAMETERS, FrictionParameter
 from rx90_common.process.files import write_text
+from rx90_common.report.plot import COLOURS, GREY, Curve, Panel
 from rx90_emulator.view.changes import from_user, on_change, put
 from rx90_emulator.view.output import ExistingFileError
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.element_model import PreslidingLoop, break_away, changed, presliding_loop, stribeck_curve
 from rx90_emulator.view.panel.element_values import read_values, typed_values
 from rx90_emulator.view.panel.newest import NewestOnly
-from rx90_emulator.view.panel.widgets import sentence
-from rx90_emulator.view.plots import COLOURS
+from rx90_emulator.view.widgets import sentence
 
 _INTERVAL = 0.05
 _TOP = 20.0  # Stribeck velocities, the reach of the curve
 _FACTORS = (0.2, 5.0, 0.01)  # least, largest, step of the slider
 _FILE = "friction_changed.yaml"
 _MICRO = 1e6
-_GREY = "#999999"
 
 
 class ElementForm:
@@ -84,6 +83,10 @@ class ElementForm:
         disabled = bool(missing) or self._write.disabled
         if self._start.disabled != disabled:
             self._start.disabled = disabled
+
+    def tell(self, text: str, wrong: bool) -> None:
+        """Say how a start of the simulation with the file has gone."""
+        self._done.content = sentence(text, wrong=wrong)
 
     def _chosen(self) -> None:
         for field, text in zip(self._fields, typed_values(self._file.elements[self._element.value]), strict=True):
@@ -159,7 +162,8 @@ class ElementForm:
         except Rx90Error as error:
             self._done.content = sentence(str(error), wrong=True)
         else:
-            self._done.content = sentence(f"written. For the next start: -p friction:={path}")
+            then = "the simulation is started again ..." if start else "for the next start:"
+            self._done.content = sentence(f"written; {then} -p friction:={path}")
             if start:
                 self._start_with(str(path))
 
@@ -179,10 +183,10 @@ def _label(parameter: FrictionParameter) -> str:
 
 def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHandle:
     series = [
-        uplot.Series(label=label, stroke=_GREY if label.startswith("file") else COLOURS[0], width=1.5)
+        uplot.Series(label=label, stroke=GREY if label.startswith("file") else COLOURS[0], width=1.5)
         for label in labels
     ]
-    return page.gui.add_uplot(
+    handle = page.gui.add_uplot(
         tuple(np.array([-1.0, 1.0]) for _ in range(1 + len(labels))),
         (uplot.Series(), *series),
         title=title,
@@ -192,6 +196,14 @@ def _plot(page: Page, title: str, x: str, labels: Sequence[str]) -> GuiUplotHand
         padding=(8, 12, 0, 0),
         height=165,
     )
+    colours = [GREY if label.startswith("file") else COLOURS[0] for label in labels]
+
+    def panel() -> Panel:
+        along, *curves = handle.data
+        return Panel([Curve(along, *rest) for rest in zip(curves, labels, colours, strict=True)], "", x, title)
+
+    page.panels[title] = panel
+    return handle
 
 
 def _together(loops: Sequence[PreslidingLoop]) -> tuple[Array, ...]:

@@ -14,7 +14,7 @@ from rx90_emulator.view.line import PLANNED
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.newest import NewestOnly
 from rx90_emulator.view.panel.typed_line import LineChecker, LinePreview, TypedLine
-from rx90_emulator.view.panel.widgets import sentence
+from rx90_emulator.view.widgets import sentence
 
 _INTERVAL = 0.1  # s from one check to the next while somebody types
 _STANDS, _ELSEWHERE = 1e-4, 1e-2  # rad, from one look to the next; from where it was checked

@@ -11,7 +11,7 @@ from rx90_common.exchange.service_calls import ServiceRequest
 from rx90_controller.node.trajectory_client import enable_request
 from rx90_emulator.view.page import Page
 from rx90_emulator.view.panel.operator import Operator
-from rx90_emulator.view.panel.widgets import block
+from rx90_emulator.view.widgets import block
 from rx90_sim.node.simulation_client import pause_request, reset_request, step_request
 
 _LINES = 6

@@ -93,19 +93,27 @@ class Operator:
 
         self._put(publish)
 
-    def configure_again(self, parameter: str, value: str) -> None:
-        """Set a parameter of the simulation that is read at its start, and start it again, at time 0."""
+    def configure_again(self, parameter: str, value: str, ended: Callable[[str, bool], None]) -> None:
+        """Set a parameter of the simulation that is read at its start, and start it again, at time 0.
+
+        `ended` takes how that went and whether it went wrong, on the operator's thread.
+        """
         node = self.names.simulation
+
+        def told(outcome: str | ExchangeError) -> None:
+            wrong = isinstance(outcome, ExchangeError)
+            self._heard.said(node, str(outcome), wrong)
+            ended(f"{node} {'is not started again' if wrong else 'runs again, from time 0'}: {outcome}", wrong)
 
         def begin(nodes: _NodeClients, state: str | ExchangeError) -> None:
             if isinstance(state, ExchangeError) or state not in _PATH:
                 known = "unknown" if isinstance(state, ExchangeError) else state
-                self._heard.said(node, f"its state is {known}; accepted: a simulation that runs", True)
+                told(ExchangeError(f"its state is {known}; accepted: a simulation that runs"))
                 return
             steps = [transition_request(node, label) for label in _PATH[state]]
             steps.append(parameter_request(node, parameter, value))
             steps += [transition_request(node, label) for label in ("configure", "activate")]
-            nodes.one_by_one(steps)
+            nodes.one_by_one(steps, told)
 
         # Asked for: what was heard of its transitions may be older than the answer to the last one.
         self._put(lambda nodes: nodes.calls.ask(state_request(node), lambda state: begin(nodes, state)))
@@ -173,14 +181,14 @@ class _NodeClients:
 
         return tell
 
-    def one_by_one(self, steps: list[ServiceRequest]) -> None:
+    def one_by_one(self, steps: list[ServiceRequest], told: Outcome) -> None:
         """Call services, each after the one before it has said yes; the last one's answer, or the first no, is told."""
 
         def then(outcome: str | ExchangeError) -> None:
             if isinstance(outcome, ExchangeError) or len(steps) == 1:
-                self.tell(steps[0].service)(outcome)
+                told(outcome)
             else:
-                self.one_by_one(steps[1:])
+                self.one_by_one(steps[1:], told)
 
         self.calls.ask(steps[0], then)
 

@@ -100,7 +100,11 @@ class DoPanel:
 
     def _start_with(self, path: str) -> None:
         self._sliders.forget()
-        self._operator.configure_again("friction", path)
+
+        def ended(text: str, wrong: bool) -> None:
+            self._page.later(lambda: self._form.tell(text, wrong))
+
+        self._operator.configure_again("friction", path, ended)
 
     def _said(self, node: str, line: str, wrong: bool) -> None:
         self._log.say(node, line, wrong)

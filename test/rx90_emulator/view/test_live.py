@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import threading
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pinocchio as pin
 import pytest
 from browser import BrowserPage, served
 from processes import Processes
+from rosbags.rosbag2 import Reader as Rosbag2Reader
 from short_task import SHORT_TASK
 
 from rx90_common.exchange.arm_watch import JointSample, Trajectory
@@ -79,7 +81,9 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     """With --demo the tip goes to the line's end and again to its start, plots follow, and Ctrl-C ends it."""
     task = tmp_path / "task.yaml"
     task.write_text(SHORT_TASK, encoding="utf-8")
-    view = processes.start("rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser")
+    view = processes.start(
+        "rx90_view", "--demo", "--task", task, "--port", 0, "--no-browser", "--output", tmp_path / "out"
+    )
     shown = open_page(address(view))
     for end in ((0.6034, -0.2808, 0.1955), (0.6, -0.3, 0.2), (0.6034, -0.2808, 0.1955)):
         shown.wait_until(near(shown, np.array(end)), f"the tip at {end}")
@@ -94,6 +98,16 @@ def test_the_arm_of_make_view_moves_and_all_ends_with_it(
     newest = friction[0][-1]
     shown.wait_until(lambda: shown.plots()["friction torque [Nm]"]["data"][0][-1] > newest, "newer samples")
     shown.wait_until(lambda: "mm now; largest of this run" in shown.text(), "the path error")
+    shown.page.get_by_text("Files", exact=True).click()
+    shown.page.get_by_role("button", name="Record", exact=True).click()
+    shown.wait_until(lambda: "recording to bag: " in shown.text(), "the recording")
+    shown.page.get_by_role("button", name="End the recording").click()
+    shown.wait_until(lambda: "messages of" in shown.text(), "the end of the recording")
+    told = re.search(r"recorded (\d+) messages", shown.text())
+    assert told is not None
+    with Rosbag2Reader(tmp_path / "out" / "bag") as bag:
+        assert bag.message_count == int(told[1]) > 0
+        assert {"/joint_states", "/friction_states", "/motor_states"} <= set(bag.topics)
     assert (stopped(view), shown.complaints, shown.foreign_requests) == (0, [], [])
 
 

@@ -92,15 +92,20 @@ def test_both_nodes_do_what_they_are_asked(listener: Listener, shipped: Setup, t
     file = changed(FrictionFile.read(shipped.friction.file), "joint_1", {"tau_c_positive": 20.0})
     path = tmp_path / "friction.yaml"
     path.write_text(file.text(), encoding="utf-8")
-    operator.configure_again("friction", str(path))
+    ended: list[tuple[str, bool]] = []
+    operator.configure_again("friction", str(path), lambda *how: ended.append(how))
     listener.wait_for(simulation, "activate: done")
+    wait_until(lambda: bool(ended), "how it ended")
+    assert ended == [(f"{simulation} runs again, from time 0: activate: done", False)]
     client = Client("/cell")
     asked = GetParameters.Request(names=["friction"])
     assert client.asking.call(GetParameters, "rx90_sim/get_parameters", asked).values[0].string_value == str(path)
     client.close()
     wait_until(lambda: listener.states == ("active", "active"), "the simulation again")
-    operator.configure_again("friction", str(tmp_path / "none.yaml"))
+    operator.configure_again("friction", str(tmp_path / "none.yaml"), lambda *how: ended.append(how))
     listener.wait_for(simulation, "none.yaml", wrong=True)
+    wait_until(lambda: len(ended) == 2, "how it ended")
+    assert (ended[1][0].startswith(f"{simulation} is not started again: "), ended[1][1]) == (True, True)
 
 
 def test_silence_is_told(ros_domain: int) -> None:
@@ -113,7 +118,7 @@ def test_silence_is_told(ros_domain: int) -> None:
         listening.listens.clear()  # from its first word on the operator's thread stands still
         operator.send(tuple(JOINTS), None)
         wait_until(lambda: bool(said), "the first refusal")
-        operator.configure_again("friction", "x.yaml")
+        operator.configure_again("friction", "x.yaml", lambda *_: None)
         operator.ask(reset_request("rx90_sim"))
         assert len(said) == 1
         listening.listens.set()
