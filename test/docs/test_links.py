@@ -99,3 +99,14 @@ def test_every_page_is_reached_from_the_first() -> None:
             targets = [(page.parent / urlsplit(target).path).resolve() for target in links(page)]
             open_pages += [target for target in targets if target in PAGES]
     assert reached >= {page for page in PAGES if page.is_relative_to(ROOT / "docs")}
+
+
+def test_tests_that_a_page_names_are_there() -> None:
+    """Where a page says `test_file.py::test_name`, one file of that name has that test."""
+    wrong = []
+    for page in PAGES:
+        for file, name in re.findall(r"(test_\w+\.py)::(\w+)", page.read_text(encoding="utf-8")):
+            found = (ROOT / "test").rglob(file)
+            good = any(f"def {name}(" in path.read_text(encoding="utf-8") for path in found)
+            wrong += [f"{page.relative_to(ROOT)}: {file}::{name}"] * (not good)
+    assert not wrong
