@@ -65,6 +65,20 @@ def test_transforms_are_those_of_jazzy() -> None:
     assert hash_in(library, "tf2_msgs", "msg/TFMessage") == b"\x01" + bytes.fromhex(expected)
 
 
+@pytest.mark.usefixtures("needs_action", "needs_tf")
+def test_the_command_line_of_ros_finds_the_definitions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the ament index each package names the definitions that lie in its share folder: `ros2 interface show`."""
+    from ament_index_python.packages import get_package_share_directory
+    from ament_index_python.resources import get_resource
+
+    monkeypatch.setenv("AMENT_PREFIX_PATH", sys.prefix)
+    for package in interfaces.PACKAGES:
+        names = get_resource("rosidl_interfaces", package)[0].split("\n")
+        share = Path(get_package_share_directory(package))
+        own = {f"{path.parent.name}/{path.name}": path.read_bytes() for path in interfaces.definitions(package)}
+        assert {name: (share / name).read_bytes() for name in names} == own
+
+
 @pytest.mark.usefixtures("needs_action")
 def test_the_constants_are_those_of_jazzy() -> None:
     """Result codes and components, which no type hash covers, have Jazzy's values."""

@@ -3,7 +3,7 @@
 No package registry has them. rclpy's wheels bring what generates it and what it is linked with; from outside
 come a C++ compiler and, for the time of the build, empy 3.3.4: the generators' templates do not work with a newer one.
 The generated C and C++ is what rclpy on Fast DDS needs and no more. Its libraries lie beside the Python classes and
-carry the path to those of the wheels (RPATH).
+carry the path to those of the wheels (RPATH); the definitions are entered in the environment's ament index.
 """
 
 from __future__ import annotations
@@ -109,6 +109,7 @@ def build(packages: Sequence[str], site: Path) -> None:
                 generate(package, folder / package)
         for package in packages:
             _install(compile_package(package, folder / package, compiler), site / package)
+            _register(package)
             kinds = sorted({path.parent.name for path in definitions(package)})
             modules = [f"{package}.{package}_s__rosidl_{MODULE}", *(f"{package}.{kind}" for kind in kinds)]
             _run([sys.executable, "-c", f"import {', '.join(modules)}"])
@@ -232,6 +233,20 @@ def _install(package: Path, target: Path) -> None:
         place = target / path.relative_to(package)
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, place)
+
+
+def _register(package: str) -> None:
+    """Enter a package and its definitions in the index by which ROS's command line finds both."""
+    share, own = Path(sys.prefix, "share"), definitions(package)
+    names = [path.relative_to(DEFINITIONS / package).as_posix() for path in own]
+    for name, path in zip(names, own, strict=True):
+        place = share / package / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, place)
+    for kind, content in (("packages", ""), ("rosidl_interfaces", "\n".join(names))):
+        place = share / "ament_index" / "resource_index" / kind / package
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_text(content, encoding="utf-8")
 
 
 def _stamp(target: Path) -> Path:
