@@ -157,7 +157,7 @@ class GoalRequests:
         try:
             schedule, ended = self._runner.offer(sender, goal, now, inactive, plan)
         except GoalError as error:
-            self._requests.rejected += 1
+            self._requests.count_refused("goal", error)
             self._tell(Outcome(Phase.ABORTED, error.code, str(error), now), sender)
             return
         self._deliver(ended, wanted=True)

@@ -58,14 +58,15 @@ class Requests:
 
     Attributes:
         options: what else is accepted; may be changed for the next trajectory.
-        rejected: number of trajectories that were refused.
+        rejected: number of trajectories and goals that were refused.
+        last_rejection: which was the last of them, when and why; empty before the first.
     """
 
     def __init__(self, cs7b: CS7B, log: Log, horizon: float) -> None:
         self._cs7b, self._log, self._horizon = cs7b, log, horizon
         self.options = GoalOptions()
         self._waiting: TrajectoryRequest | None = None
-        self.rejected = 0
+        self.rejected, self.last_rejection = 0, ""
         self._reports: deque[Callable[[], None]] = deque()
 
     def report(self) -> None:
@@ -151,8 +152,13 @@ class Requests:
 
     def refused(self, what: str, error: TrajectoryError) -> None:
         """Count what was refused, and note why."""
-        self.rejected += 1
+        self.count_refused(what, error)
         self.note(f"{what} rejected: {error}", wrong=True)
+
+    def count_refused(self, what: str, error: TrajectoryError) -> None:
+        """Keep for the diagnostics what was refused."""
+        self.rejected += 1
+        self.last_rejection = f"{what} at {self._cs7b.position_tick * self._cs7b.rates.position_period:.3f} s: {error}"
 
     def announce(
         self,

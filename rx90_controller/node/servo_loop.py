@@ -169,9 +169,9 @@ class ServoLoop:
     # The executor's thread.
 
     @property
-    def rejected(self) -> int:
-        """Return how many trajectories were refused."""
-        return self._requests.rejected
+    def rejections(self) -> tuple[int, str]:
+        """Return how many trajectories and goals were refused, and which was the last, when and why."""
+        return self._requests.rejected, self._requests.last_rejection
 
     def offer(self, trajectory: Any) -> None:
         """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.

@@ -24,12 +24,14 @@ class ControllerStatus:
         """Return the level, the message and the values, as `Diagnostics` asks for them."""
         cs7b, counts = self._cs7b, self._pacer.take()
         rates = cs7b.rates
+        rejected, last_rejection = self._loop.rejections
         values = {
             "time mode": self._serving.mode or "unknown: no simulation yet",
             "controller time, s": f"{cs7b.tick * rates.period:.3f}",
             "rate, Hz": f"{self._rate():.1f}",
             "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
-            "rejected trajectories": str(self._loop.rejected),
+            "rejected trajectories": str(rejected),
+            "last rejection": last_rejection or "none",
             "enabled": "true" if self._loop.enabled else "false",
         }
         if self._serving.mode == FREE_RUNNING:

@@ -286,7 +286,7 @@ def test_two_senders_are_one_queue_and_none_is_heard_while_not_active(rig: Rig) 
     for given in (rig.trajectory(0.1), rig.empty(), message(rig, 30, 1.0)):
         rig.loop.offer(given)
         assert rig.around.lines[-1] == "trajectory rejected: the controller is inactive; accepted: in state active"
-    assert rig.loop.rejected == 3
+    assert rig.loop.rejections[0] == 3
 
 
 def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:

@@ -82,7 +82,7 @@ def test_switched_off_the_loop_gives_no_torque_and_holds_what_it_measures(rig: R
     rig.position = np.full(6, 3.0)
     assert rig.run(0, 3) == [False] * 3
     rig.loop.offer(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.rejections[0] == 1
     assert "the controller is disabled" in rig.around.lines[-1]
     rig.loop.enable(True)
     assert rig.run(3, 8) == [True] * 8
@@ -114,7 +114,7 @@ def test_a_joint_beyond_a_limit_switches_off_until_enabled(rig: Rig) -> None:
     assert rig.around.published[-1] == 4 * rig.period  # what has led to it can be seen
     assert rig.loop.fault is not None
     rig.loop.offer(rig.trajectory(0.2))
-    assert rig.loop.rejected == 1
+    assert rig.loop.rejections[0] == 1
     rig.loop.enable(True)
     assert rig.run(402, 8) == [True] * 8
     assert rig.loop.fault is None
@@ -144,7 +144,7 @@ def test_a_stamp_too_far_ahead_is_refused(rig: Rig) -> None:
         "or simulated time within 60 s"
     ]
     rig.loop.offer(rig.empty(stamp=(60, 101_000_000)))
-    assert rig.loop.rejected == 2
+    assert rig.loop.rejections[0] == 2
     rig.loop.offer(rig.trajectory(0.1, stamp=(60, 100_000_000)))
     assert rig.around.lines[-1] == "trajectory accepted: 1 points, 1.000 s from 60.100 s"
     assert rig.around.taken == [(1, 60_100_000_000, "")]

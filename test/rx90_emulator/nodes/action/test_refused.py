@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from action_bench import ABORTED, STEP, SUCCEEDED, Bench
+from diagnostic_msgs.msg import DiagnosticArray
 from ros_client import JOINTS
 
 from rx90_emulator.loop.setup import Setup
@@ -67,12 +68,21 @@ def test_what_is_no_goal_is_rejected_and_logged_and_the_one_before_goes_on(bench
     first = bench.goals.send(move(0.05, 0.4))
     result = bench.goals.result_of(first)
     bench.time.run(0.05)
+    diagnostics = bench.client.listen("/diagnostics", DiagnosticArray, depth=10)
+
+    def last_rejection() -> str:
+        """Return what the controller's newest diagnostics say of it."""
+        values = [value for message in diagnostics for status in message.status for value in status.values]
+        return str(next((value.value for value in reversed(values) if value.key == "last rejection"), ""))
+
     for name, (make, words) in refusals().items():
         before = bench.cell.output.count("goal rejected")
         assert not bench.others.send(make(bench.now)).accepted, name
         bench.client.spin_until(lambda: bench.cell.output.count("goal rejected") > before, name)  # noqa: B023 - called at once
         (line,) = [line for line in bench.cell.output.splitlines() if "goal rejected" in line][before:]
         assert words in line, name
+    at = f"goal at {bench.now:.3f} s: {line.partition('rejected: ')[2]}"
+    bench.client.spin_until(lambda: last_rejection() == at, "the last of them in the diagnostics")
     assert bench.time.until(result).status == SUCCEEDED
 
 
