@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ _PARAMETERS = {
 }
 """Constants of the law by the parameter that makes them; those that go into others come first."""
 _ABSURD = 1e100
-_LARGEST = sys.float_info.max
+_LARGEST = float(np.finfo(np.float64).max)
 
 
 @inlined

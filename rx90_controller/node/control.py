@@ -182,6 +182,11 @@ class Control:
         cs7b = self._cs7b
         channel = make_channel(self.node, MOTOR_COMMANDS, MOTOR_STATES, TICK_QOS.profile)
         goals = declare_goal_parameters(self.node, cs7b.joint_names, rates)
+        if goals.without_use:
+            self._log.warning(
+                f"not used, parameters of joint_trajectory_controller: {', '.join(goals.without_use)}; the law is the "
+                "CS7B's, set-points go on from set-points along splines, and whatever stops decelerates"
+            )
         state = make_controller_state(self.node, cs7b, goals)
         outputs = ControllerOutputs(self.node, channel, cs7b, robot.model.name, state)
         self.publishers = outputs.publishers

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from rclpy.node import Node
 
+from rx90_common.base.errors import ConfigError
+from rx90_common.base.quoting import quoted
 from rx90_common.base.rates import Rates
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
@@ -29,6 +32,13 @@ _OPTIONS = {
 }
 """What else is accepted, as `GoalOptions` says it."""
 
+_WITHOUT_USE = re.compile(
+    r"(command_joints|(command|state)_interfaces|speed_scaling\.(command|state)_interface|open_loop_control|cmd_timeout"
+    r"|interpolate_from_desired_state|interpolation_method|allow_integration_in_goal_trajectories"
+    r"|set_last_command_interface_value_as_state_on_activation|gains\..+"
+    r"|constraints\.(decelerate_on_cancel|[^.]+\.max_deceleration_on_cancel))"
+)
+
 
 @dataclass(frozen=True)
 class GoalParameters:
@@ -40,6 +50,7 @@ class GoalParameters:
         monitor_ticks: position ticks from one feedback to the next.
         state_ticks: position ticks from one state of the controller to the next.
         scaling: share of a trajectory's own speed at which it is followed, until another one is asked for.
+        without_use: parameters of joint_trajectory_controller that were given and have no counterpart here.
     """
 
     options: GoalOptions
@@ -47,10 +58,33 @@ class GoalParameters:
     monitor_ticks: int
     state_ticks: int
     scaling: float
+    without_use: tuple[str, ...]
+
+
+def has_no_use(name: str) -> bool:
+    """Return whether a parameter is joint_trajectory_controller's, taken so that its files serve, and not used."""
+    return name == "joints" or _WITHOUT_USE.fullmatch(name) is not None
+
+
+def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
+    """Take what has no use out of the parameters that were given to a node; return their names.
+
+    Raises:
+        ConfigError: for joints of another arm.
+    """
+    given = node._parameter_overrides
+    found = sorted(filter(has_no_use, given))
+    for name in found:
+        value = given.pop(name).value
+        if name == "joints" and sorted(map(str, value or ())) != sorted(names):
+            raise ConfigError(f"parameter joints is {quoted(value)}; accepted: {', '.join(names)}, in any order")
+    return tuple(name for name in found if name != "joints")
 
 
 def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> GoalParameters:
     """Declare the parameters and return them; `names` are those of the joints.
+
+    Files for joint_trajectory_controller serve, too: what has no counterpart here is taken out of what was given.
 
     Raises:
         ConfigError: naming parameter, value and what is accepted.
@@ -69,6 +103,7 @@ def declare_goal_parameters(node: Node, names: Sequence[str], rates: Rates) -> G
             "share of their own speed at which trajectories are followed, until ~/speed_scaling_input says otherwise",
             low=0.0, high=1.0,
         ),
+        _take_out(node, names),
     )  # fmt: skip
 
 

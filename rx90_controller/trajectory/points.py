@@ -108,7 +108,7 @@ class TrajectoryPoints:
         }
         if tables["positions"] is None:
             raise TrajectoryError("point 0: no positions; accepted: positions of all named joints in every point")
-        degrees = _degrees(velocity or [[]] * len(times), acceleration or [[]] * len(times))
+        degrees = _degrees(*(rows if len(rows) else [[]] * len(times) for rows in (velocity, acceleration)))
         _rest_at_end(tables["velocities"], robot_joints, moving_end=moving_end)
         named = np.isin(np.arange(6), columns)
         return cls(

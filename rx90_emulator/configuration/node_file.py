@@ -15,6 +15,7 @@ from rx90_common.base.quoting import listed
 from rx90_common.base.section import Section
 from rx90_common.exchange.parameter_changes import OF_ROS
 from rx90_common.exchange.qos_overrides import PREFIX
+from rx90_controller.node.goal_parameters import has_no_use
 from rx90_emulator.configuration.kinds import FileKind
 from rx90_emulator.configuration.node_parameters import NODES, DeclaredParameters, declared
 
@@ -96,7 +97,7 @@ def _check(node: str, section: Section, given: Mapping[str, Any]) -> None:
     names = Section(dict(given), section.file, section.path, [])
     fine = True
     for name in given:
-        if name in OF_ROS or name.startswith(PREFIX):
+        if name in OF_ROS or name.startswith(PREFIX) or (node == "rx90_controller" and has_no_use(name)):
             continue
         try:
             if name not in entries:

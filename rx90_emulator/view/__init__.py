@@ -21,4 +21,4 @@ Subfolders are such parts: `live/` reads running nodes. A part that needs nodes 
 `rx90_common/exchange/` and the rooms' `node/`. The command that puts parts together is `rx90_emulator/cli/view.py`.
 """
 
-__all__ = ["announcement", "arm", "changes", "line", "output", "page", "plots", "state"]
+__all__ = ["announcement", "arm", "changes", "line", "output", "page", "plot_export", "plots", "state", "widgets"]

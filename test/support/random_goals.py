@@ -131,7 +131,8 @@ def no_order(generator: Generator, message: Any, _: Scene) -> str:
     last = message.trajectory.points[-1]
     back = float(generator.choice([0.0, 0.0, 1e-3, 1.0]))
     time = last.time_from_start.sec + last.time_from_start.nanosec * 1e-9
-    again = point(time - back, list(last.positions), list(last.velocities))
+    # Elsewhere: a last point that says the one before again is no fault.
+    again = point(time - back, [position + 1e-3 for position in last.positions], list(last.velocities))
     again.velocities, again.accelerations = last.velocities, last.accelerations
     message.trajectory.points = [*message.trajectory.points, again]
     return REJECTED
