@@ -28,6 +28,7 @@ from rx90_common.base.share import SHIPPED_RIG, resolve_config
 from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.node_tools import Diagnostics, declare
 from rx90_common.exchange.node_tools import spin as spin_node
+from rx90_common.exchange.qos import REQUEST_QOS
 from rx90_common.exchange.qos_overrides import publish
 
 JOINT = "rig_motor"
@@ -127,8 +128,9 @@ class BenchNode:
             "unload": (self._couple(False), waiting),
             "stop": (self._stop, urgent),
         }
+        qos = REQUEST_QOS.profile
         self._services = [
-            self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group)
+            self.node.create_service(Trigger, f"~/{name}", callback, callback_group=group, qos_profile=qos)
             for name, (callback, group) in callbacks.items()
         ]
 

@@ -279,7 +279,9 @@ def _guard(run: Callable[[], None], failures: list[BaseException]) -> None:
         failures.append(error)
 
 
-def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: int) -> bool:
+def wait_until_matched(
+    node: Node, publishers: Sequence[Publisher], attempts: int, stop: Callable[[], bool] = lambda: False
+) -> bool:
     """Wait until every subscription that the graph knows of is matched with our publishers.
 
     A recorder that was started before then gets the first message too. The graph learns of its members one by one, so
@@ -290,11 +292,14 @@ def wait_until_matched(node: Node, publishers: Sequence[Publisher], attempts: in
         node: the publishers' node.
         publishers: of all topics.
         attempts: how often to look, 50 ms apart.
+        stop: tells that there is something else to do.
     """
     pause = threading.Event()
     before: list[int] = []
     quiet = 0
     for _ in range(attempts):
+        if stop():
+            return False
         known = [fitting_subscriptions(node, publisher) for publisher in publishers]
         have = [publisher.get_subscription_count() for publisher in publishers]
         complete = all(h >= k for h, k in zip(have, known, strict=True))

@@ -28,3 +28,5 @@ CLOCK_QOS: Final = Reliable(10)
 LATCHED_QOS: Final = Reliable(1, latched=True)
 # A burst is answered one by one, each with a line of its own; planning takes longer than sending.
 TRAJECTORY_QOS: Final = Reliable(1000)
+# ROS keeps 10 requests that wait for their turn, and drops the next ones without a word.
+REQUEST_QOS: Final = Reliable(2000)

@@ -13,6 +13,7 @@ from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, Serv
 from rclpy.node import Node
 
 from rx90_common.base.rates import Rates
+from rx90_common.exchange.qos import REQUEST_QOS
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
 from rx90_controller.goals.goal import Goal, check_goal
 from rx90_controller.goals.results import GoalError, ResultCode
@@ -134,6 +135,9 @@ class FollowJointTrajectoryAction:
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
+            goal_service_qos_profile=REQUEST_QOS.profile,
+            result_service_qos_profile=REQUEST_QOS.profile,
+            cancel_service_qos_profile=REQUEST_QOS.profile,
             result_timeout=_KEPT,
         )
         self._server.heard = self._on_asked

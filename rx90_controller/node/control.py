@@ -26,7 +26,7 @@ from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.motor_messages import MotorMessages
 from rx90_common.exchange.node_tools import Diagnostics, declare, declare_rates
 from rx90_common.exchange.pacing import Pacer
-from rx90_common.exchange.qos import LATCHED_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
+from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS, STATE_QOS, TICK_QOS, TRAJECTORY_QOS
 from rx90_common.exchange.qos_overrides import publish
 from rx90_common.exchange.subscribing import subscribe
 from rx90_common.exchange.throttle import ThrottledLog
@@ -205,7 +205,7 @@ class Control:
             subscribe(self.node, String, TIME_MODE, self._on_mode, LATCHED_QOS.profile)
         qos = TRAJECTORY_QOS.profile
         subscribe(self.node, JointTrajectory, _TRAJECTORY, self._loop.offer, qos, check_trajectory_bytes)
-        self.node.create_service(SetBool, "~/enable", self._on_enable)
+        self.node.create_service(SetBool, "~/enable", self._on_enable, qos_profile=REQUEST_QOS.profile)
         self._action = make_action(self.node, self._loop, cs7b, channel)
         allow_goal_changes(node, cs7b, self._loop)
         self._diagnostics = Diagnostics(self.node, ControllerStatus(cs7b, self._loop, self._serving, pacer).collect)

@@ -7,6 +7,7 @@ from rclpy.node import Node
 
 from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.stamps import message_time_ns
+from rx90_common.exchange.qos import REQUEST_QOS
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
 
@@ -17,7 +18,9 @@ class StateQuery:
     def __init__(self, node: Node, loop: ServoLoop, cs7b: CS7B) -> None:
         self._loop, self._cs7b = loop, cs7b
         self._tick_ns = cs7b.rates.period_ns * cs7b.rates.ratio
-        self._service = node.create_service(QueryTrajectoryState, "~/query_state", self._answer)
+        self._service = node.create_service(
+            QueryTrajectoryState, "~/query_state", self._answer, qos_profile=REQUEST_QOS.profile
+        )
 
     def _answer(
         self, request: QueryTrajectoryState.Request, response: QueryTrajectoryState.Response

@@ -14,7 +14,7 @@ from rx90_common.base.quoting import plain
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange.node_tools import Diagnostics
 from rx90_common.exchange.pacing import check_factor
-from rx90_common.exchange.qos import LATCHED_QOS
+from rx90_common.exchange.qos import LATCHED_QOS, REQUEST_QOS
 from rx90_common.exchange.tick_channel import MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import LOCK_STEP, MOTOR_STATES, TIME_MODE
@@ -63,9 +63,9 @@ class SimulatedArm:
         self._mode = node.create_publisher(String, TIME_MODE, LATCHED_QOS.profile)
         self.time_mode = TimeMode(parameters.time_mode, parameters.rates, self._robot_name)
         self._mode.publish(String(data=self.time_mode.text))
-        node.create_service(SetBool, "~/pause", self._on_pause)
-        node.create_service(Trigger, "~/step", self._on_step)
-        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(SetBool, "~/pause", self._on_pause, qos_profile=REQUEST_QOS.profile)
+        node.create_service(Trigger, "~/step", self._on_step, qos_profile=REQUEST_QOS.profile)
+        node.create_service(Trigger, "~/reset", self._on_reset, qos_profile=REQUEST_QOS.profile)
         self._diagnostics = Diagnostics(node, self._status)
 
     def activate(self) -> None:

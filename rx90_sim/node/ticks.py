@@ -111,7 +111,10 @@ class Ticks:
             elif turn is Turn.STEP:
                 if not moving:
                     if self._plant.tick == 0:
-                        node_tools.wait_until_matched(self._node, self._publishers, _MATCH_ATTEMPTS)
+                        stop = self.control.interrupting
+                        node_tools.wait_until_matched(self._node, self._publishers, _MATCH_ATTEMPTS, stop)
+                        if stop():  # before the first state of a run that is no more
+                            continue
                     self.pacer.restart()
                 if advance():
                     self.control.step_done()
