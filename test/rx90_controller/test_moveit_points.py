@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import time_optimal
 import yaml
 from scipy.interpolate import BPoly, CubicSpline
 
@@ -97,6 +98,44 @@ def test_the_controller_takes_point_to_point_motions_at_moveit_s_limits(setup: S
         assert not why(setup, points.smoothed())
     own = moves(setup.robot.max_velocity, setup.controller.max_acceleration)
     assert any(why(setup, points) for points in own)
+
+
+def joint_path(generator: np.random.Generator, lower: Array, upper: Array) -> Array:
+    """Return the poses of a plan of OMPL's: up to six at random, and others on the straight ways between them."""
+    room = 0.05 * (upper - lower)
+    corners = [generator.uniform(lower + room, upper - room)]
+    for _ in range(generator.integers(1, 6)):
+        to = corners[-1] + generator.normal(size=6) * generator.uniform(0.05, 1.0)
+        corners.append(np.clip(to, lower + room, upper - room))
+    poses = corners[:1]
+    for begin, end in itertools.pairwise(corners):
+        count = int(np.ceil(np.abs(end - begin).max() / generator.uniform(0.1, 0.6)))
+        poses += [begin + (end - begin) * k / count for k in range(1, count + 1)]
+    return np.array(poses)
+
+
+def test_time_optimal_plans_are_taken_as_they_are_sent(setup: Setup) -> None:
+    """100 of 100: their ends move by rounding, their times are doubles, or nanoseconds, their starts are near by.
+
+    Each is followed to its last position, and rests there.
+    """
+    velocity, acceleration = joint_limits(setup)
+    limits, names, generator = setup.controller.limits(setup.robot), setup.robot.joint_names, np.random.default_rng(23)
+    moving = 0
+    for k in range(100):
+        poses = joint_path(generator, np.array(limits.lower), np.array(limits.upper))
+        times, tables = time_optimal.plan(poses, velocity, acceleration)
+        if k % 2:
+            times = np.round(times * 1e9) * 1e-9
+        moving += np.abs(tables[-1, 1]).max() > 0.0
+        points = TrajectoryPoints.create(names, names, times.tolist(), *tables.transpose(1, 0, 2))
+        here = TrajectoryGenerator(limits, period(setup), poses[0] + generator.uniform(-1e-6, 1e-6, 6))
+        here.accept(points, 0, None)
+        end = round(times[-1] / period(setup)) + 2
+        last = here.setpoints(end, end + 1)[0]
+        np.testing.assert_allclose(last[0], poses[-1], atol=1e-9)
+        assert not last[1:].any()
+    assert moving > 90
 
 
 def pilz_line(plan: LinePlan) -> TrajectoryPoints:
