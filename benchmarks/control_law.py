@@ -25,9 +25,9 @@ _FF_BLOCK = {f"controller.feed_forward.{part}": False for part in ("acceleration
 _PAPER_D = {"controller.feed_forward.velocity": False}
 CASES: dict[str, tuple[str, dict[str, bool | float]]] = {
     "path_error_mm": ("as shipped", {}),
-    "path_error_no_ff_mm": ("no FF block", {**_FF_BLOCK}),
-    "path_error_paper_d_mm": ("D from the measured velocity alone", {**_PAPER_D}),
-    "path_error_no_feed_forward_mm": ("both: no feed-forward at all", {**_FF_BLOCK, **_PAPER_D}),
+    "path_error_no_ff_mm": ("FF off", {**_FF_BLOCK}),
+    "path_error_paper_d_mm": ("dq_r off", {**_PAPER_D}),
+    "path_error_no_ff_paper_d_mm": ("FF and dq_r off", {**_FF_BLOCK, **_PAPER_D}),
     "path_error_literal_sign_mm": ("FF with a literal sign function", {"controller.coulomb_velocity": _LITERAL_SIGN}),
 }
 _POSE = (0.1, 0.5, 1.2, 0.2, 0.9, 0.3)  # rad, none of it on a count

@@ -102,10 +102,10 @@ def controllers(shipped: CS7BParameters) -> dict[str, CS7BParameters]:
     )
     return {
         "as shipped": shipped,
-        "no feed-forward": blind,
-        "no feed-forward, weak gains": weak,
-        "no feed-forward, no integral, soft gains": soft,
-        "no feed-forward, no integral, softer gains": softer,
+        "FF and dq_r off": blind,
+        "FF and dq_r off, weak gains": weak,
+        "FF and dq_r off, no integral, soft gains": soft,
+        "FF and dq_r off, no integral, softer gains": softer,
     }
 
 

@@ -64,12 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     forward.add_argument(
         "--no-feed-forward",
         action="store_true",
-        help="switch all feed-forward off, the velocity set-point in D included",
+        help="FF and dq_r off: no feed-forward, and D from the measured velocity alone",
     )
     forward.add_argument(
         "--no-velocity-feed-forward",
         action="store_true",
-        help="D from the measured velocity alone, as the paper draws it",
+        help="dq_r off: D from the measured velocity alone, as the paper draws it",
     )
     parser.add_argument("--substeps", type=whole_number, help="plant steps in a tick (as many as the arm needs)")
     parser.add_argument(

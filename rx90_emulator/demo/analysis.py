@@ -14,6 +14,9 @@ from rx90_controller.lines.task import LineTask
 from rx90_emulator.loop.line import PathAccuracy, path_accuracy, run_line
 from rx90_emulator.loop.setup import Setup
 
+SWITCHED_OFF = "FF and dq_r off"
+"""What the recorded run is compared with, by the name that it has in docs/explanation/models.md."""
+
 
 @dataclass(frozen=True)
 class RunAnalysis:
@@ -24,7 +27,7 @@ class RunAnalysis:
         friction: the bag's friction_states.
         error: the bag's tracking_error.
         path: path error of the recorded run.
-        path_without: path error of the same task without the feed-forward block, computed without ROS.
+        path_without: path error of the same task with FF and dq_r off, computed without ROS.
     """
 
     joints: JointSeries
@@ -44,7 +47,7 @@ def analyse(bag: Path, setup: Setup, task: LineTask, start_time: float) -> RunAn
     friction = read_joint_states(bag, "friction_states", setup.friction.names)
     error = read_joint_states(bag, "rx90_controller/tracking_error", setup.robot.joint_names)
     path = path_accuracy(setup.robot, task, joints.time, field(joints, "position"), start_time)
-    return RunAnalysis(joints, friction, error, path, _path_without_feed_forward(setup, task))
+    return RunAnalysis(joints, friction, error, path, _path_switched_off(setup, task))
 
 
 def field(series: JointSeries, name: str) -> Array:
@@ -52,6 +55,6 @@ def field(series: JointSeries, name: str) -> Array:
     return series.fields[name]
 
 
-def _path_without_feed_forward(setup: Setup, task: LineTask) -> PathAccuracy:
+def _path_switched_off(setup: Setup, task: LineTask) -> PathAccuracy:
     controller = dataclasses.replace(setup.controller, feed_forward=FeedForward.off())
     return run_line(dataclasses.replace(setup, controller=controller), task).path_accuracy

@@ -15,7 +15,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.lines.plan import LinePlan, plan_line
 from rx90_controller.lines.task import load_task
-from rx90_emulator.demo.analysis import analyse
+from rx90_emulator.demo.analysis import SWITCHED_OFF, analyse
 from rx90_emulator.demo.progress import follow_clock
 from rx90_emulator.demo.report import PATH_LIMIT, RunFacts, write_report
 from rx90_emulator.loop.setup import Setup
@@ -137,8 +137,8 @@ class Demonstration:
         write_report(page, self._setup, self._task, run, comparison, facts)
         within = run.path.worst <= PATH_LIMIT
         print(
-            f"path error: worst {run.path.worst * 1e3:.4f} mm with feed-forward, "
-            f"{run.path_without.worst * 1e3:.4f} mm without; asked for: {PATH_LIMIT * 1e3:g} mm"
+            f"path error: worst {run.path.worst * 1e3:.4f} mm, "
+            f"{run.path_without.worst * 1e3:.4f} mm with {SWITCHED_OFF}; asked for: {PATH_LIMIT * 1e3:g} mm"
         )
         print(f"report: {page.resolve()}")
         if not within:

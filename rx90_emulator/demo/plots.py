@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from rx90_common.report.plot import COLOURS, INK, Curve, Level, Panel, Plot
-from rx90_emulator.demo.analysis import RunAnalysis, field
+from rx90_emulator.demo.analysis import SWITCHED_OFF, RunAnalysis, field
 
 
 def path_error_plot(run: RunAnalysis, limit: float) -> Plot:
-    """Show the path error along the line, with and without feed-forward; `limit` in m."""
+    """Show the path error along the line, as recorded and with FF and dq_r off; `limit` in m."""
     curves = [
         Curve(path.along * 1e3, path.perpendicular * 1e3, label, colour, 1.2)
         for path, label, colour in (
-            (run.path_without, "without feed-forward", COLOURS[1]),
-            (run.path, "with feed-forward (recorded)", COLOURS[0]),
+            (run.path_without, SWITCHED_OFF, COLOURS[1]),
+            (run.path, "recorded", COLOURS[0]),
         )
     ]
     limit_line = Level(limit * 1e3, "asked for laser welding", INK, "dashed")

@@ -13,7 +13,7 @@ from rx90_common.description.robot_files import RobotFiles
 from rx90_common.process.files import write_text
 from rx90_common.report.page import render_page
 from rx90_controller.lines.task import LineTask
-from rx90_emulator.demo.analysis import RunAnalysis, field
+from rx90_emulator.demo.analysis import SWITCHED_OFF, RunAnalysis, field
 from rx90_emulator.demo.animation import animate
 from rx90_emulator.demo.plots import effort_plot, friction_plot, path_error_plot, tracking_plot
 from rx90_emulator.loop.setup import Setup
@@ -60,6 +60,7 @@ def write_report(
         run=run,
         facts=facts,
         limit=PATH_LIMIT,
+        switched_off=SWITCHED_OFF,
         top=max(PATH_LIMIT, run.path.worst),
         animation=animate(run, setup.robot, task),
         same=comparison.verdict is Verdict.SAME,

@@ -168,6 +168,9 @@ def test_gains_change_between_two_ticks_and_the_rest_says_why_not(
         ),
         "supervision.over_speed": (0, r"supervision.over_speed is 0.0; accepted: a number in \(0, 10\]"),
         "supervision.following_error": ([1e9] * 6, r"following_error\[0\] is 1000000000.0; accepted: .* in \(0, 1\]"),
+        "constraints.goal_time": (1e308, r"goal_time out of range Min: 0.0, Max: 1000000.0, value: 1e\+308"),
+        "constraints.joint_3.trajectory": (float("nan"), "joint_3.trajectory .* Min: 0.0, Max: 1000000.0, value: nan"),
+        "constraints.joint_3.goal": (float("inf"), "joint_3.goal out of range Min: 0.0, Max: 1000000.0, value: inf"),
         "feed_forward.coulomb": (1.0, "Wrong parameter type"),
     }
     for name, (value, reason) in refused.items():
