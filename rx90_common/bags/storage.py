@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack
@@ -20,9 +21,10 @@ from rx90_common.bags.files.opening import ACCEPTED, open_file
 from rx90_common.bags.metadata import FILE, BagMetadata, check_counts, read_metadata
 from rx90_common.bags.topics import JOINT_STATE, TEMPERATURE
 from rx90_common.base.errors import BagError
-from rx90_common.base.quoting import plain
+from rx90_common.base.quoting import listed, plain
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_PART = re.compile(r"(.+)_([0-9]+)(\..+)", re.DOTALL)  # of a recording that was split: NAME_0.mcap, NAME_1.mcap, ...
 _CDR, _ROS1 = "cdr", "ros1"
 
 
@@ -172,9 +174,23 @@ class BagReader:
             raise BagError(
                 f"{plain(self.path)}: not a bag, or an emptied one: no .mcap or .db3 file in it; accepted: {ACCEPTED}"
             )
-        self.files = there
-        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in there))}")
+        self.files = self._in_order(there)
+        self.notes.append(f"{FILE} is missing; read as they are: {plain(', '.join(file.name for file in self.files))}")
         return None
+
+    def _in_order(self, there: list[Path]) -> list[Path]:
+        """Return the files of a folder without metadata: one, or the parts of one recording by their numbers."""
+        if len(there) == 1:
+            return there
+        parts = [part for file in there if (part := _PART.fullmatch(file.name))]
+        numbers = sorted(int(part[2]) for part in parts)
+        same = len(parts) == len(there) and len({(part[1], part[3]) for part in parts}) == 1
+        if not same or numbers != list(range(numbers[0], numbers[0] + len(there))):
+            raise BagError(
+                f"{plain(self.path)}: {FILE} is missing, and {listed(file.name for file in there)} are not the parts "
+                "of one recording; accepted: NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file by its path"
+            )
+        return [self.path / part[0] for part in sorted(parts, key=lambda part: int(part[2]))]
 
     def _open_file(self, file: Path, stack: ExitStack) -> StorageFile:
         try:

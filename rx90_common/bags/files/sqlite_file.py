@@ -11,8 +11,8 @@ from rx90_common.bags.files.contents import DamagedError, FileTopic, full_type
 from rx90_common.base.quoting import plain
 
 _FOREIGN = (
-    "SELECT count(*) FROM messages WHERE typeof(timestamp) != 'integer' OR typeof(data) != 'blob' "
-    "OR topic_id NOT IN (SELECT id FROM topics)"
+    "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
+    "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
 )
 
 
@@ -54,7 +54,8 @@ class SqliteFile:
                 raise DamagedError(str(said))
             (foreign,) = self._database.execute(_FOREIGN).fetchone()
             if foreign:
-                raise DamagedError(f"{foreign:,} messages are of no topic, or have no time or no content")
+                raise DamagedError(f"{foreign:,} messages are of no topic, or have no number, time or content")
+            self._check_numbers()
             places = ", ".join("?" for _ in keys)
             chosen = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})"
             for key, log_ns, data in self._database.execute(f"{chosen} ORDER BY timestamp, id", list(keys)):
@@ -63,6 +64,16 @@ class SqliteFile:
                 yield key, log_ns, decompress_message(data)
         except (sqlite3.Error, UnicodeDecodeError) as error:  # the second is raised for a message with bytes in it
             raise DamagedError(plain(error)) from error
+
+    def _check_numbers(self) -> None:
+        """Check that no row was deleted: rosbag2 and rosbags number messages from 1, without gaps."""
+        count, first, last = self._database.execute("SELECT count(*), min(id), max(id) FROM messages").fetchone()
+        lost = last - min(first, 1) + 1 - count if count else 0
+        if lost:
+            raise DamagedError(
+                f"{lost:,} messages are gone: the last one has number {last:,}, {count:,} are there; "
+                "'ros2 bag convert' makes a bag of these"
+            )
 
     def _topics(self) -> list[FileTopic]:
         tables = {name for (name,) in self._database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}

@@ -57,6 +57,11 @@ def forget_a_message(content: dict[str, Any]) -> None:
     content["message_count"] += 1
 
 
+def places(content: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return where the metadata count messages."""
+    return {"in all": content, "of a topic": content["topics_with_message_count"][0]}
+
+
 ALIASES = "a0: &a0 1\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 """Two to the power of 59 values."""
 
@@ -82,6 +87,16 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
         lambda bag: edit_metadata(bag, forget_a_message),
         "metadata.yaml says 31 messages of /joint_states",
     ),
+    **{
+        f"metadata with {count} messages {where}": (
+            lambda bag, count=count, where=where: edit_metadata(
+                bag, lambda c: places(c)[where].update(message_count=count)
+            ),
+            f"message_count is {count!r}; accepted: an integer in [0, ",
+        )
+        for where in ("of a topic", "in all")
+        for count in (1e20, 10**20, -1, "many", True)
+    },
     "metadata with other sum": (
         lambda bag: edit_metadata(bag, lambda c: c.update(message_count=7)),
         "metadata.yaml says 7 messages in all",
@@ -125,6 +140,29 @@ def test_each_damage_is_one_line(tmp_path: Path, damage: str, verb: str, capsys:
     assert err.startswith(f"rx90_bag: {bad}: ")
     assert err.count("\n") == 1
     assert complaint in err
+
+
+@pytest.mark.parametrize("verb", ["info", "compare"])
+@pytest.mark.parametrize("rows", ["1", "7", "20, 3, 4", "30"])
+def test_deleted_rows_are_noticed(tmp_path: Path, rows: str, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A database that is read alone says how many messages were deleted from it, unless these were the last ones."""
+    write_joint_states(tmp_path / "bag", [series(30)], storage="sqlite3")
+    file = tmp_path / "bag" / "bag.db3"
+    copy = str(shutil.copy(file, tmp_path / "whole.db3"))
+    with sqlite3.connect(file) as database:
+        database.execute(f"DELETE FROM messages WHERE id IN ({rows})")
+    database.close()
+    last = rows == "30"
+    assert run("rx90_bag", [verb, *([copy] if verb == "compare" else []), str(file)]) == (
+        verb == "compare" if last else 2
+    )
+    out, err = capsys.readouterr()
+    lost = len(rows.split(","))
+    assert bool(out) == last
+    assert last or err == (
+        f"rx90_bag: {file}: bag.db3 is damaged: {lost} messages are gone: the last one has number 30, {30 - lost} are "
+        "there; 'ros2 bag convert' makes a bag of these\n"
+    )
 
 
 def test_bags_without_joint_states(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

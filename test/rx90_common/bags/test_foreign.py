@@ -115,6 +115,39 @@ def test_several_files_are_read_as_one(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_joint_states(folder, "joint_states").stamp_ns, whole.stamp_ns)
 
 
+def test_parts_of_a_recording_are_read_by_their_numbers(tmp_path: Path) -> None:
+    """Without metadata, messages of equal time come in the order in which the files were written: 10 follows 9."""
+    (tmp_path / "bag").mkdir()
+    for i in range(3, 13):
+        write_joint_states(tmp_path / f"part_{i}", [series(1, seed=i)])
+        shutil.copy(tmp_path / f"part_{i}" / f"part_{i}.mcap", tmp_path / "bag" / f"bag_{i}.mcap")
+    read = read_joint_states(tmp_path / "bag", "joint_states")
+    np.testing.assert_array_equal(read.position, np.vstack([series(1, seed=i).position for i in range(3, 13)]))
+
+
+@pytest.mark.parametrize(
+    "names", ["a b", "bag_0 bag_2", "a_0 b_1", "bag_0 bag_00", "bag bag_0", "bag_0.mcap bag_1.db3"]
+)
+@pytest.mark.parametrize("verb", ["info", "compare"])
+def test_files_that_are_not_of_one_recording_are_refused(
+    tmp_path: Path, names: str, verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Files of one folder without metadata, of which one is missing or foreign, are one line."""
+    write_joint_states(tmp_path / "whole", [series()])
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for name in names.split():
+        shutil.copy(tmp_path / "whole" / "whole.mcap", folder / (name if "." in name else f"{name}.mcap"))
+    assert run("rx90_bag", [verb, *[str(folder)] * (1 + (verb == "compare"))]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    there = ", ".join(sorted(file.name for file in folder.iterdir()))
+    assert err == (
+        f"rx90_bag: {folder}: metadata.yaml is missing, and {there} are not the parts of one recording; accepted: "
+        "NAME_0.mcap, NAME_1.mcap and so on without a gap, or each file by its path\n"
+    )
+
+
 def test_names_in_a_bag_forge_no_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A topic with line breaks in its name, or of thousands of characters, is one short row of the summary."""
     hostile = "/a\n[INFO] [rx90_sim]: all is well\u202e" + "x" * 100_000
