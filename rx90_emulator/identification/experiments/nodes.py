@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rcl_interfaces.srv import GetParameters
 from tqdm import tqdm
 
 from rx90_common.base.arrays import Array
-from rx90_common.base.errors import ExchangeError
+from rx90_common.base.errors import ConfigError, ExchangeError
+from rx90_common.base.share import resolve_config
 from rx90_common.exchange.client_node import POLL, ClientNode, client_node
+from rx90_common.friction.friction_file import load_friction
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient
 from rx90_controller.trajectory import TrajectoryPoints
-from rx90_emulator.identification.experiments.folder import TOPICS, write_index
+from rx90_emulator.identification.experiments.folder import TOPICS, write_emulated, write_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.setup import Setup
@@ -80,7 +83,21 @@ class _Runner:
                 for number, experiment in enumerate(plan):
                     bar.set_description_str(experiment.name)
                     self._record(experiment, folder, recorders, bar)
+                    if not number:
+                        self._write_emulated(folder)
                     write_index(folder, plan[: number + 1])
+
+    def _write_emulated(self, folder: Path) -> None:
+        """Write the friction of the simulation beside the bags, if it is one and its files are on this machine."""
+        service = self._client.node.resolve_service_name("rx90_sim/get_parameters")
+        if service not in dict(self._client.node.get_service_names_and_types()):
+            return
+        asked = GetParameters.Request(names=["friction"])
+        (found,) = self._client.call(GetParameters, service, asked).values
+        try:
+            write_emulated(folder, load_friction(resolve_config(found.string_value), self._robot.joint_names))
+        except ConfigError as error:
+            self._client.say(f"the simulation's friction is not kept beside the bags: {error}")
 
     def _approach(self, start: Array) -> None:
         here = self._position

@@ -25,7 +25,7 @@ from rx90_emulator.identification.experiments.engine import run_on_engine
 from rx90_emulator.identification.experiments.excitation import job as excitation_job
 from rx90_emulator.identification.experiments.excitation.design import plan_excitation
 from rx90_emulator.identification.experiments.excitation.options import ExcitationOptions
-from rx90_emulator.identification.experiments.folder import read_index
+from rx90_emulator.identification.experiments.folder import read_emulated, read_index
 from rx90_emulator.identification.experiments.motion import Motion
 from rx90_emulator.identification.experiments.plan import Experiment, Kind, PlanOptions, make_plan
 from rx90_emulator.identification.identify import identify_friction
@@ -219,6 +219,10 @@ def test_experiments_run_on_the_real_nodes(
     found, truth = load_friction(output, shipped.robot.joint_names).elements[3], shipped.friction.elements[3]
     assert abs(found.tau_c_positive / truth.tau_c_positive - 1.0) < 0.02
     assert abs(found.c0 / truth.c0 - 1.0) < 0.05
+    for folder in (cut, planned):
+        assert read_emulated([folder / "any"]) == dict(
+            zip(shipped.friction.names, shipped.friction.elements, strict=True)
+        )
 
 
 def check_against_the_engine(bags: Sequence[Path], setup: Setup) -> None:
