@@ -37,6 +37,7 @@ A viscous exponent takes another speed.
 _SHAPED = np.array([2, 3, 5, 6])  # parameters of the fit that are identifiable by a Stribeck effect only
 _WORTH_A_FIT = 2.0  # standard deviations by which a step from the linear fit moves an exponent
 _LINE_POINTS = 100
+_RESTS = "does not slide at constant velocity; accepted: sweeps in both directions"
 _SAME_SPEED = 1.1  # ratio of speeds up to which they count as one
 
 
@@ -119,7 +120,9 @@ def identify_sliding(
             raise IdentificationError(f"element {quoted(name)}; accepted: {', '.join(arm.element_names)}")
     blocks, usage = find_blocks(records, arm.element_matrix)
     blocks, lacking = _enough(blocks, arm)
-    for name in [*required, *(arm.element_names if len(lacking) == len(arm.element_names) else ())]:
+    # Where none is left, what an element lacks that moves says more than that another one rests.
+    every = sorted(lacking, key=lambda name: lacking[name] == _RESTS) if len(lacking) == len(arm.element_names) else ()
+    for name in [*required, *every]:
         if name in lacking:
             where = ", ".join(str(record.source) for record in records)
             raise IdentificationError(f"{where}: {name} {lacking[name]}")
@@ -220,7 +223,7 @@ def _enough(blocks: Blocks, arm: RigidArm) -> tuple[Blocks, dict[str, str]]:
         signed = velocity[sliding[:, e], e]
         counts = {sign: _speeds(np.abs(signed[np.sign(signed) == sign])) for sign in (1, -1)}
         if max(counts.values()) == 0:
-            lacking[name] = "does not slide at constant velocity; accepted: sweeps in both directions"
+            lacking[name] = _RESTS
         elif min(counts.values()) == 0:
             only = "positive" if counts[1] else "negative"
             lacking[name] = f"slides at {only} velocities only; accepted: sweeps in both directions"

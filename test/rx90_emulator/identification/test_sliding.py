@@ -224,10 +224,11 @@ def test_too_few_speeds_are_refused(sweeps: Any, arm: RigidArm) -> None:
 
 
 def test_one_direction_is_refused(sweeps: Any, arm: RigidArm) -> None:
-    """Sweeps in one direction only are refused with the direction."""
+    """Sweeps in one direction only are refused with the direction, and the element that moves, asked for or not."""
     record, _ = sweeps([2], backward=False)
-    with pytest.raises(IdentificationError, match=r"joint_3 slides at positive velocities only; accepted: .*both"):
-        identify_sliding([record], arm, ["joint_3"])
+    for required in (["joint_3"], []):
+        with pytest.raises(IdentificationError, match=r"joint_3 slides at positive velocities only; accepted: .*both"):
+            identify_sliding([record], arm, required)
 
 
 def test_a_bag_without_sweeps_is_refused(sweeps: Any, arm: RigidArm) -> None:
