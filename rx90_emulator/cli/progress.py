@@ -21,7 +21,9 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         def tell(done: int, total: int) -> None:
             if not bars:
                 bars.append(
-                    shown.enter_context(tqdm(total=total, desc=what, bar_format=_BAR, delay=1.0, file=sys.stderr))
+                    shown.enter_context(
+                        tqdm(total=total, desc=what, bar_format=_BAR, delay=1.0, disable=None, file=sys.stderr)
+                    )
                 )
             bars[0].update(done - bars[0].n)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 
 from tqdm import tqdm
@@ -34,9 +33,9 @@ def _show(process: ChildProcess, client: ClientNode, simulation: SimulationClien
     # From the first time that is heard: before it, the nodes wait for those who listen.
     first: tuple[float, float] | None = None
     factor, newest = 0.0, 0.0
-    # In a log file a line every few seconds is enough.
-    interval = 0.2 if sys.stderr.isatty() else 3.0
-    with tqdm(total=duration, bar_format=layout, desc="reference task", mininterval=interval, miniters=0) as bar:
+    with tqdm(
+        total=duration, bar_format=layout, desc="reference task", mininterval=0.2, miniters=0, disable=None
+    ) as bar:
         while process.returncode is None:
             client.spin()
             if simulation.time > newest:

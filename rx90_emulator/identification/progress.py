@@ -20,7 +20,7 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
 
         def step(text: str) -> None:
             if not bars:  # only now: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
             bars[0].set_description_str(text)
             bars[0].update()
 

@@ -122,6 +122,7 @@ class PageSession:
         assert self._code == 0, f"{where}: the command before it ended with {self._code}"
         done = self._processes.run(*self._words(command), timeout=_TIMEOUT)
         self._code = done.returncode
+        assert "\r" not in done.stderr + done.stdout, f"{where}: draws a progress bar where no terminal is"
         seen = (done.stdout, done.stderr + done.stdout)  # a reader may be shown either alone
         assert any(same(expected, text) for text in seen), f"{where}: expected\n{expected}came\n{seen[1]}"
 

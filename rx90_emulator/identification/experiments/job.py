@@ -78,7 +78,7 @@ def record_on_engine(setup: Setup, plan: Sequence[Experiment], folder: Path | st
         Rx90Error: for what cannot be done; complete bags stay.
     """
     # An interrupt ends the bar's line.
-    with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment") as bar:
+    with _new_folder(Path(folder)) as new, tqdm(plan, desc="engine", unit="experiment", disable=None) as bar:
         for number, experiment in enumerate(bar):
             run_on_engine(setup, experiment, new / experiment.name, storage)
             if not number:

@@ -78,8 +78,7 @@ class _Runner:
             self._approach(plan[0].points.position[0])
             total = sum(experiment.duration for experiment in plan)
             layout = "{l_bar}{bar}| {n:.0f}/{total:.0f} s [{elapsed}<{remaining}]"
-            interval = 0.2 if sys.stderr.isatty() else 3.0
-            with tqdm(total=total, bar_format=layout, mininterval=interval, miniters=0) as bar:
+            with tqdm(total=total, bar_format=layout, mininterval=0.2, miniters=0, disable=None) as bar:
                 for number, experiment in enumerate(plan):
                     bar.set_description_str(experiment.name)
                     self._record(experiment, folder, recorders, bar)

@@ -144,7 +144,7 @@ def _read(bag: BagReader, collectors: dict[BagTopic, SeriesCollector]) -> list[P
     changes: list[ParameterChange] = []
     total = sum(topic.count for topic in (*collectors, *telling))
     try:
-        with tqdm(total=total, unit=" messages", unit_scale=True, delay=0.5, file=sys.stderr, leave=False,
+        with tqdm(total=total, unit=" messages", unit_scale=True, delay=0.5, disable=None, file=sys.stderr, leave=False,
                   desc=f"reading {plain(bag.path.name, 40)}") as bar:  # fmt: skip
             for number, (topic, log_ns, data) in enumerate(bag.messages([*collectors, *telling]), 1):
                 collector = collectors.get(topic)

@@ -31,7 +31,7 @@ def plan_with_progress(setup: Setup, options: ExcitationOptions) -> ExcitationPl
 
         def step(name: str) -> None:
             if not bars:  # only now: what is refused before the first step needs no bar
-                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, file=sys.stderr)))
+                bars.append(shown.enter_context(tqdm(total=total, bar_format=_BAR, disable=None, file=sys.stderr)))
             if name not in names:  # the search before may have needed fewer steps
                 names.append(name)
                 bars[0].set_description_str(name, refresh=False)
