@@ -14,7 +14,7 @@ import numpy as np
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.temperatures import TemperatureEncoder
-from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
+from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 
@@ -26,11 +26,12 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
     """Yield where to write a bag, which the storage file is named after, and give it its name when that is done.
 
     Raises:
-        BagError: if something has that name, or its place does not take a folder.
+        BagError: if something has that name, it is too long, or its place does not take a folder.
         BagWriteError: if the disk is full.
     """
     if os.path.lexists(path):
         raise BagError(f"{plain(path)} exists already, not overwriting.")
+    check_bag_name(path)
     made = [folder for folder in path.parents if not folder.exists()]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

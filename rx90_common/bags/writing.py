@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,7 +38,7 @@ from rx90_common.bags.topics import (
     absolute,
 )
 from rx90_common.bags.whole import encoded, named_at_the_end, series_encoder
-from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError
+from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 
@@ -47,6 +48,7 @@ _CHECKPOINT_NS = NANOSECONDS  # of log time; what a killed recorder may lose
 _RESERVE_BYTES = 64 << 20  # kept free on the disk, so that index and metadata still fit
 _BYTES_PER_SPACE_CHECK = 4 << 20
 _MESSAGES_AT_ONCE = 10_000  # in memory while arrays are written
+_LONGEST_DATABASE = 504  # bytes; a path of SQLite has up to 512, with the journal's suffix
 _INFINITE = QosTime(9_223_372_036, 854_775_807)
 _INTEGER = 2  # of rcl_interfaces/ParameterType
 _VALUE_ARRAYS = {"byte": np.uint8, "bool": np.bool_, "integer": np.int64, "double": np.float64}
@@ -97,7 +99,7 @@ class BagWriter:
         named: of a bag that gets its name when it is whole, that name; what of it was written does not stay.
 
     Raises:
-        BagError: if the folder exists or its place does not take one.
+        BagError: if the folder exists, its name is too long or its place does not take one.
         BagWriteError: if the disk is full.
     """
 
@@ -106,6 +108,13 @@ class BagWriter:
         self._named, self._stays = (self.path, True) if named is None else (named, False)
         if storage not in STORAGES:
             raise BagError(f"storage is {quoted(storage)}; accepted: {', '.join(STORAGES)}")
+        check_bag_name(self.path)
+        size = len(os.fsencode((self.path / f"{self.path.name}.db3").resolve()))
+        if storage == "sqlite3" and size > _LONGEST_DATABASE:
+            raise BagError(
+                f"{plain(self._named)}: its database would have a path of {size} bytes; accepted by SQLite: up to "
+                f"{_LONGEST_DATABASE} (a shorter name, a higher folder, or the storage mcap)"
+            )
         self._unchecked_bytes = 0
         self._checkpoint_ns = 0
         self._opened = self._closed = self._begun = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 import warnings
 from collections.abc import Iterable
@@ -21,6 +22,8 @@ FAILED = 3
 """Could not be carried out: nodes gone, disk full."""
 INTERRUPTED = 130
 DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
+_LONGEST_BAG_NAME = 255 - len(".db3-journal")  # bytes; file systems take names of 255
 
 
 class Rx90Error(Exception):
@@ -117,6 +120,17 @@ def check_place(path: Path) -> None:
             pass
     except OSError as error:
         raise write_error(path, error) from error
+
+
+def check_bag_name(path: Path) -> None:
+    """Refuse a bag's name to which its file, which is named after it, cannot add its suffix and that of a journal.
+
+    Raises:
+        BagError: with the longest name that is accepted.
+    """
+    size = len(os.fsencode(path.name))
+    if size > _LONGEST_BAG_NAME:
+        raise BagError(f"{plain(path)}: its name has {size} bytes; accepted: up to {_LONGEST_BAG_NAME}")
 
 
 def check_type(**given: tuple[object, type]) -> None:

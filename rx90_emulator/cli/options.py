@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from rx90_common.base.errors import ConfigError, check_place
+from rx90_common.base.errors import ConfigError, check_bag_name, check_place
 from rx90_common.base.quoting import one_line, plain, quoted
 from rx90_common.description.robot_files import DEFAULT_ROBOT, DESCRIPTIONS, FILES, MODEL_FILES, shipped_robots
 
@@ -120,9 +120,11 @@ def new_folder(text: str) -> Path:
 
     Raises:
         ConfigError: where something is there.
+        BagError: for a name that is too long for a bag.
         Rx90Error: where its place does not take one.
     """
     _check_new(text)
+    check_bag_name(Path(text))
     check_place(Path(text))
     return Path(text)
 

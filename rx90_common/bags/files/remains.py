@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from pathlib import Path
 
 from rx90_common.bags.files.mcap_records import HEAD_BYTES, MAGIC, Op
@@ -18,12 +19,13 @@ def unfinished(file: Path) -> str | None:
 
     A database with a journal or a write-ahead log was not closed: reading it alone would show a torn state.
     """
-    for journal in (Path(f"{file}-journal"), Path(f"{file}-wal")):
-        if journal.exists() and journal.stat().st_size:
-            return (
-                f"was not closed (its recorder was killed?); sqlite3 restores {file.name} up to its last commit when "
-                "it is opened for writing, and 'ros2 bag reindex' then writes the metadata"
-            )
+    for suffix in ("-journal", "-wal"):
+        with suppress(OSError):  # there is none, or its name would be too long to be one
+            if Path(f"{file}{suffix}").stat().st_size:
+                return (
+                    f"was not closed (its recorder was killed?); sqlite3 restores {file.name} up to its last commit "
+                    "when it is opened for writing, and 'ros2 bag reindex' then writes the metadata"
+                )
     if not _is_cut_off(file):
         return None
     count, end_ns = _count_whole_chunks(file)
