@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +15,7 @@ from rx90_common.bags.temperatures import TemperatureEncoder
 from rx90_common.base.errors import DISK_ERRORS, BagError, BagWriteError, check_bag_name
 from rx90_common.base.quoting import plain
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
-
-_LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
+from rx90_common.process.files import hidden_beside
 
 
 @contextmanager
@@ -33,9 +30,10 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         raise BagError(f"{plain(path)} exists already, not overwriting.")
     check_bag_name(path)
     made = [folder for folder in path.parents if not folder.exists()]
+    hidden = ExitStack()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{path.name[:_LONGEST_PREFIX]}.", dir=path.parent))
+        folder = hidden.enter_context(hidden_beside(path))
     except OSError as error:
         kind = BagWriteError if error.errno in DISK_ERRORS else BagError
         raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
@@ -49,7 +47,7 @@ def named_at_the_end(path: Path) -> Iterator[Path]:
         kind = BagWriteError if error.errno in DISK_ERRORS else BagError
         raise kind(f"{plain(path)}: cannot be written ({error.strerror})") from error
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        hidden.close()
         _remove_empty(made)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from lifecycle_msgs.msg import Transition, TransitionEvent
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Log
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.impl.logging_severity import LoggingSeverity
 from rclpy.parameter import Parameter
 
@@ -51,6 +51,19 @@ def parameter_request(node: str, name: str, value: Any) -> ServiceRequest:
 
     given = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
     return ServiceRequest(SetParameters, service, given, read)
+
+
+def text_parameter(client: ClientNode, node: str, name: str) -> str:
+    """Return a parameter of a node that is a text; empty where there is no such node, or parameter.
+
+    Raises:
+        ExchangeError: if the node does not answer within the client's timeout.
+    """
+    service = client.node.resolve_service_name(f"{node}/get_parameters")
+    if service not in dict(client.node.get_service_names_and_types()):
+        return ""
+    (found,) = client.call(GetParameters, service, GetParameters.Request(names=[name])).values
+    return str(found.string_value)
 
 
 class NodeWatch:

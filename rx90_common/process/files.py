@@ -2,16 +2,71 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from rx90_common.base.errors import write_error
 from rx90_common.process.interrupts import interrupts_later
 
 _LONGEST_PREFIX = 50  # characters of a name, which may take four bytes each
+_MARK = ".rx90-"
+_RANDOM = "?" * 8  # of `mkdtemp`
+
+
+@contextmanager
+def hidden_beside(target: Path) -> Iterator[Path]:
+    """Yield a new hidden folder beside a file or folder that is being made; it goes with the block.
+
+    Its process holds a lock on it, which a kill releases: folders that were left so are swept first.
+
+    Raises:
+        OSError: if none can be made.
+    """
+    _sweep(target.parent)
+    prefix = f".{target.name[:_LONGEST_PREFIX]}{_MARK}"
+    held = None
+    while held is None:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+        with suppress(FileNotFoundError):  # swept between its making and its lock
+            held = _lock(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(held)
+
+
+def _sweep(parent: Path) -> None:
+    for left in parent.glob(f".*{_MARK}{_RANDOM}"):
+        with suppress(OSError):  # somebody else's
+            held = _lock(left, wait=False)
+            shutil.rmtree(left, ignore_errors=True)
+            os.close(held)
+
+
+def _lock(folder: Path, *, wait: bool = True) -> int:
+    """Return a descriptor of a folder that holds its lock; on a file system without locks, with `wait`, it holds none.
+
+    Raises:
+        OSError: if the folder is gone; without `wait`, if another process has the lock.
+    """
+    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        try:
+            fcntl.flock(held, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except OSError:
+            if not wait:
+                raise
+        folder.lstat()
+    except OSError:
+        os.close(held)
+        raise
+    return held
 
 
 @contextmanager
@@ -50,10 +105,7 @@ def _beside(target: Path, folders: ExitStack) -> Path:
     if target.exists():
         with target.open("ab"):  # what may not be written may not be replaced either
             pass
-    folder = TemporaryDirectory(
-        prefix=f".{target.name[:_LONGEST_PREFIX]}.", dir=target.parent, ignore_cleanup_errors=True
-    )
-    return Path(folders.enter_context(folder)) / target.name
+    return folders.enter_context(hidden_beside(target)) / target.name
 
 
 def _give_name(place: Path, target: Path) -> None:

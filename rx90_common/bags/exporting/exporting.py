@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -16,10 +14,10 @@ from rx90_common.bags.reading import picked
 from rx90_common.bags.storage import BagReader, BagTopic
 from rx90_common.base.errors import BagError, write_error
 from rx90_common.base.quoting import listed, plain
+from rx90_common.process.files import hidden_beside
 
 _OTHERS = (".mat", ".xls", ".xlsx", ".txt", ".tsv", ".json", ".gz", ".zip", ".h5", ".feather")  # no folder's name
 _ONE_TOPIC = (".csv", ".parquet")
-_LONGEST_PREFIX = 100  # characters of a name
 
 
 @dataclass(frozen=True)
@@ -119,8 +117,7 @@ def named_when_done(output: Path, *, single: bool) -> Iterator[Path]:
     """Yield a new folder beside the output; at the end it gets the output's name, or its files go where that stands."""
     try:
         output.parent.mkdir(parents=True, exist_ok=True)
-        hidden = Path(tempfile.mkdtemp(prefix=f".{output.name[:_LONGEST_PREFIX]}.", dir=output.parent))
-        try:
+        with hidden_beside(output) as hidden:
             folder = hidden / "files"
             folder.mkdir()
             yield folder
@@ -129,8 +126,6 @@ def named_when_done(output: Path, *, single: bool) -> Iterator[Path]:
             else:
                 for file in folder.iterdir():
                     _give_free_name(file, output.parent / file.name)
-        finally:
-            shutil.rmtree(hidden, ignore_errors=True)
     except OSError as error:
         if os.path.lexists(output):  # somebody else was faster
             raise BagError(f"{plain(output)} exists already, not overwriting.") from error

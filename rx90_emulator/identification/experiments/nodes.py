@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rcl_interfaces.srv import GetParameters
 from tqdm import tqdm
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import ConfigError, ExchangeError
 from rx90_common.base.share import resolve_config
 from rx90_common.exchange.client_node import POLL, ClientNode, client_node
+from rx90_common.exchange.managing import text_parameter
 from rx90_common.friction.friction_file import load_friction
 from rx90_common.process.children import ProcessGroup, executable
 from rx90_controller.node.trajectory_client import TrajectoryClient
@@ -88,13 +88,11 @@ class _Runner:
 
     def _write_emulated(self, folder: Path) -> None:
         """Write the friction of the simulation beside the bags, if it is one and its files are on this machine."""
-        service = self._client.node.resolve_service_name("rx90_sim/get_parameters")
-        if service not in dict(self._client.node.get_service_names_and_types()):
+        name = text_parameter(self._client, "rx90_sim", "friction")
+        if not name:
             return
-        asked = GetParameters.Request(names=["friction"])
-        (found,) = self._client.call(GetParameters, service, asked).values
         try:
-            write_emulated(folder, load_friction(resolve_config(found.string_value), self._robot.joint_names))
+            write_emulated(folder, load_friction(resolve_config(name), self._robot.joint_names))
         except ConfigError as error:
             self._client.say(f"the simulation's friction is not kept beside the bags: {error}")
 
