@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from schema_faults import schema_faults
+from terminal import Terminal
 
 import rx90_emulator as rx
 from rx90_common.base.errors import DONE
@@ -51,7 +52,7 @@ def outcome(shipped: Setup, tmp_path_factory: pytest.TempPathFactory) -> Outcome
     for experiment in make_plan(truth.robot, truth.drives, options):
         bags[str(experiment.kind)] = folder / experiment.name
         run_on_engine(truth, experiment, folder / experiment.name)
-    file, said, shown = folder / "friction.yaml", io.StringIO(), io.StringIO()
+    file, said, shown = folder / "friction.yaml", io.StringIO(), Terminal()
     words = [word for use, bag in bags.items() for word in (f"--{use}", str(bag))]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(shown):
         patch.setattr(element_kinds, "FAMILIES", FAMILIES[:3])  # blocks of one number: more take longer

@@ -18,6 +18,7 @@ import pytest
 import yaml
 from foreign_arms import Curve, drive_torque, urdf_text, write
 from scipy.signal import fftconvolve
+from terminal import Terminal
 
 import rx90_emulator as rx
 from rx90_common.base.errors import INTERRUPTED, REFUSED, VERDICT_NO
@@ -121,7 +122,7 @@ def outcome(bench: Bench) -> Outcome:
         return kept[0]
 
     bags = ["--excitation", bench.folder / "run", "--validation", bench.folder / "unseen", bench.folder / "stiff"]
-    out, err = io.StringIO(), io.StringIO()
+    out, err = io.StringIO(), Terminal()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(excitation_job, "identify_excitation", kept_result)
         code = bench.identify(*bags, "--output", folder)
