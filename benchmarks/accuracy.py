@@ -24,8 +24,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from benchmarks.closed_loop import Work
-from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, hybrid_reference
+from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, Work, hybrid_reference
 from benchmarks.report import merge, print_table
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet

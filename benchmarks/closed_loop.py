@@ -15,12 +15,12 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_arm import mass_and_bias as mujoco_mass_and_bias
 from benchmarks.mujoco_arm import mujoco_arm
 from benchmarks.pinocchio_arm import PinocchioArm
@@ -28,10 +28,7 @@ from benchmarks.plain_loops import run_lanes, run_plain
 from benchmarks.python_law import PythonDrives, PythonLaw
 from benchmarks.report import merge, print_table
 from rx90_common.dynamics.manipulator import mass_and_bias
-from rx90_controller.lines.task import load_task
-from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate
-from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
 
 Array = NDArray[np.float64]
@@ -42,30 +39,6 @@ C_TICKS = 40_000
 LANES, PLAIN = "one tick, lanes", "one tick, plain loops"
 MOVING = 1.0
 """From when on the peers run, s: the arm moves there."""
-
-
-class Work(NamedTuple):
-    """What all of them run: a setup and the points of the reference line."""
-
-    setup: Setup
-    points: TrajectoryPoints
-    start: Array
-    duration: float
-
-    @classmethod
-    def load(cls) -> Work:
-        """Read the shipped files and plan the line."""
-        setup = Setup.load()
-        task = load_task()
-        plan = plan_line(setup, task)
-        return cls(setup, plan.points, plan.start_pose, plan.duration)
-
-    def setpoints(self, first: float, ticks: int) -> Array:
-        """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""
-        controller, rates = self.setup.cs7b(), self.setup.rates
-        controller.trajectory.reset(self.start)
-        controller.trajectory.accept(self.points, 0, 0)
-        return controller.trajectory.setpoints(round(first * rates.position_hz), -(-ticks // rates.ratio))
 
 
 def check_same_arm(setup: Setup, samples: int = 50) -> None:

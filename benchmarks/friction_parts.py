@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from benchmarks.closed_loop import Work
+from benchmarks.hybrid_reference import Work
 from benchmarks.report import merge, print_table
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction import FrictionElement

@@ -21,7 +21,9 @@ from rx90_common.friction.bristle import one_element
 from rx90_common.friction.element import element_arrays
 from rx90_common.friction.parameters import LINEAR_SPEED
 from rx90_common.kernels.compiled import kernel
+from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
+from rx90_emulator.loop.line import plan_line
 from rx90_emulator.loop.setup import Setup
 from rx90_sim.plant import Plant
 from rx90_sim.plant_step import sample_drives
@@ -30,6 +32,30 @@ Array = NDArray[np.float64]
 TOLERANCE = 1e-12
 """Relative tolerance of LSODA on rad, rad/s and rad; the absolute one is a hundredth of it."""
 _MOST_STEPS = 20_000
+
+
+class Work(NamedTuple):
+    """What all of them run: a setup and the points of the reference line."""
+
+    setup: Setup
+    points: TrajectoryPoints
+    start: Array
+    duration: float
+
+    @classmethod
+    def load(cls) -> Work:
+        """Read the shipped files and plan the line."""
+        setup = Setup.load()
+        task = load_task()
+        plan = plan_line(setup, task)
+        return cls(setup, plan.points, plan.start_pose, plan.duration)
+
+    def setpoints(self, first: float, ticks: int) -> Array:
+        """Return the set-points of `ticks` base ticks from time `first`, s, on, shape (m, 3, 6)."""
+        controller, rates = self.setup.cs7b(), self.setup.rates
+        controller.trajectory.reset(self.start)
+        controller.trajectory.accept(self.points, 0, 0)
+        return controller.trajectory.setpoints(round(first * rates.position_hz), -(-ticks // rates.ratio))
 
 
 class ReferenceRun(NamedTuple):

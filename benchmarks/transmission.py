@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import linalg
 
-from benchmarks.closed_loop import Work
+from benchmarks.hybrid_reference import Work
 from benchmarks.report import merge, print_table
 from rx90_common.description.elasticity import Elasticity
 from rx90_common.description.wrist import coupling_matrix

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks import closed_loop
-from benchmarks.closed_loop import Work, check_same_arm, ratios
+from benchmarks.closed_loop import check_same_arm, ratios
+from benchmarks.hybrid_reference import Work
 from benchmarks.mujoco_arm import mujoco_arm
 from benchmarks.pinocchio_arm import PinocchioArm
 from benchmarks.python_law import PythonDrives, PythonLaw

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.closed_loop import Ticks, Work
+from benchmarks.closed_loop import Ticks
+from benchmarks.hybrid_reference import Work
 from benchmarks.plain_loops import WORKSPACE_DTYPE, mass_and_bias, run_lanes, run_plain
 from rx90_common.dynamics import manipulator
 from rx90_emulator.loop.setup import Setup

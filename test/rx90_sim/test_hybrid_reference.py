@@ -7,11 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed")
-
 from benchmarks.accuracy import compare, full_speed, run_plant, scaled, without_rounding
-from benchmarks.closed_loop import Work
-from benchmarks.hybrid_reference import StiffPlant, hybrid_reference
+from benchmarks.hybrid_reference import StiffPlant, Work, hybrid_reference
 from rx90_emulator.loop.setup import Setup
 
 POSE = np.array([0.3, 0.5, 1.0, -0.4, 0.6, 0.2])

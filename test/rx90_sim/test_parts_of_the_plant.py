@@ -9,8 +9,6 @@ import pytest
 from elastic_arms import SOFT, elastic
 from numpy.typing import NDArray
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed")
-
 from benchmarks.friction_parts import POSE, STEPS, THROUGH, convergence, loaded, snapshot, with_elements
 from rx90_common.description.rigid_torque import rigid_torque
 from rx90_common.friction.parts.scatter import ScatterPart

@@ -60,8 +60,9 @@ def _whole(urdf: Path) -> tuple[Any, ET.Element]:
         raise IdentificationError(f"{plain(urdf)}: cannot be read ({reason}); accepted: a URDF file") from error
     try:
         with _caught_stderr(lines):
-            model = pin.buildModelFromXML(text)
-        return model, ET.fromstring(text)
+            # Written anew: the XML parser of Pinocchio 2 takes no document type, and this one fetches nothing.
+            root = ET.fromstring(text)
+            return pin.buildModelFromXML(ET.tostring(root, encoding="unicode")), root
     except (ValueError, RuntimeError, ET.ParseError) as error:
         said = [line.removeprefix("Error:") for line in lines if line.startswith("Error:")]
         reason = " ".join((said[0] if said else str(error)).split()) or type(error).__name__
