@@ -180,19 +180,23 @@ def _loads(rows: _Rows, gram: Array, step: float, braked: bool) -> Iterator[_Loa
         yield stiff
         yield _load(step * rows.most_damping, part, gram, most_d, 0.0)
         cover = 3.2 / min(max(stiff.largest, 1e-100), most_k)  # up to this k the criterion lies above still + cover d
-        yield _load(k - cover * d, part, gram, still, cover)
+        with np.errstate(over="ignore"):  # damping that is refused beside it
+            bare = k - cover * d
+        yield _load(bare, part, gram, still, cover)
     yield _load(k - d / _GEAR_DAMPING, _GEARS, gram, 0.25, 1.0 / _GEAR_DAMPING)
 
 
 def _load(values: Array, part: slice, gram: Array, most: float, cover: float | None) -> _Load:
-    """Return the largest eigenvalue of k or d, infinite for numbers that are too large, beside its bound."""
+    """Return the largest eigenvalue of k or d, beside its bound."""
     values = np.maximum(values[part], 0.0)
     largest, row = float(values.max()), int(values.argmax())
     if largest > 0.0:
         root = np.sqrt(np.minimum(values, _LARGE))
         found, modes = np.linalg.eigh(root[:, None] * gram[part, part] * root)
-        largest = float(found[-1]) if largest < _LARGE else math.inf
-        row = int(np.argmax(np.abs(modes[:, -1])))
+        if largest < _LARGE:
+            largest, row = float(found[-1]), int(np.argmax(np.abs(modes[:, -1])))
+        else:  # beside which others do not count
+            largest *= float(gram[part, part][row, row])
     return _Load(largest, row + (part.start or 0), most, cover)
 
 

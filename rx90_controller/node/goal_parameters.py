@@ -76,7 +76,7 @@ def _take_out(node: Node, names: Sequence[str]) -> tuple[str, ...]:
     found = sorted(filter(has_no_use, given))
     for name in found:
         value = given.pop(name).value
-        if name == "joints" and sorted(map(str, value or ())) != sorted(names):
+        if name == "joints" and not (isinstance(value, Sequence) and sorted(map(str, value)) == sorted(names)):
             raise ConfigError(f"parameter joints is {quoted(value)}; accepted: {', '.join(names)}, in any order")
     return tuple(name for name in found if name != "joints")
 

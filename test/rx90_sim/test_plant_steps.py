@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -166,3 +167,16 @@ def test_gears_that_ring_above_the_step_take_more_or_are_refused(shipped: Setup)
     assert elastic(shipped, 1e4 * SOFT, 2e-4 * 1e4 * SOFT).plant().substeps == 1
     with pytest.raises(ConfigError, match=r"elasticity\.stiffness\[\d\] .*elasticity\.damping\[\d\] from about"):
         elastic(shipped, 1e9 * SOFT).plant()
+
+
+@pytest.mark.parametrize("name", ["c0", "c1", "c2"])
+@pytest.mark.filterwarnings("error")
+def test_a_value_near_the_largest_number_is_one_line(shipped: Setup, name: str) -> None:
+    """Without a warning of NumPy's, and what is accepted in its place is accepted."""
+    setup = with_parameters(shipped, {f"friction.joint_6.{name}": 1e308})
+    with pytest.raises(ConfigError, match=rf"^friction\.joint_6\.{name} is 1e\+308 ") as refused:
+        setup.plant()
+    told = re.search(r"accepted: up to about (\S+)$", str(refused.value))
+    assert told is not None
+    assert float(told[1]) > 0.0
+    with_parameters(shipped, {f"friction.joint_6.{name}": 0.95 * float(told[1])}).plant()

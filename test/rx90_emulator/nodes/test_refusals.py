@@ -38,6 +38,7 @@ def the_line(stderr: str) -> str:
         ),
         ("rx90_controller", ["position_rate:=3000"], ["3000", "4000"]),
         ("rx90_controller", ["controller:=nowhere.yaml"], ["nowhere.yaml"]),
+        ("rx90_controller", ["joints:=3"], ["parameter joints is 3", "joint_1, joint_2"]),
         ("rx90_cell", ["paused:=true"], ["paused is unknown to rx90_controller", "-p rx90_sim:paused:="]),
     ],
 )
