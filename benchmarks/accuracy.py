@@ -45,6 +45,9 @@ COAST = 0.02
 """How long the arm coasts from full speed, s."""
 
 
+SMALL_WAY = 2e-4
+"""Of a joint that hardly moves, rad: below 1 % of it, 2 urad, differences do not count."""
+
 STICKING_POSE = np.array([0.1, 0.4, 1.3, 0.2, 0.9, -0.1])
 """Where the arm sticks and breaks away, rad."""
 
@@ -187,7 +190,7 @@ class Sticking(NamedTuple):
     Attributes:
         substeps: plant steps in a tick, as many as the arm needs.
         joints: worst difference to the solver, rad.
-        share: worst difference over the way of that joint.
+        share: worst difference over the way of that joint, or over SMALL_WAY where that is more.
     """
 
     substeps: int
@@ -208,7 +211,7 @@ def sticking(setup: Setup) -> Sticking:
         stiff.step(motor)
         apart = np.maximum(apart, np.abs(plant.state["q"][0] - stiff.y[:6]))
         way = np.maximum(way, np.abs(stiff.y[:6] - start))
-    return Sticking(plant.substeps, float(apart.max()), float((apart / way).max()))
+    return Sticking(plant.substeps, float(apart.max()), float((apart / np.maximum(way, SMALL_WAY)).max()))
 
 
 def _pushes(setup: Setup) -> list[Array]:

@@ -24,6 +24,10 @@ stiff as LuGre's where they stick.
 **Elastic gears** are implicit, stable for every stiffness. But a frequency w far above the step is seen at another one,
 where the controller may drive it: h w <= 0.5, unless damping d >= 0.05 h k takes it away within some ten steps.
 Friction on the motors' side has the inertia of the rotors alone where the gear is soft, and this is what counts here.
+
+**A weak direction.** Bristles with next to no torque in one direction spring back at once when the joint turns that
+way, while the step goes on with the torque of its middle: of first order, whatever the number of steps. So the torques
+of both directions are at most DIRECTIONS times apart.
 """
 
 from __future__ import annotations
@@ -44,6 +48,7 @@ from rx90_common.description.wrist import coupling_matrix, element_matrix
 from rx90_common.dynamics import BODY_DTYPE, MANIPULATOR_DTYPE
 from rx90_common.dynamics.manipulator import mass_and_bias
 from rx90_common.friction import ELEMENT_COUNT, FrictionSet
+from rx90_common.friction.parameters import SIGNS
 
 MOST_AUTOMATIC: Final = 64
 """Steps in a tick that the plant takes without being asked to."""
@@ -53,6 +58,9 @@ MOST_STEPS: Final = 1000
 
 GROWTH: Final = 0.1
 """By which a vibration of a stuck arm may grow in a second where nothing damps it, 1/s."""
+
+DIRECTIONS: Final = 20.0
+"""How many times the friction torque of one direction may be that of the other."""
 
 _POSES = 128
 _LARGE = 1e100  # beyond all that an eigenvalue can be computed of
@@ -115,9 +123,11 @@ def plant_steps(
         braked: whether there are brakes and end stops.
 
     Raises:
-        ConfigError: for less than the arm needs, and for more than MOST_AUTOMATIC that nobody asked for, naming what
-            asks for them, its value, what is accepted and the steps that would do.
+        ConfigError: for torques of two directions too far apart; for less than the arm needs, and for more than
+            MOST_AUTOMATIC that nobody asked for, naming what asks for them, its value, what is accepted and the steps
+            that would do.
     """
+    _check_directions(friction)
     rows = _rows(drives, friction, robot.max_velocity)
     numbers = (np.asarray(one, np.float64).tobytes() for one in (robot.lower, robot.upper, drives.rotor_inertia))
     elastic, link_friction = drives.elasticity.elastic.tobytes(), drives.elasticity.friction_side == LINK
@@ -134,6 +144,18 @@ def plant_steps(
         return needed
     loads = sorted(_loads(rows, gram, period / most, braked), key=lambda one: one.largest / one.most)
     raise ConfigError(_refusal(rows, gram, loads, period / most, most, asked, needed))
+
+
+def _check_directions(friction: FrictionSet) -> None:
+    for name, element in zip(friction.names, friction.elements, strict=True):
+        for torque in ("tau_c", "tau_s"):
+            both = [(float(getattr(element, f"{torque}_{sign}")), f"{torque}_{sign}") for sign in SIGNS]
+            low, high = sorted(both)
+            if high[0] > DIRECTIONS * low[0]:
+                raise ConfigError(
+                    f"friction.{name}.{low[1]} is {low[0]:.6g} Nm, {high[1]} {high[0]:.6g} Nm; accepted: up to "
+                    f"{DIRECTIONS:g} times apart, from {high[0] / DIRECTIONS:.6g} Nm on"
+                )
 
 
 def _first(bear: Any) -> int | None:
