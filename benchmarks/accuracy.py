@@ -28,8 +28,8 @@ from benchmarks.hybrid_reference import TOLERANCE, ReferenceRun, StiffPlant, Wor
 from benchmarks.report import merge, print_table
 from rx90_common.description.kinematics import forward
 from rx90_common.friction import FrictionSet
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Band, Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_emulator.loop.closed_loop import simulate
 from rx90_emulator.loop.setup import Setup
 

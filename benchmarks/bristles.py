@@ -23,8 +23,8 @@ from benchmarks.friction_mass import Array, driven_mass, led
 from benchmarks.report import merge, print_table
 from rx90_common.friction import FrictionElement
 from rx90_common.friction.parts.bristles import BristlesPart, ElastoPlastic, MaxwellSlip
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, GREY, Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 
 ELEMENT = FrictionElement(25.0, 25.0, 32.0, 32.0, 0.05, 1.0, 1e5, 100.0, 14.0, 1.0)
 FLAT = replace(ELEMENT, tau_s_positive=25.0, tau_s_negative=25.0, c2=0.0)

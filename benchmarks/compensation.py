@@ -31,8 +31,8 @@ from rx90_common.base.rates import Rates
 from rx90_common.friction import FrictionElement, FrictionSet
 from rx90_common.friction.friction_file import FrictionFile
 from rx90_common.friction.parts.temperature import TemperaturePart
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Level, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_controller.law.model import ModelFiles
 from rx90_controller.law.parameters import FeedForward
 from rx90_controller.lines.task import LineTask, load_task

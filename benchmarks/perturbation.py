@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from benchmarks.agreement import Agreement, agreement
 from benchmarks.report import merge, print_table
 from rx90_common.friction import FrictionSet
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Dots, Level, Mark, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_controller.law.parameters import CS7BParameters, FeedForward
 from rx90_controller.lines.task import LineTask, load_task
 from rx90_controller.trajectory import TrajectoryPoints

@@ -27,8 +27,8 @@ from rx90_common.friction.parts.step import parts_step, reset_parts
 from rx90_common.friction.parts.temperature import TemperaturePart
 from rx90_common.kernels.compiled import kernel
 from rx90_common.kernels.lanes import load, store
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 
 COULOMB, COULOMB_LOAD = 3.11e-2, 2.34e-2
 STATIC_LOAD, SPEED_LOAD = 1.26e-1, 9.22  # of the load: Stribeck torque, and its speed in rad/s

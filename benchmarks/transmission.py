@@ -23,8 +23,8 @@ from benchmarks.hybrid_reference import Work
 from benchmarks.report import merge, print_table
 from rx90_common.description.elasticity import Elasticity
 from rx90_common.description.wrist import coupling_matrix
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import COLOURS, INK, Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_controller.lines.task import load_task
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.closed_loop import simulate

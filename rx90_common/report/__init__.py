@@ -1,3 +1,3 @@
 """What every HTML report of the suite shares: its page, and plots that are described once and drawn in one style."""
 
-__all__ = ["page", "plot", "still"]
+__all__ = ["page", "picture", "plot"]

@@ -38,7 +38,7 @@ def main(options: argparse.Namespace) -> int:
         Rx90Error: if it cannot be done.
     """
     # Here, because --help must not wait for them.
-    from rx90_common.report.still import PICTURES, write_picture
+    from rx90_common.report.picture import PICTURES, write_picture
     from rx90_emulator.configuration.friction_comparison import comparison_json, comparison_plot, comparison_table
     from rx90_emulator.configuration.friction_sets import FrictionChoice, with_taken
 

@@ -32,7 +32,7 @@ def check_hours(options: argparse.Namespace) -> None:
     """
     if options.hours is None and options.plot is None:
         return
-    from rx90_common.report.still import PICTURES
+    from rx90_common.report.picture import PICTURES
 
     if options.hours is None:
         raise ConfigError("--plot without --hours; accepted: with --hours; rx90_bag plot draws bags")
@@ -89,7 +89,7 @@ def _show(result: RepeatedLine, cycles: int, plot: Path | None) -> None:
         torques = "".join(f"{torque:11.3f}" for torque in result.friction[i])
         print(f"{result.times[i] / 3600.0:8.3f}{'':18}{torques}")
     if plot is not None:
-        from rx90_common.report.still import write_picture
+        from rx90_common.report.picture import write_picture
 
         write_picture(hours_plot(result), plot)
         print(one_line(f"plot: {plot}"))

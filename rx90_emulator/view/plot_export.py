@@ -11,8 +11,8 @@ import numpy as np
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import Rx90Error
 from rx90_common.process.files import write_text
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_emulator.view.changes import from_user
 from rx90_emulator.view.output import ExistingFileError
 from rx90_emulator.view.page import Page

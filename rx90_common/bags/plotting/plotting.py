@@ -17,8 +17,8 @@ from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.report.page import render_page
+from rx90_common.report.picture import PICTURES
 from rx90_common.report.plot import COLOURS, INK, Curve, Level, Mark, Panel, Plot
-from rx90_common.report.still import PICTURES
 
 _WALL_CLOCK = 10**8 * NANOSECONDS  # later stamps, from 1973 on, are no simulated time
 _HEIGHT = 1.9  # of a panel, inches

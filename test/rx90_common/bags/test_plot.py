@@ -12,8 +12,8 @@ import pytest
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.plotting.plotting import TopicPlot, plot_bags
 from rx90_common.bags.writing import RawMessage, string_message, write_joint_states
+from rx90_common.report.picture import write_picture
 from rx90_common.report.plot import Curve, Panel, Plot
-from rx90_common.report.still import write_picture
 from rx90_emulator.cli.frame import run
 
 NAMES = ("joint_1", "joint_2")
