@@ -15,8 +15,7 @@ from rx90_common.base.rates import Rates
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.node_tools import declare
 from rx90_common.exchange.parameter_changes import ChangeGroup, Effective
-from rx90_controller.goals.goal import GoalOptions
-from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.goals.request import GoalOptions, GoalTolerances
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.node.servo_loop import ServoLoop
 
@@ -116,13 +115,13 @@ def allow_goal_changes(node: ManagedNode, cs7b: CS7B, loop: ServoLoop) -> None:
         effective(tick * cs7b.rates.ratio * cs7b.rates.period_ns)
 
     def set_options(options: GoalOptions, effective: Effective) -> None:
-        with loop.between_ticks() as goals:
-            goals.options = options
+        with loop.between_ticks() as requests:
+            requests.options = options
         next_goals(effective)
 
     def set_tolerances(tolerances: GoalTolerances, effective: Effective) -> None:
-        with loop.between_ticks() as goals:
-            goals.tolerances = tolerances
+        with loop.between_ticks() as requests:
+            requests.tolerances = tolerances
         next_goals(effective)
 
     names = cs7b.joint_names

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +59,13 @@ class TrajectoryGenerator(Motions):
         finer._current = self._current.refined(ratio)
         finer._next = self._next and self._next.refined(ratio)
         return finer
+
+    def enter(self, points: TrajectoryPoints, now: int, start: int | None, *, anywhere: bool, exact: bool) -> Schedule:
+        """Take a trajectory as `accept` does if `exact`, else, and where its start is over, as `join` does."""
+        late = start is not None and start < now
+        if exact and not anywhere and not late:
+            return self.accept(points, now, start)
+        return self.join(points, now, start, anywhere=anywhere)
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
         """Take a trajectory; return when it runs.
@@ -197,3 +206,97 @@ def points_left(
             "later than that"
         )
     return begin, late, left
+
+
+class Plan:
+    """A trajectory on its way into a generator, which goes on meanwhile.
+
+    To be made between two ticks; then `join`, beside the ticks; then `adopt`, between two ticks again.
+    """
+
+    def __init__(
+        self,
+        generator: TrajectoryGenerator,
+        points: TrajectoryPoints,
+        start: int | None,
+        now: int,
+        lead: int,
+        *,
+        anywhere: bool,
+        exact: bool,
+    ) -> None:
+        """Plan for a generator, whose first tick that may still be changed is `now`; the others as `enter` has them.
+
+        A trajectory whose start does not lie ahead begins `lead` ticks later, when it should be there; from rest, where
+        it begins makes no difference, as soon as it is there.
+        """
+        generator._promote(now)
+        motion = generator._current
+        self._generator, self._revision = generator, generator.revision
+        self._points, self._start, self._anywhere, self._exact = points, start, anywhere, exact
+        # From rest what begins "now" may as well begin later.
+        self._may_be_late = start is None and not motion.runs(now)
+        ahead = start is not None and start >= now
+        # Where the scaling has changed while something waited, what runs until `now` would depend on that.
+        self._possible = motion.before is None
+        self._now = now
+        self._earliest = now if self._may_be_late or ahead else now + lead
+        self._waiting = generator._next
+        self._motion = replace(motion, laws=[copy.copy(law) for law in motion.laws])
+        self._twin = copy.copy(generator)
+        # What waits for its start is replaced: the twin has not got it.
+        self._twin._current, self._twin._next = self._motion, None
+        self._schedule: Schedule | None = None
+        self._error: TrajectoryError | None = None
+
+    def join(self) -> None:
+        """Compute what the generator would."""
+        if self._possible:
+            try:
+                self._schedule = self._twin.enter(
+                    self._points, self._earliest, self._start, anywhere=self._anywhere, exact=self._exact
+                )
+            except PastError as error:
+                # By then, but perhaps not yet.
+                self._error = error if self._earliest == self._now else None
+            except TrajectoryError as error:
+                self._error = error
+
+    def fits(self, now: int) -> bool:
+        """Return whether `adopt` will not return None at this tick."""
+        if self._generator.revision != self._revision or self._begun(now):
+            return False
+        if self._error is not None:
+            return True
+        return self._schedule is not None and (self._late(self._schedule, now) == 0 or self._may_be_late)
+
+    def adopt(self, now: int) -> Schedule | None:
+        """Let the generator follow the trajectory; return when it runs, or None if that has to be computed anew.
+
+        That is so where other motions have come in between, or the computation took longer than there was time for.
+        `now` is again the first tick that may still be changed.
+
+        Raises:
+            TrajectoryError: why the trajectory cannot be followed.
+        """
+        if not self.fits(now):
+            return None
+        if self._error is not None:
+            raise self._error
+        generator, twin, schedule = self._generator, self._twin, self._schedule
+        assert schedule is not None
+        late = self._late(schedule, now)
+        if twin._next is not None:
+            twin._next.delay(late)
+        self._motion.announced = generator._current.announced
+        generator._current, generator._next = twin._current, twin._next
+        generator.revision += 1
+        return Schedule(schedule.begin + late, schedule.end + late, schedule.miss)
+
+    def _begun(self, now: int) -> bool:
+        """Return whether what waited for its start then may have begun meanwhile."""
+        return self._waiting is not None and self._waiting.start < now
+
+    @staticmethod
+    def _late(schedule: Schedule, now: int) -> int:
+        return max(0, now - schedule.begin)
