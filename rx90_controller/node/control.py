@@ -47,8 +47,12 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters
-from rx90_controller.node.goal_parameters import GoalParameters, allow_goal_changes, declare_goal_parameters
-from rx90_controller.node.law_parameters import LawParameters
+from rx90_controller.node.parameters import (
+    GoalParameters,
+    LawParameters,
+    allow_goal_changes,
+    declare_goal_parameters,
+)
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
 from rx90_controller.trajectory.message import check_trajectory_bytes
