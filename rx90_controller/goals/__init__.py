@@ -1,3 +1,3 @@
-"""The contract of FollowJointTrajectory without ROS: goals checked, tolerances, and what becomes of a goal."""
+"""The contract of FollowJointTrajectory without ROS: requests checked, tolerances, and what becomes of a goal."""
 
-__all__ = ["execution", "goal", "results", "runner", "tolerances"]
+__all__ = ["execution", "request"]

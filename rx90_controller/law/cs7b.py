@@ -12,12 +12,13 @@ from rx90_common.base.rates import Rates
 from rx90_common.description.drives import DriveParameters
 from rx90_common.description.robot import RobotModel
 from rx90_common.description.wrist import to_joint, to_joint_torque
-from rx90_controller.law.lookahead import Lookahead
 from rx90_controller.law.loops import LAW_STATE_DTYPE, law_release, law_reset, position_loop, velocity_loop
 from rx90_controller.law.model_friction import cool_model
 from rx90_controller.law.parameters import CS7BParameters
 from rx90_controller.law.supervision import DriveFault
 from rx90_controller.trajectory import TrajectoryGenerator
+
+_LOOKAHEAD = 64
 
 
 class CS7B:
@@ -173,3 +174,23 @@ class CS7B:
         commanded[:], reported = self.state["commanded"][0], self._measured[2] if self._currents_err else None
         current[:] = self.state["current"][0] if reported is None else reported / self.law["torque_constant"][0]
         return acceleration, commanded, current
+
+
+class Lookahead:
+    """The set-points of a generator, also of one whose trajectories change in between."""
+
+    def __init__(self, generator: TrajectoryGenerator) -> None:
+        self._generator = generator
+        self._block = np.zeros((0, 3, 6))
+        self._first = 0  # position tick of the first set-point in it
+        self._revision = generator.revision
+
+    def at(self, tick: int) -> Array:
+        """Return that of a position tick: position rad, velocity rad/s, acceleration rad/s^2, shape (3, 6)."""
+        row = tick - self._first
+        if self._revision != self._generator.revision or not 0 <= row < len(self._block):
+            self._block = self._generator.setpoints(tick, _LOOKAHEAD)
+            self._first, row = tick, 0
+            self._revision = self._generator.revision
+        setpoint: Array = self._block[row]
+        return setpoint

@@ -1,3 +1,3 @@
 """The controller node: parameters, topics and services around one control law."""
 
-__all__ = ["control", "controller_node", "goal_parameters", "law_parameters", "trajectory_client"]
+__all__ = ["control", "controller_node", "parameters", "trajectory_client"]

@@ -8,23 +8,25 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from builtin_interfaces.msg import Duration
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse, ServerGoalHandle
 from rclpy.node import Node
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectoryPoint
 
-from rx90_common.base.rates import Rates
+from rx90_common.base.arrays import Array
+from rx90_common.base.rates import NANOSECONDS, Rates
+from rx90_common.exchange.message_times import ros_time
 from rx90_common.exchange.qos import REQUEST_QOS
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
-from rx90_controller.goals.goal import Goal, check_goal
-from rx90_controller.goals.results import GoalError, ResultCode
-from rx90_controller.node.action_messages import feedback_message, result_message
-from rx90_controller.node.offering import joined
+from rx90_controller.goals.request import GoalError, ResultCode, TrajectoryRequest, check_goal
 from rx90_controller.node.servo_loop import ServoLoop
 
 _LOOK = 0.5  # s between two looks for the simulation, while there is a goal
-_PATIENCE = 2.0  # s without one, after which the goal is given up
+_SIMULATION_TIMEOUT = 2.0  # s without one, after which the goal is given up
 _KEPT = 60.0  # s for which results are kept for clients that ask late; a goal may be large
-_FAREWELL = 2.0  # s in which the client of the last goal may ask for its result
+_RESULT_GRACE = 2.0  # s in which the client of the last goal may ask for its result
 _TURNS, _TURN = 10, 0.01  # turns of the executor in which a result is sent, and s of each at the most
 _ENDS = "the controller ends"
 
@@ -76,15 +78,15 @@ class _Sender:
         self.asked = False
 
     @property
-    def told(self) -> bool:
+    def answered(self) -> bool:
         """Return whether the goal has ended, and its client has asked how."""
         return self.asked and not self._handle.is_active
 
-    def went(self, feedback: Feedback) -> None:
+    def on_feedback(self, feedback: Feedback) -> None:
         """Send feedback."""
         self._handle.publish_feedback(self._feedback(feedback))
 
-    def ended(self, outcome: Outcome) -> None:
+    def on_result(self, outcome: Outcome) -> None:
         """Send the result."""
         self._server.finish(self._handle, partial(_end, outcome))
         self._forget()
@@ -123,7 +125,7 @@ class FollowJointTrajectoryAction:
         self._position_hz = rates.position_hz
         self._feedback = partial(feedback_message, names=names, tick_ns=rates.period_ns * rates.ratio)
         self._senders: dict[bytes, _Sender] = {}  # of the goals that a client may still cancel
-        self._checked: Goal | None = None  # the goal that is accepted next
+        self._checked: TrajectoryRequest | None = None  # the goal that is accepted next
         self._checking = threading.Lock()  # an executor of several threads goes on while the node ends
         self._ending = False
         self._seen = time.monotonic()  # when the simulation was there
@@ -145,15 +147,15 @@ class FollowJointTrajectoryAction:
 
     def end(self) -> None:
         """End the active goal because the node ends, and send its result; take no other."""
-        with self._checking, self._loop.between_ticks() as goals:
+        with self._checking, self._loop.between_ticks() as requests:
             self._ending, ending = True, list(self._senders.values())
-            goals.drop(_ENDS)
+            requests.drop(_ENDS)
         self._loop.report()
-        executor, until, turns = self._node.executor, time.monotonic() + _FAREWELL, _TURNS
+        executor, until, turns = self._node.executor, time.monotonic() + _RESULT_GRACE, _TURNS
         # A client that asked while another goal was checked has not been heard yet.
         while executor is not None and turns > 0:
             executor.spin_once(timeout_sec=_TURN if ending else 0.0)
-            if time.monotonic() > until or all(sender.told for sender in ending):
+            if time.monotonic() > until or all(sender.answered for sender in ending):
                 turns -= 1
 
     def close(self) -> None:
@@ -169,18 +171,18 @@ class FollowJointTrajectoryAction:
 
     def _check(self, message: Any) -> GoalResponse:
         loop = self._loop
-        with loop.between_ticks() as goals:
-            options, tolerances = goals.options, goals.tolerances
+        with loop.between_ticks() as requests:
+            options, tolerances = requests.options, requests.tolerances
         try:
             if self._ending:
                 raise GoalError(ResultCode.INVALID_GOAL, _ENDS)
             # Not between two ticks: a long one takes longer than these.
             goal = check_goal(message, self._names, tolerances, options, self._position_hz)
-            with loop.between_ticks() as goals:
-                goals.check(goal, loop.inactive or self._missing())
+            with loop.between_ticks() as requests:
+                requests.check(goal, loop.inactive or self._missing())
         except GoalError as error:
-            with loop.between_ticks() as goals:
-                goals.refuse(error)
+            with loop.between_ticks() as requests:
+                requests.refused("goal", error)
             return GoalResponse.REJECT
         self._checked = goal
         return GoalResponse.ACCEPT
@@ -194,21 +196,19 @@ class FollowJointTrajectoryAction:
             self._follow(handle)
 
     def _follow(self, handle: ServerGoalHandle) -> None:
-        loop, goal, trajectory = self._loop, self._checked, handle.request.trajectory
+        loop, goal = self._loop, self._checked
         assert goal is not None
         handle.execute()
         name = bytes(handle.goal_id.uuid)
         sender = _Sender(self._server, handle, self._feedback, partial(self._senders.pop, name))
         self._senders[name] = sender
-        with loop.between_ticks() as goals:
-            entrance = goal.entrance(goals.options)
-        with joined(loop, entrance) as (goals, plan):
+        with loop.joined(goal) as (requests, plan):
             if loop.running:
-                goals.take(sender, goal, trajectory, loop.inactive, plan)
+                requests.take(goal, loop.inactive, plan, sender)
             else:
-                goals.wait(sender, goal, trajectory)
+                requests.wait(goal, sender)
             if self._ending:
-                goals.drop(_ENDS)
+                requests.drop(_ENDS)
 
     def _on_asked(self, name: bytes) -> None:
         sender = self._senders.get(name)
@@ -219,15 +219,42 @@ class FollowJointTrajectoryAction:
         """Cancel a goal; where its end is on the way already, its client gets that."""
         sender = self._senders.get(bytes(handle.goal_id.uuid))
         if sender is not None:
-            with self._loop.between_ticks() as goals:
-                goals.cancel(sender)
+            with self._loop.between_ticks() as requests:
+                requests.cancel(sender)
         return CancelResponse.ACCEPT
 
     def _look(self) -> None:
         """Give the goal up whose simulation is gone."""
         now = time.monotonic()
-        with self._loop.between_ticks() as goals:
-            if not goals.pending or self._simulation_there():
+        with self._loop.between_ticks() as requests:
+            if not requests.pending or self._simulation_there():
                 self._seen = now
-            elif now - self._seen > _PATIENCE:
-                goals.drop(f"the simulation is gone, for more than {_PATIENCE:g} s", halt=True)
+            elif now - self._seen > _SIMULATION_TIMEOUT:
+                requests.drop(f"the simulation is gone, for more than {_SIMULATION_TIMEOUT:g} s", halt=True)
+
+
+def feedback_message(feedback: Feedback, names: Sequence[str], tick_ns: int) -> Any:
+    """Return a FollowJointTrajectory.Feedback; `tick_ns` is the period of the position loop."""
+    return FollowJointTrajectory.Feedback(
+        header=Header(stamp=ros_time(feedback.tick * tick_ns)),
+        joint_names=list(names),
+        desired=_point(feedback.desired, feedback.desired_time),
+        actual=_point(feedback.actual, feedback.actual_time),
+        error=_point(feedback.error, feedback.desired_time),
+    )
+
+
+def result_message(outcome: Outcome) -> Any:
+    """Return a FollowJointTrajectory.Result."""
+    return FollowJointTrajectory.Result(error_code=int(outcome.code), error_string=outcome.text)
+
+
+def _point(state: Array, seconds: float) -> JointTrajectoryPoint:
+    sec, nanosec = divmod(round(seconds * NANOSECONDS), NANOSECONDS)
+    position, velocity, acceleration = state.tolist()
+    return JointTrajectoryPoint(
+        positions=position,
+        velocities=velocity,
+        accelerations=acceleration,
+        time_from_start=Duration(sec=sec, nanosec=nanosec),
+    )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -20,6 +22,7 @@ from rx90_common.description.drives import load_drives
 from rx90_common.description.robot import RobotModel, load_robot
 from rx90_common.description.robot_files import RobotFiles
 from rx90_common.exchange import node_tools
+from rx90_common.exchange.control_messages import missing_control_msgs
 from rx90_common.exchange.joint_state_cdr import JointStateCodec
 from rx90_common.exchange.lifecycle import ManagedNode
 from rx90_common.exchange.message_times import ros_time
@@ -35,6 +38,7 @@ from rx90_common.exchange.time_mode import TimeMode
 from rx90_common.exchange.topics import (
     DETAIL_DECIMATION,
     DETAILS,
+    FREE_RUNNING,
     MOTOR_COMMANDS,
     MOTOR_NAMES,
     MOTOR_STATES,
@@ -43,16 +47,19 @@ from rx90_common.exchange.topics import (
 )
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.parameters import CS7BParameters
-from rx90_controller.node.action import make_action, make_controller_state
-from rx90_controller.node.goal_parameters import allow_goal_changes, declare_goal_parameters
-from rx90_controller.node.law_parameters import LawParameters
+from rx90_controller.node.parameters import (
+    GoalParameters,
+    LawParameters,
+    allow_goal_changes,
+    declare_goal_parameters,
+)
 from rx90_controller.node.serving import Serving
 from rx90_controller.node.servo_loop import INACTIVE, ServoLoop
-from rx90_controller.node.status import ControllerStatus
 from rx90_controller.trajectory.message import check_trajectory_bytes
 
 if TYPE_CHECKING:
-    from rx90_controller.node.controller_state import ControllerState
+    from rx90_controller.node.action_server import FollowJointTrajectoryAction
+    from rx90_controller.node.client_topics import ControllerState
 
 FILE_PARAMETERS = ("urdf", "drives", "controller")
 """Files of the robot that the node can be given."""
@@ -288,3 +295,72 @@ class Control:
         response.message = "torque on" if request.data else "torque off, brakes closed"
         self._log.info(response.message)
         return response
+
+
+def make_action(node: Node, loop: ServoLoop, cs7b: CS7B, channel: TickChannel) -> FollowJointTrajectoryAction | None:
+    """Serve the action and what belongs to it; without control_msgs say once how to get it, and return None."""
+    missing = missing_control_msgs()
+    if missing is not None:
+        node.get_logger().info(f"the action follow_joint_trajectory is off: {missing}")
+        return None
+    from rx90_controller.node.action_server import FollowJointTrajectoryAction
+    from rx90_controller.node.client_topics import SpeedScaling, StateQuery
+
+    SpeedScaling(node, loop)
+    StateQuery(node, loop, cs7b)
+    return FollowJointTrajectoryAction(
+        node, loop, cs7b.joint_names, cs7b.rates, lambda: channel.matches().publishers > 0
+    )
+
+
+def make_controller_state(node: Node, cs7b: CS7B, parameters: GoalParameters) -> ControllerState | None:
+    """Return what publishes the controller's state; None without control_msgs."""
+    if missing_control_msgs() is not None:
+        return None
+    from rx90_controller.node.client_topics import ControllerState
+
+    return ControllerState(node, cs7b, parameters.state_ticks)
+
+
+class ControllerStatus:
+    """How law, loops and ticks go; asked once a second by the executor's thread."""
+
+    def __init__(self, cs7b: CS7B, loop: ServoLoop, serving: Serving, pacer: Pacer) -> None:
+        self._cs7b, self._loop, self._serving, self._pacer = cs7b, loop, serving, pacer
+        self._reported = (0, time.monotonic())  # tick and time of the last one
+
+    def collect(self) -> tuple[bytes, str, dict[str, str]]:
+        """Return the level, the message and the values, as `Diagnostics` asks for them."""
+        cs7b, counts = self._cs7b, self._pacer.take()
+        rates = cs7b.rates
+        rejected, last_rejection = self._loop.rejections
+        values = {
+            "time mode": self._serving.mode or "unknown: no simulation yet",
+            "controller time, s": f"{cs7b.tick * rates.period:.3f}",
+            "rate, Hz": f"{self._rate():.1f}",
+            "saturated ticks": " ".join(str(n) for n in cs7b.saturated),
+            "rejected trajectories": str(rejected),
+            "last rejection": last_rejection or "none",
+            "enabled": "true" if self._loop.enabled else "false",
+        }
+        if self._serving.mode == FREE_RUNNING:
+            values |= {
+                "worst period, ms": f"{counts.worst * 1e3:.3f}",
+                "late ticks": str(counts.late),
+                "dropped ticks": str(counts.dropped),
+            }
+        fault = self._loop.fault
+        if fault is not None:
+            return DiagnosticStatus.ERROR, f"{fault}; torque off, brakes closed", values
+        if not self._loop.running:
+            return DiagnosticStatus.WARN, "waiting for the simulation", values
+        if not self._loop.active:
+            return DiagnosticStatus.OK, "inactive", values
+        moving = cs7b.trajectory.moving(cs7b.position_tick)
+        return DiagnosticStatus.OK, "following a trajectory" if moving else "holding", values
+
+    def _rate(self) -> float:
+        """Return the ticks per second since the last call; 0 over a reset."""
+        (tick, at), self._reported = self._reported, (self._cs7b.tick, time.monotonic())
+        now_tick, now = self._reported
+        return max(0.0, (now_tick - tick) / (now - at))

@@ -15,7 +15,7 @@ from rx90_common.exchange.node_tools import declare_rates
 from rx90_common.exchange.tick_channel import Ends, MakeChannel
 from rx90_common.exchange.time_mode import TimeMode
 from rx90_controller.node.control import FILE_PARAMETERS, Control, declare_decimation, declare_horizon
-from rx90_controller.node.law_parameters import forget_law_parameters
+from rx90_controller.node.parameters import forget_law_parameters
 
 
 class ControllerNode:

@@ -3,20 +3,54 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Final, Protocol
 
+import numpy as np
+
+from rx90_common.base.errors import TrajectoryError
 from rx90_common.base.rates import NANOSECONDS
 from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.goals.request import TrajectoryRequest
 from rx90_controller.law.cs7b import CS7B
 from rx90_controller.law.supervision import DriveFault
-from rx90_controller.node.goal_requests import GoalRequests
-from rx90_controller.node.law_changes import LawChanges
-from rx90_controller.node.offering import offer
 from rx90_controller.node.requests import Log, Requests
+from rx90_controller.trajectory import Plan
 
 INACTIVE: Final = "the controller is inactive; accepted: in state active"
+
+
+_ATTEMPTS = 3  # to join a long trajectory beside the ticks, each with more time than the one before
+_Record = np.ndarray[Any, Any]
+
+
+class LawChanges:
+    """Hands constants of the law from the executor's thread to the one that ticks.
+
+    They count from a tick of the position loop on: before it the velocity loop would have gains that do not belong to
+    the torque of the position loop. Integrators, which hold torques, go on as they are.
+
+    Args:
+        law: that is changed, shape (1,), CONTROLLER_DTYPE.
+        post: has something called later, on the executor's thread.
+    """
+
+    def __init__(self, law: _Record, post: Callable[[Callable[[], None]], None]) -> None:
+        self._law, self._post = law, post
+        self.waiting: deque[tuple[_Record, Callable[[int], None]]] = deque()
+
+    def add(self, law: _Record, effective: Callable[[int], None]) -> None:
+        """Let these constants count soon; `effective` is then called with the time of the first tick, ns."""
+        self.waiting.append((law, effective))
+
+    def apply(self, stamp_ns: int) -> None:
+        """Let those that wait count from this tick of the position loop on."""
+        while self.waiting:
+            self._law[:], effective = self.waiting.popleft()
+            self._post(partial(effective, stamp_ns))
 
 
 class Outputs(Log, Protocol):
@@ -54,8 +88,7 @@ class ServoLoop:
 
     def __init__(self, cs7b: CS7B, outputs: Outputs, horizon: float, monitor_ticks: int = 50) -> None:
         self._cs7b, self._outputs = cs7b, outputs
-        self._requests = Requests(cs7b, outputs, horizon)
-        self._goals = GoalRequests(cs7b, self._requests, horizon, monitor_ticks)
+        self._requests = Requests(cs7b, outputs, horizon, monitor_ticks)
         self._lock = threading.Lock()
         self.command = cs7b.command
         self.active = self.enabled = True
@@ -76,14 +109,12 @@ class ServoLoop:
             if self.running:
                 reason = f"the states go on from {states.stamp_ns / NANOSECONDS:.6g} s; holding"
                 self._requests.note_dropped(reason)
-                self._goals.drop(reason)
+                self._requests.drop(reason)
             else:
                 self._requests.note(self._outputs.ready)
             self._cs7b.reset(states.position, states.stamp_ns // self._cs7b.rates.period_ns)
             self.running = True
-            if self._requests.begin(self.inactive):
-                self._goals.watch()
-            self._goals.begin(self.inactive)
+            self._requests.begin(self.inactive)
 
     def step(self, stamp_ns: int, states: MotorStates) -> bool:
         """Run the loops that are due; return whether the motors get torque."""
@@ -118,14 +149,14 @@ class ServoLoop:
     def _publish(self, stamp_ns: int) -> None:
         if self._unpublished:
             self._unpublished = False
-            self._goals.step()
+            self._requests.step()
             self._outputs.publish(stamp_ns)
 
     def _trip(self, fault: DriveFault) -> None:
         self.enabled, self.fault = False, fault
         text = f"{fault}; torque off, brakes closed, trajectory dropped, until ~/enable is called with true"
         self._requests.note(text, wrong=True)
-        self._goals.drop(f"{fault}; torque off, brakes closed")
+        self._requests.drop(f"{fault}; torque off, brakes closed")
 
     def skip(self, count: int) -> None:
         """Let `count` ticks of the position loop pass without set-points: a running trajectory comes later."""
@@ -142,7 +173,7 @@ class ServoLoop:
                 self.fault = None
             else:
                 self._released = True
-                self._goals.drop(why)
+                self._requests.drop(why)
 
     def activate(self, on: bool) -> None:
         """Follow the node into its state active, where the torque is on, or out of it."""
@@ -161,10 +192,10 @@ class ServoLoop:
         return "the torque comes back with the next tick; accepted: from then on" if self._released else ""
 
     @contextmanager
-    def between_ticks(self) -> Iterator[GoalRequests]:
-        """Give the goals; no tick is run until the block is left."""
+    def between_ticks(self) -> Iterator[Requests]:
+        """Give the requests; no tick is run until the block is left."""
         with self._lock:
-            yield self._goals
+            yield self._requests
 
     # The executor's thread.
 
@@ -173,12 +204,45 @@ class ServoLoop:
         """Return how many trajectories and goals were refused, and which was the last, when and why."""
         return self._requests.rejected, self._requests.last_rejection
 
+    @contextmanager
+    def joined(self, request: TrajectoryRequest) -> Iterator[tuple[Requests, Plan | None]]:
+        """Give the requests between two ticks, and the plan of a long trajectory that was joined beside the ticks.
+
+        Where the motion changes meanwhile, or the time was too short, it is joined again. Without a plan, as for a
+        short trajectory, and where no attempt was in time, it is to be joined between the two ticks.
+        """
+        for attempt in range(_ATTEMPTS if request.long else 0):
+            with self.between_ticks() as requests:
+                plan = requests.plan(request, attempt) if self.running and not self.inactive else None
+            if plan is None:
+                break
+            plan.join()
+            with self.between_ticks() as requests:
+                if requests.fits(plan):
+                    yield requests, plan
+                    return
+        with self.between_ticks() as requests:
+            yield requests, None
+
     def offer(self, trajectory: Any) -> None:
         """Follow a trajectory_msgs/JointTrajectory, at the latest once there are states; the log says if not.
 
         One without points stops the arm.
         """
-        offer(self, self._requests, trajectory)
+        try:
+            with self.between_ticks():
+                if self.running and self.inactive:
+                    raise TrajectoryError(self.inactive)
+            request = self._requests.checked(trajectory)
+        except TrajectoryError as error:
+            with self.between_ticks() as requests:
+                requests.refused("trajectory", error)
+            return
+        with self.joined(request) as (requests, plan):
+            if self.running:
+                requests.take(request, self.inactive, plan)
+            else:
+                requests.wait(request)
 
     def report(self) -> None:
         """Print and publish what there is to say; called after each `Outputs.wake`."""

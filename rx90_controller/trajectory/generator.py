@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+import copy
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory.checking import check_spline
 from rx90_controller.trajectory.joining import braked, check_near, connect, merged, remainder
-from rx90_controller.trajectory.motion import FollowedPath, Path
-from rx90_controller.trajectory.motions import Motions
+from rx90_controller.trajectory.limits import JointLimits
+from rx90_controller.trajectory.motions import FollowedPath, Motions, Path
 from rx90_controller.trajectory.path_time import PathTime
 from rx90_controller.trajectory.points import TrajectoryPoints
 from rx90_controller.trajectory.ramps import stop
-from rx90_controller.trajectory.spline import Bounds, smooth
+from rx90_controller.trajectory.spline import Bounds, Spline, smooth
 
 _ANEW = ", or velocities_from_positions, where the points' velocities do not belong to their positions"
 _PATIENCE = 3  # a stop along the path may take so many times as long as one joint by joint
+_CHECKED_AT_ONCE = 4096
+# The largest acceleration lies between two set-points, and may be a little more than the largest set-point.
+_SLACK = 1e-3  # of the limit
 
 
 class PastError(TrajectoryError):
@@ -57,6 +62,13 @@ class TrajectoryGenerator(Motions):
         finer._current = self._current.refined(ratio)
         finer._next = self._next and self._next.refined(ratio)
         return finer
+
+    def enter(self, points: TrajectoryPoints, now: int, start: int | None, *, anywhere: bool, exact: bool) -> Schedule:
+        """Take a trajectory as `accept` does if `exact`, else, and where its start is over, as `join` does."""
+        late = start is not None and start < now
+        if exact and not anywhere and not late:
+            return self.accept(points, now, start)
+        return self.join(points, now, start, anywhere=anywhere)
 
     def accept(self, points: TrajectoryPoints, now: int, start: int | None) -> Schedule:
         """Take a trajectory; return when it runs.
@@ -197,3 +209,159 @@ def points_left(
             "later than that"
         )
     return begin, late, left
+
+
+class Plan:
+    """A trajectory on its way into a generator, which goes on meanwhile.
+
+    To be made between two ticks; then `join`, beside the ticks; then `adopt`, between two ticks again.
+    """
+
+    def __init__(
+        self,
+        generator: TrajectoryGenerator,
+        points: TrajectoryPoints,
+        start: int | None,
+        now: int,
+        lead: int,
+        *,
+        anywhere: bool,
+        exact: bool,
+    ) -> None:
+        """Plan for a generator, whose first tick that may still be changed is `now`; the others as `enter` has them.
+
+        A trajectory whose start does not lie ahead begins `lead` ticks later, when it should be there; from rest, where
+        it begins makes no difference, as soon as it is there.
+        """
+        generator._promote(now)
+        motion = generator._current
+        self._generator, self._revision = generator, generator.revision
+        self._points, self._start, self._anywhere, self._exact = points, start, anywhere, exact
+        # From rest what begins "now" may as well begin later.
+        self._may_be_late = start is None and not motion.runs(now)
+        ahead = start is not None and start >= now
+        # Where the scaling has changed while something waited, what runs until `now` would depend on that.
+        self._possible = motion.before is None
+        self._now = now
+        self._earliest = now if self._may_be_late or ahead else now + lead
+        self._waiting = generator._next
+        self._motion = replace(motion, laws=[copy.copy(law) for law in motion.laws])
+        self._twin = copy.copy(generator)
+        # What waits for its start is replaced: the twin has not got it.
+        self._twin._current, self._twin._next = self._motion, None
+        self._schedule: Schedule | None = None
+        self._error: TrajectoryError | None = None
+
+    def join(self) -> None:
+        """Compute what the generator would."""
+        if self._possible:
+            try:
+                self._schedule = self._twin.enter(
+                    self._points, self._earliest, self._start, anywhere=self._anywhere, exact=self._exact
+                )
+            except PastError as error:
+                # By then, but perhaps not yet.
+                self._error = error if self._earliest == self._now else None
+            except TrajectoryError as error:
+                self._error = error
+
+    def fits(self, now: int) -> bool:
+        """Return whether `adopt` will not return None at this tick."""
+        if self._generator.revision != self._revision or self._begun(now):
+            return False
+        if self._error is not None:
+            return True
+        return self._schedule is not None and (self._late(self._schedule, now) == 0 or self._may_be_late)
+
+    def adopt(self, now: int) -> Schedule | None:
+        """Let the generator follow the trajectory; return when it runs, or None if that has to be computed anew.
+
+        That is so where other motions have come in between, or the computation took longer than there was time for.
+        `now` is again the first tick that may still be changed.
+
+        Raises:
+            TrajectoryError: why the trajectory cannot be followed.
+        """
+        if not self.fits(now):
+            return None
+        if self._error is not None:
+            raise self._error
+        generator, twin, schedule = self._generator, self._twin, self._schedule
+        assert schedule is not None
+        late = self._late(schedule, now)
+        if twin._next is not None:
+            twin._next.delay(late)
+        self._motion.announced = generator._current.announced
+        generator._current, generator._next = twin._current, twin._next
+        generator.revision += 1
+        return Schedule(schedule.begin + late, schedule.end + late, schedule.miss)
+
+    def _begun(self, now: int) -> bool:
+        """Return whether what waited for its start then may have begun meanwhile."""
+        return self._waiting is not None and self._waiting.start < now
+
+    @staticmethod
+    def _late(schedule: Schedule, now: int) -> int:
+        return max(0, now - schedule.begin)
+
+
+def check_spline(spline: Spline, period: float, points: TrajectoryPoints, limits: JointLimits, allowed: Array) -> None:
+    """Check a motion: its set-points, and the accelerations between them.
+
+    What passes is within the accelerations wherever it is, so that it can be travelled at every lower speed too.
+
+    Args:
+        spline: the motion.
+        period: of the position loop, s.
+        points: that it goes through, to say which one is meant.
+        limits: to keep.
+        allowed: how far beyond the position limits the first set-point may lie, rad, shape (6,).
+
+    Raises:
+        TrajectoryError: naming joint, point, time, amount and limit.
+    """
+    if not allowed.any() and _surely_within(spline, points, limits):
+        return
+    last = int(np.ceil(spline.duration / period - 1e-6))
+    for first in range(0, last, _CHECKED_AT_ONCE):
+        # The blocks share a set-point, so that the step from one to the next is checked, too.
+        ticks = np.arange(first, min(first + _CHECKED_AT_ONCE, last) + 1)
+        times = np.asarray(ticks * period, dtype=np.float64)
+        allowed = limits.check(spline.sample(times), times, points.times, allowed, points.first)
+    _check_between(spline, points, limits)
+
+
+def _surely_within(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> bool:
+    """Return whether bounds tell that a spline is within the limits.
+
+    With a whole spline within the accelerations, its set-points are too, and the steps between them.
+    """
+    coefficients, span, bounds = spline.coefficients, np.diff(spline.times), []
+    if points.way is not None and len(span) == len(points.way.coefficients) + 1:
+        # Left is what leads to the first point.
+        coefficients, span, bounds = coefficients[:1], span[:1], [points.way.bounds]
+    bounds.append(Bounds.of(coefficients, span))
+    return all(limits.contain(*each) for each in bounds)
+
+
+def _check_between(spline: Spline, points: TrajectoryPoints, limits: JointLimits) -> None:
+    """Check the largest accelerations of all pieces."""
+    c, span = spline.coefficients, np.diff(spline.times)[:, None]
+    # The derivative of the acceleration is 6 c3 + 24 c4 s + 60 c5 s^2; the extremes lie at its roots or at the ends.
+    half, square = 12.0 * c[:, 4], 60.0 * c[:, 5]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = half + np.copysign(np.sqrt(half * half - square * 6.0 * c[:, 3]), half)
+        extremes = (-root / square, -6.0 * c[:, 3] / root)
+    for at in (np.zeros_like(half), span + np.zeros_like(half), *extremes):
+        inside = np.where((at > 0.0) & (at < span), at, np.where(at == span, at, 0.0))
+        value = 2.0 * c[:, 2] + inside * (6.0 * c[:, 3] + inside * (12.0 * c[:, 4] + inside * 20.0 * c[:, 5]))
+        beyond = np.argwhere(~(np.abs(value) <= (1.0 + _SLACK) * limits.acceleration))
+        if len(beyond):
+            row, joint = beyond[0]
+            time, most = spline.times[row] + inside[row, joint], limits.acceleration[joint]
+            middle = 0.5 * (spline.times[row] + spline.times[row + 1])
+            point = points.first + min(int(np.searchsorted(points.times, middle)), len(points.times) - 1)
+            raise TrajectoryError(
+                f"point {point}: {limits.names[joint]} gets an acceleration of {value[row, joint]:.6g} rad/s^2 on the "
+                f"way there, between two set-points, at {time:.6g} s; accepted: [{-most:.6g}, {most:.6g}]"
+            )

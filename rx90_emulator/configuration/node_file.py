@@ -15,7 +15,7 @@ from rx90_common.base.quoting import listed
 from rx90_common.base.section import Section
 from rx90_common.exchange.parameter_changes import OF_ROS
 from rx90_common.exchange.qos_overrides import PREFIX
-from rx90_controller.node.goal_parameters import has_no_use
+from rx90_controller.node.parameters import has_no_use
 from rx90_emulator.configuration.kinds import FileKind
 from rx90_emulator.configuration.node_parameters import NODES, DeclaredParameters, declared
 

@@ -14,7 +14,7 @@ from servo_rig import Rig
 from rx90_common.base.entries import Number, Numbers
 from rx90_common.description.robot_files import RobotFiles
 from rx90_controller.law.parameters import load_controller
-from rx90_controller.node.law_parameters import LAW_ENTRIES
+from rx90_controller.node.parameters import LAW_ENTRIES
 from rx90_emulator.loop.setup import Setup
 
 NUMBERS = {name: entry for name, entry in LAW_ENTRIES.items() if isinstance(entry, Number)}

@@ -8,7 +8,7 @@ from goal_arm import Arm, message, tolerance, two
 from joint_moves import HOME, PERIOD, ZERO
 
 from rx90_controller.goals.execution import Phase
-from rx90_controller.goals.results import GoalError, ResultCode
+from rx90_controller.goals.request import GoalError, ResultCode
 
 
 def test_a_goal_that_is_followed_succeeds_at_its_last_point() -> None:

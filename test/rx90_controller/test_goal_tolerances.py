@@ -10,9 +10,7 @@ from goal_arm import Arm, message, stamp, tolerance
 from joint_moves import HOME, NAMES, PERIOD
 
 from rx90_controller.goals.execution import Phase
-from rx90_controller.goals.goal import GoalOptions, check_goal
-from rx90_controller.goals.results import ResultCode
-from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.goals.request import GoalOptions, GoalTolerances, ResultCode, check_goal
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from goal_arm import Arm, checked, message, stamp, tolerance, two
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.errors import ConfigError
-from rx90_controller.goals.results import GoalError, ResultCode
-from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.goals.request import GoalError, GoalTolerances, ResultCode
 
 
 def apart() -> list[SimpleNamespace]:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rx90_common.base.errors import LineError
-from rx90_controller.lines.profile import TrapezoidalProfile
+from rx90_controller.lines.task import TrapezoidalProfile
 
 LENGTHS = st.floats(1e-4, 3.0)
 SPEEDS = st.floats(1e-3, 2.0)

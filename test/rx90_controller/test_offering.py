@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.goal import Goal, GoalOptions
-from rx90_controller.goals.tolerances import GoalTolerances
-from rx90_controller.node.offering import joined
+from rx90_controller.goals.request import GoalOptions
 from rx90_controller.trajectory import TrajectoryGenerator, points
 from rx90_controller.trajectory.message import points_from_message
 
@@ -98,11 +96,9 @@ def time(seconds: float) -> tuple[int, int]:
 def goal(rig: Rig, trajectory: SimpleNamespace) -> mock.Mock:
     """Offer a goal as the action does; return who has sent it."""
     sender = mock.Mock()
-    asked = Goal(points_from_message(rig.names, trajectory), GoalTolerances.defaults(rig.names), None)
-    with rig.loop.between_ticks() as goals:
-        entrance = asked.entrance(goals.options)
-    with joined(rig.loop, entrance) as (goals, plan):
-        goals.take(sender, asked, trajectory, rig.loop.inactive, plan)
+    asked = rig.goal(trajectory)
+    with rig.loop.joined(asked) as (requests, plan):
+        requests.take(asked, rig.loop.inactive, plan, sender)
     return sender
 
 
@@ -294,10 +290,10 @@ def test_only_a_trajectory_that_is_followed_ends_a_goal(rig: Rig) -> None:
     rig.loop.hold(rig.states(0))
     sender = goal(rig, rig.trajectory(0.02))
     rig.loop.offer(rig.trajectory(9.0))
-    sender.ended.assert_not_called()
+    sender.on_result.assert_not_called()
     with mock.patch.object(rig.around, "error") as error:
         rig.loop.offer(rig.trajectory(0.01))
-    (outcome,) = sender.ended.call_args.args
+    (outcome,) = sender.on_result.call_args.args
     assert outcome.text.startswith("replaced by a trajectory on the topic")
     error.assert_not_called()
 

@@ -10,11 +10,10 @@ from joint_moves import HOME, LIMITS, PERIOD, move
 
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import TrajectoryError
-from rx90_controller.trajectory import TrajectoryGenerator
-from rx90_controller.trajectory.planning import Entrance, Plan
+from rx90_controller.trajectory import Plan, TrajectoryGenerator, TrajectoryPoints
 
 NOW, LEAD, END = 500, 30, 1000
-BACK = Entrance(move(0.05, 1.0), None)
+BACK = move(0.05, 1.0)
 
 
 def running() -> TrajectoryGenerator:
@@ -25,9 +24,11 @@ def running() -> TrajectoryGenerator:
     return generator
 
 
-def planned(generator: TrajectoryGenerator, entrance: Entrance = BACK, now: int = NOW) -> Plan:
+def planned(
+    generator: TrajectoryGenerator, points: TrajectoryPoints = BACK, now: int = NOW, start: int | None = None
+) -> Plan:
     """Return a trajectory that was joined at a tick."""
-    plan = Plan(generator, entrance, now, LEAD)
+    plan = Plan(generator, points, start, now, LEAD, anywhere=False, exact=False)
     plan.join()
     return plan
 
@@ -43,7 +44,7 @@ def test_what_is_handed_over_in_time_is_what_the_generator_would_do(late: int) -
     generator, alone = running(), running()
     plan, revision = planned(generator), generator.revision
     schedule = plan.adopt(NOW + late)
-    assert schedule == alone.join(BACK.points, NOW, NOW + LEAD, anywhere=False)
+    assert schedule == alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
     assert schedule.begin == NOW + LEAD
     assert generator.revision != revision
     assert np.array_equal(rest(generator, NOW + late), rest(alone, NOW + late))
@@ -51,8 +52,8 @@ def test_what_is_handed_over_in_time_is_what_the_generator_would_do(late: int) -
 
 def test_what_would_come_too_late_is_not_handed_over() -> None:
     """On the way, one tick behind the lead, or behind a start that has been stamped: to be joined anew."""
-    for entrance, late in ((BACK, LEAD + 1), (Entrance(BACK.points, NOW + 5), 6), (Entrance(BACK.points, NOW), 1)):
-        plan = planned(running(), entrance)
+    for start, late in ((None, LEAD + 1), (NOW + 5, 6), (NOW, 1)):
+        plan = planned(running(), start=start)
         assert plan.adopt(NOW + late) is None
         assert plan.adopt(NOW + late - 1) is not None
 
@@ -61,7 +62,7 @@ def test_from_rest_it_begins_when_it_is_there() -> None:
     """Then the time that it took shifts the motion, and when it is said to run."""
     generator = TrajectoryGenerator(LIMITS, PERIOD, HOME)
     alone = copy(generator)
-    assert planned(generator).adopt(NOW + 77) == alone.join(BACK.points, NOW + 77, None, anywhere=False)
+    assert planned(generator).adopt(NOW + 77) == alone.join(BACK, NOW + 77, None, anywhere=False)
     assert np.array_equal(rest(generator, NOW + 77), rest(alone, NOW + 77))
 
 
@@ -72,7 +73,7 @@ def test_what_waits_is_replaced_unless_it_has_begun_meanwhile() -> None:
     plan = planned(generator)
     assert plan.adopt(NOW + 11) is None
     assert plan.adopt(NOW + 10) is not None
-    alone.join(BACK.points, NOW, NOW + LEAD, anywhere=False)
+    alone.join(BACK, NOW, NOW + LEAD, anywhere=False)
     assert np.array_equal(rest(generator, NOW + 10), rest(alone, NOW + 10))
 
 
@@ -93,7 +94,7 @@ def test_to_join_leaves_the_generator_alone() -> None:
     generator.set_speed_scaling(0.5, NOW)
     (law,) = generator._current.laws
     before, revision, shape = rest(copy(generator), NOW)[0], generator.revision, law._series.shape
-    plan = Plan(generator, BACK, NOW, 400)
+    plan = Plan(generator, BACK, None, NOW, 400, anywhere=False, exact=False)
     assert law is not plan._motion.laws[0]
     plan.join()
     assert generator.revision == revision
@@ -113,7 +114,7 @@ def test_an_end_is_told_once() -> None:
 def test_a_refusal_is_handed_over_too() -> None:
     """What breaks a limit is not computed a second time between the ticks."""
     generator = running()
-    plan = planned(generator, Entrance(move(9.0, 1.0), None))
+    plan = planned(generator, move(9.0, 1.0))
     assert plan.fits(NOW + 900)
     with pytest.raises(TrajectoryError, match="joint_1 has the position 9"):
         plan.adopt(NOW + 900)

@@ -11,12 +11,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from rx90_controller.goals.goal import GoalOptions, check_goal
-from rx90_controller.goals.results import GoalError
-from rx90_controller.goals.runner import GoalRunner
-from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.goals.execution import GoalRunner
+from rx90_controller.goals.request import GoalError, GoalOptions, GoalTolerances, check_goal
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
-from rx90_controller.trajectory.planning import Plan
 
 NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
@@ -88,17 +85,17 @@ def test_goals_at_random_are_refused_with_a_reason_or_followed_within_the_limits
     """
     generator = np.random.default_rng(20)
     trajectory = TrajectoryGenerator(LIMITS, PERIOD, np.zeros(6))
-    runner = GoalRunner(trajectory, GoalOptions(), 60.0)
+    runner = GoalRunner(trajectory, 60.0)
     tolerances = GoalTolerances.defaults(NAMES)
     now, handed_over, reasons, path = 1000, 0, [], []
     for key in range(GOALS):
-        runner.options = options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
+        options = GoalOptions(*(bool(flag) for flag in generator.integers(0, 2, 4)))
         before = runner.active
         try:
             goal = check_goal(random_goal(generator, now * PERIOD, options), NAMES, tolerances, options, 1000)
             plan = None
             if generator.random() < 0.5:
-                plan = Plan(trajectory, goal.entrance(options), now, lead=30)
+                plan = goal.plan(trajectory, now)
                 plan.join()
                 if generator.random() < 0.3:
                     trajectory.halt(now)

@@ -7,9 +7,6 @@ import pytest
 from servo_rig import Rig
 
 from rx90_controller.goals.execution import Feedback, Outcome, Phase
-from rx90_controller.goals.goal import Goal
-from rx90_controller.goals.tolerances import GoalTolerances
-from rx90_controller.trajectory.message import points_from_message
 
 
 def test_a_trajectory_waits_for_the_first_states(rig: Rig) -> None:
@@ -201,15 +198,14 @@ class Sender:
     def __init__(self) -> None:
         self.feedback: list[Feedback] = []
         self.ends: list[Outcome] = []
-        self.went, self.ended = self.feedback.append, self.ends.append
+        self.on_feedback, self.on_result = self.feedback.append, self.ends.append
 
 
 def offer(rig: Rig, target: float) -> Sender:
     """Offer a goal that moves all joints to `target`, rad, in a second."""
     sender, trajectory = Sender(), rig.trajectory(target)
-    points = points_from_message(rig.names, trajectory)
-    with rig.loop.between_ticks() as goals:
-        goals.take(sender, Goal(points, GoalTolerances.defaults(rig.names), None), trajectory, rig.loop.inactive)
+    with rig.loop.between_ticks() as requests:
+        requests.take(rig.goal(trajectory), rig.loop.inactive, sender=sender)
     return sender
 
 

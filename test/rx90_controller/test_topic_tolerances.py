@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from servo_rig import Rig
 
-from rx90_controller.goals.goal import Goal
-from rx90_controller.goals.tolerances import GoalTolerances
-from rx90_controller.trajectory.message import points_from_message
+from rx90_controller.goals.request import GoalTolerances
 
 RATIO = 4  # ticks for each of the position loop, which come every millisecond
 
@@ -156,14 +155,5 @@ def test_one_that_waited_for_the_first_states_is_held_to_them_too(rig: Rig) -> N
 
 def goal(rig: Rig) -> None:
     """Offer a goal without tolerances that moves all joints to 0.1 rad in a second."""
-
-    class Deaf:
-        def went(self, feedback: object) -> None:
-            """Hear nothing."""
-
-        ended = went
-
-    given = rig.trajectory(0.1)
-    points = points_from_message(rig.names, given)
-    with rig.loop.between_ticks() as goals:
-        goals.take(Deaf(), Goal(points, GoalTolerances.defaults(rig.names), None), given, rig.loop.inactive)
+    with rig.loop.between_ticks() as requests:
+        requests.take(rig.goal(rig.trajectory(0.1)), rig.loop.inactive, sender=mock.Mock())

@@ -10,9 +10,8 @@ import numpy as np
 from joint_moves import HOME, NAMES, PERIOD, ZERO
 
 from rx90_common.base.arrays import Array
-from rx90_controller.goals.goal import GoalOptions, check_goal
-from rx90_controller.goals.runner import Event, GoalRunner
-from rx90_controller.goals.tolerances import GoalTolerances
+from rx90_controller.goals.execution import Event, GoalRunner
+from rx90_controller.goals.request import GoalOptions, GoalTolerances, check_goal
 from rx90_controller.trajectory import JointLimits, TrajectoryGenerator
 
 LIMITS = JointLimits(NAMES, np.full(6, -2.0), np.full(6, 2.0), np.full(6, 3.0), np.full(6, 20.0), 1e-3)
@@ -78,14 +77,15 @@ class Arm:
 
     def __init__(self, **options: bool) -> None:
         self.trajectory = TrajectoryGenerator(LIMITS, PERIOD, HOME)
-        self.runner = GoalRunner(self.trajectory, GoalOptions(**options), 10.0)
+        self.runner = GoalRunner(self.trajectory, 10.0)
+        self.options = options
         self.tick = 0
         self.off, self.off_speed = ZERO.copy(), ZERO.copy()
         self.setpoints: list[Array] = []
 
     def offer(self, key: str, goal: SimpleNamespace, inactive: str = "") -> Event | None:
         """Offer a goal now; return the event of the one before."""
-        return self.runner.offer(key, checked(goal), self.tick, inactive)[1]
+        return self.runner.offer(key, checked(goal, **self.options), self.tick, inactive)[1]
 
     def run(self, ticks: int) -> list[Event]:
         """Run ticks; return the events."""

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 
 from rx90_common.exchange.motor_messages import MotorStates
+from rx90_controller.goals.request import GoalOptions, GoalTolerances, TrajectoryRequest
 from rx90_controller.node.servo_loop import ServoLoop
+from rx90_controller.trajectory.message import points_from_message
 from rx90_emulator.loop.setup import Setup
 
 
@@ -71,6 +73,11 @@ class Rig:
             torques.append(self.loop.step(tick * self.period, self.states(tick)))
             self.loop.after_command(tick * self.period)
         return torques
+
+    def goal(self, trajectory: SimpleNamespace) -> TrajectoryRequest:
+        """Return a trajectory as a goal with the usual tolerances and options."""
+        points, tolerances = points_from_message(self.names, trajectory), GoalTolerances.defaults(self.names)
+        return TrajectoryRequest(trajectory, points, None, tolerances, GoalOptions(), is_goal=True)
 
     def trajectory(self, target: float, seconds: int = 1, stamp: tuple[int, int] = (0, 0)) -> SimpleNamespace:
         """Return a message that moves all joints to `target`, rad, from a time on, in s and ns; (0, 0): now."""

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from own_model import by_model
 
 from rx90_common.base.arrays import Array
-from rx90_controller.law import cs7b, lookahead
+from rx90_controller.law import cs7b
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.loop.setup import Setup
 
@@ -115,7 +115,7 @@ def test_looking_ahead_changes_no_bit(shipped: Setup, data: st.DataObject) -> No
         else:
             ahead = ticks(several, motor, count)
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(lookahead, "_BLOCK", 1)
+                patch.setattr(cs7b, "_LOOKAHEAD", 1)
                 np.testing.assert_array_equal(ahead, ticks(single, motor, count))
 
 
