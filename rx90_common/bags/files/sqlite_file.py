@@ -14,6 +14,12 @@ _FOREIGN = (
     "SELECT count(*) FROM messages WHERE typeof(id) != 'integer' OR typeof(timestamp) != 'integer' "
     "OR typeof(data) != 'blob' OR topic_id NOT IN (SELECT id FROM topics)"
 )
+_FAULTS = sqlite3.Error, UnicodeDecodeError, MemoryError
+"""What SQLite ends with: the second for a message with bytes in it, the third for a length that is damaged."""
+
+
+def _said(error: BaseException) -> str:
+    return "a row asks for more memory than there is" if isinstance(error, MemoryError) else plain(error)
 
 
 class SqliteFile:
@@ -33,9 +39,9 @@ class SqliteFile:
         self.compression = ""
         try:
             self.topics = self._topics()
-        except (sqlite3.Error, UnicodeDecodeError, DamagedError) as error:
+        except (*_FAULTS, DamagedError) as error:
             self._database.close()
-            raise DamagedError(plain(error)) from error
+            raise DamagedError(_said(error)) from error
 
     def close(self) -> None:
         """Close the file."""
@@ -62,8 +68,8 @@ class SqliteFile:
                 if data.startswith(ZSTD_MAGIC):
                     self.compression = ZSTD_MESSAGES
                 yield key, log_ns, decompress_message(data)
-        except (sqlite3.Error, UnicodeDecodeError) as error:  # the second is raised for a message with bytes in it
-            raise DamagedError(plain(error)) from error
+        except _FAULTS as error:
+            raise DamagedError(_said(error)) from error
 
     def _check_numbers(self) -> None:
         """Check that no row was deleted: rosbag2 and rosbags number messages from 1, without gaps."""
