@@ -17,7 +17,7 @@ from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import read_joint_states
 from rx90_common.base.arrays import Array
 from rx90_common.base.errors import IdentificationError
-from rx90_common.base.quoting import quoted
+from rx90_common.base.quoting import plain, quoted
 from rx90_common.base.rates import NANOSECONDS
 from rx90_emulator.identification.records.layout import BagLayout
 from rx90_emulator.identification.records.record import JointRecord, spikes
@@ -51,6 +51,11 @@ def read_record(path: Path | str, layout: BagLayout, rate: float | None = None) 
     path = Path(path)
     series = read_joint_states(path, layout.topic, layout.messages, record_time=layout.record_time)
     position, effort = _required(path, series, "position"), _required(path, series, "effort")
+    unit = series.units["effort"]
+    if unit != "Nm" and (unit != "A" or layout.torque_constant is None):
+        raise IdentificationError(
+            f"{path}: {series.topic}: its efforts are in {plain(unit)}; accepted: Nm, or A with --torque-constant"
+        )
     kept = _good_rows(path, series, position, effort)
     time = series.stamp_ns[kept] / NANOSECONDS
     missing = _missing(series.time)

@@ -12,6 +12,8 @@ import pytest
 from bag_making import ROS1, joint_state, write_ros1, write_ros2
 from numpy.typing import NDArray
 
+from rx90_common.bags.joint_series import JointSeries
+from rx90_common.bags.writing import write_joint_states
 from rx90_common.base.errors import BagError, IdentificationError
 from rx90_controller.trajectory import TrajectoryPoints
 from rx90_emulator.identification.records.layout import BagLayout
@@ -180,6 +182,19 @@ def test_bad_bags_are_refused_in_one_line(tmp_path: Path) -> None:
     back = [(topic, 10**9 + k, message) for k, (topic, _, message) in enumerate([*good[25:], *good[:25]])]
     assert "stamp goes back from 1.398000000 s to 1.000000000 s" in refused(bag("back", back))
     assert "no.mcap" in refused(tmp_path / "no.mcap")
+
+
+def test_currents_are_no_torques(tmp_path: Path) -> None:
+    """A bag that says its efforts are in A is read with torque constants alone, which make Nm of them."""
+    q, v, current = motion(200)
+    stamps = 10**9 + PERIOD_NS * np.arange(200)
+    for unit in ("A", "rad/s^2"):
+        path = tmp_path / unit[0]
+        write_joint_states(path, [JointSeries("/arm", NAMES, stamps, q, v, current, effort_unit=unit)])
+    assert "/arm: its efforts are in A; accepted: Nm, or A with --torque-constant" in refused(tmp_path / "A")
+    constants = dataclasses.replace(LAYOUT, torque_constant=np.array([2.0, 3.0]))
+    np.testing.assert_array_equal(read_record(tmp_path / "A", constants).torque, current * [2.0, 3.0])
+    assert "its efforts are in rad/s^2" in refused(tmp_path / "r", constants)
 
 
 @pytest.mark.parametrize(
