@@ -29,7 +29,7 @@ from rosbags.typesys.store import Typestore
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.bulk_storage import BulkMcapWriter, BulkSqlite3Writer, BulkWriter
 from rx90_common.bags.joint_series import JointSeries
-from rx90_common.bags.metadata import EFFORT_UNIT
+from rx90_common.bags.storage import EFFORT_UNIT
 from rx90_common.bags.topics import (
     JOINT_TRAJECTORY,
     PARAMETER_EVENT,
