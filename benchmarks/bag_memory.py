@@ -1,4 +1,4 @@
-"""Measure how much memory `rx90_bag import` and `export` take for a log, and for one ten times as long.
+"""Measure how much memory `rx90_bag export` takes for a bag, and for one ten times as long; and so for `import`.
 
     python -m benchmarks.bag_memory [ROWS]
 

@@ -209,3 +209,22 @@ def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list
             what = f"{plain(name)} is {others[0]}" if others else f"no topic {plain(name)}"
             raise BagError(f"{plain(path)}: {what}; {series_topics(there)}")
     return [by_name[name] for name in wanted]
+
+
+def picked_with_messages(bag: BagReader, topics: Sequence[str] | None) -> list[BagTopic]:
+    """Return those of a bag's topics that are wanted, or all JointState and Temperature topics with messages.
+
+    Raises:
+        BagError: if one is not there as JointState or Temperature, or has no messages; or if there are none.
+    """
+    if topics is None:
+        chosen = [topic for topic in bag.topics if topic.holds_series and topic.count]
+        if not chosen:
+            there = listed(topic.name for topic in bag.topics) or "nothing"
+            raise BagError(f"{plain(bag.path)}: holds no joint states or temperatures, only {there}")
+        return chosen
+    chosen = picked(bag.path, bag.topics, topics)
+    for topic in chosen:
+        if not topic.count:
+            raise BagError(f"{plain(bag.path)}: no messages in {plain(topic.name)}")
+    return chosen

@@ -12,10 +12,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 import rx90_emulator as rx
-from rx90_common.bags.exporting import blocks
-from rx90_common.bags.exporting.exporting import export_bag
-from rx90_common.bags.importing import exact, spool
-from rx90_common.bags.plotting.plotting import plot_bags
+from rx90_common.bags import exporting, log_table
+from rx90_common.bags.exporting import export_bag
+from rx90_common.bags.plotting import plot_bags
 from rx90_common.bags.storage import BagReader
 from rx90_common.bags.temperatures import temperature_cdr
 from rx90_common.base.errors import BagError, ExchangeError
@@ -102,9 +101,8 @@ def test_temperatures_come_back_from_csv(
     bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exported and imported again, in several blocks, each message is there to the last bit, and compare says same."""
-    monkeypatch.setattr(blocks, "_BLOCK", 10)
-    monkeypatch.setattr(exact, "BLOCK", 5)
-    monkeypatch.setattr(spool, "BLOCK", 4)
+    monkeypatch.setattr(exporting, "_BLOCK", 10)
+    monkeypatch.setattr(log_table, "_BLOCK", 5)
     again = tmp_path / "again"
     assert run("rx90_bag", ["export", str(bag), "--output", str(tmp_path / "out")]) == 0
     assert run("rx90_bag", ["import", str(tmp_path / "out"), str(again)]) == 0
@@ -125,7 +123,7 @@ def test_names_that_come_and_go_leave_blocks_short_and_rows_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that falls silent, and one first told of after many blocks, have a column from the first row to the last."""
-    monkeypatch.setattr(blocks, "_BLOCK", 10)
+    monkeypatch.setattr(exporting, "_BLOCK", 10)
     told = [
         (stamp, name, float(VALUES[k, column]))
         for k, stamp in enumerate(STAMPS)
@@ -133,7 +131,7 @@ def test_names_that_come_and_go_leave_blocks_short_and_rows_whole(
         if {"joint_1": True, "joint_5_6": k >= 15, "motor_1": k < 4}[name]
     ]
     with BagReader(write(tmp_path / "run", told)) as bag:
-        found = list(blocks.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE]))
+        found = list(exporting.read_blocks(bag, [t for t in bag.topics if t.msgtype == TEMPERATURE]))
     assert {one.names for one in found} == {("joint_1", "motor_1", "joint_5_6")}
     assert max(one.messages for one in found) <= 10 + 2
     assert np.concatenate([one.stamp_ns for one in found]).tolist() == STAMPS
