@@ -11,8 +11,8 @@ import pytest
 
 from rx90_common.bags.batch import MessageBatch
 from rx90_common.bags.ordering import TimeSource
-from rx90_common.bags.recorder import message_reader
-from rx90_common.bags.recorder.taking import Taken
+from rx90_common.bags.recorder import recording
+from rx90_common.bags.recorder.stream import Taken
 from rx90_common.base.errors import BagWriteError
 
 SENT_BEFORE = 9  # one a round: these take longer than a topic that is quiet is waited for
@@ -43,9 +43,9 @@ class Publisher:
 
 def test_a_publisher_that_goes_on_is_read_up_to_the_end_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """All that was sent before the end is read, however late it comes; then the recorder ends, busy topics or not."""
-    monkeypatch.setattr(message_reader, "_MAX_DRAIN_S", LONG)
+    monkeypatch.setattr(recording, "_MAX_DRAIN_S", LONG)
     publisher: Any = Publisher()
-    reader = message_reader.MessageReader()
+    reader = recording.MessageReader()
     reader.add(publisher)
     reader.start()
     begin = time.monotonic()
@@ -73,9 +73,9 @@ class Deadlock(Publisher):
 
 def test_a_reader_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Who waits for the end learns where it stands, in one line, after all that it had read; nothing comes twice."""
-    monkeypatch.setattr(message_reader, "_MAX_END_S", 0.01)
+    monkeypatch.setattr(recording, "_MAX_END_S", 0.01)
     stream: Any = Deadlock()
-    reader = message_reader.MessageReader()
+    reader = recording.MessageReader()
     reader.add(stream)
     reader.start()
     assert stream.reached.wait(LONG)
