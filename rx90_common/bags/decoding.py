@@ -94,10 +94,6 @@ class SeriesBuilder:
         self._rows: dict[_Key, list[_Rows]] = {}
         self._decoded = 0
 
-    def begins_row(self, _message: bytes) -> bool:
-        """Return whether this message, as the next one, would begin a row: always, as it is one."""
-        return True
-
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
 

@@ -163,7 +163,7 @@ def read_joint_bag(
 def _read(
     bag: BagReader, topics: Sequence[BagTopic], record_time: bool, progress: Callable[[int, int], None] = _silent
 ) -> dict[str, list[JointSeries]]:
-    builders = {topic: series_builder(bag, topic) for topic in topics}
+    builders = {topic: _series_builder(bag, topic) for topic in topics}
     total = sum(topic.count for topic in topics)
     try:
         for number, (topic, log_ns, data) in enumerate(bag.messages(topics), 1):
@@ -178,13 +178,12 @@ def _read(
         raise error if text.startswith(path) else BagError(f"{path}: {text}") from error
 
 
-def series_builder(bag: BagReader, topic: BagTopic, names: Sequence[str] = ()) -> SeriesBuilder | TemperatureBuilder:
-    """Return what makes series of a topic's messages; of temperatures, `names` have columns in any case."""
+def _series_builder(bag: BagReader, topic: BagTopic) -> SeriesBuilder | TemperatureBuilder:
     deserialize = partial(bag.deserialize, topic)
     if topic.is_joint_state:
         unit = bag.effort_units.get(topic.name, "")
         return SeriesBuilder(topic.name, deserialize, cdr=not topic.is_ros1, effort_unit=unit)
-    return TemperatureBuilder(topic.name, deserialize, names)
+    return TemperatureBuilder(topic.name, deserialize)
 
 
 def series_topics(topics: Iterable[BagTopic]) -> str:

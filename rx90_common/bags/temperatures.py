@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -31,23 +31,14 @@ class TemperatureBuilder:
     Args:
         topic: absolute topic name.
         deserialize: by rosbags; gives an object with the message's fields.
-        names: that have columns, first of all; others follow in the order of their first messages.
     """
 
-    def __init__(self, topic: str, deserialize: Callable[[bytes], Any], names: Sequence[str] = ()) -> None:
+    def __init__(self, topic: str, deserialize: Callable[[bytes], Any]) -> None:
         self._topic, self._deserialize = topic, deserialize
-        self._names: dict[str, None] = dict.fromkeys(names)
+        self._names: dict[str, None] = {}  # in the order of their first messages
         self._stamps: list[int] = []
         self._rows: list[dict[str, float]] = []
         self._moment: int | None = None  # of the last row, by the header
-
-    def begins_row(self, message: bytes) -> bool:
-        """Return whether this message, as the next one, would begin a row.
-
-        Raises:
-            BagError: if it is no Temperature.
-        """
-        return self._begins_row(*self._moment_and_name(self._deserialize(message)))
 
     def add(self, message: bytes, stamp_ns: int | None = None) -> None:
         """Add the next message.
@@ -60,20 +51,13 @@ class TemperatureBuilder:
             BagError: if it is no Temperature.
         """
         read = self._deserialize(message)
-        moment, name = self._moment_and_name(read)
-        if self._begins_row(moment, name):
+        moment, name = message_time_ns(read.header.stamp), str(read.header.frame_id)
+        if moment != self._moment or name in self._rows[-1]:
             self._moment = moment
             self._stamps.append(moment if stamp_ns is None else stamp_ns)
             self._rows.append({})
         self._names.setdefault(name)
         self._rows[-1][name] = float(read.temperature)
-
-    @staticmethod
-    def _moment_and_name(message: Any) -> tuple[int, str]:
-        return message_time_ns(message.header.stamp), str(message.header.frame_id)
-
-    def _begins_row(self, moment: int, name: str) -> bool:
-        return moment != self._moment or name in self._rows[-1]
 
     def build(self) -> list[JointSeries]:
         """Return the series; none without messages."""
