@@ -2,7 +2,6 @@
 
 __all__ = [
     "batch",
-    "changes",
     "comparison",
     "decoding",
     "exporting",
@@ -12,12 +11,10 @@ __all__ = [
     "ordering",
     "plotting",
     "reading",
-    "robot_name",
+    "recorded",
     "summary",
     "tables",
-    "time_shift",
     "tolerance",
     "topics",
-    "trajectories",
     "writing",
 ]

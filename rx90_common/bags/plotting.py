@@ -12,9 +12,8 @@ import numpy as np
 
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.reading import JointBag, picked_with_messages, read_joint_bag
-from rx90_common.bags.robot_name import robot_of
+from rx90_common.bags.recorded import moved, robot_of, time_shift
 from rx90_common.bags.storage import BagReader
-from rx90_common.bags.time_shift import moved, time_shift
 from rx90_common.bags.topics import FIELDS
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain, quoted

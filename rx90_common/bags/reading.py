@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from rx90_common.bags.decoding import SeriesBuilder
+from rx90_common.bags.decoding import SeriesBuilder, TemperatureBuilder
 from rx90_common.bags.joint_series import JointSeries
 from rx90_common.bags.storage import BagReader, BagTopic
-from rx90_common.bags.temperatures import TemperatureBuilder
 from rx90_common.bags.topics import absolute
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import listed, plain

@@ -19,8 +19,8 @@ from rosbags.interfaces import Qos
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
 from rx90_common.bags.ordering import TimeSource
+from rx90_common.bags.recorded import TrajectoryCount
 from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
-from rx90_common.bags.trajectories import TrajectoryCount
 from rx90_common.bags.writing import offered_qos, typestore
 from rx90_common.base.errors import BagError
 from rx90_common.base.quoting import quoted

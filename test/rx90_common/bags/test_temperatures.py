@@ -13,9 +13,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 import rx90_emulator as rx
 from rx90_common.bags import exporting, log_table
+from rx90_common.bags.batch import temperature_cdr
 from rx90_common.bags.exporting import export_bag
 from rx90_common.bags.plotting import plot_bags
-from rx90_common.bags.temperatures import temperature_cdr
 from rx90_common.base.errors import BagError, ExchangeError
 from rx90_common.report.plot import Curve
 from rx90_emulator.cli.frame import run
