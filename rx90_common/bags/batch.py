@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]  # numba exports without saying so
@@ -24,26 +23,6 @@ Bytes = NDArray[np.uint8]
 _TEMPERATURE_HEAD = struct.Struct("<4siII")  # encapsulation, stamp, bytes of the frame_id
 _TEMPERATURE_VALUES = struct.Struct("<dd")  # temperature, variance
 _END_NS = (1 << 31) * NANOSECONDS  # stamps are int32 seconds
-
-
-@c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.int64, types.voidptr))
-def _read_stamps(data_at, start_at, size_at, count, stamp_at):  # type: ignore[no-untyped-def]  # addresses
-    """Write the time at the head of each message, ns; 0 for times before 0 and messages that are cut off."""
-    start, size = carray(start_at, (count,), np.int64), carray(size_at, (count,), np.int64)
-    stamp = carray(stamp_at, (count,), np.int64)
-    for i in range(count):
-        stamp[i] = 0
-        if size[i] >= HEAD:
-            message = carray(data_at, (start[i] + HEAD,), np.uint8)[start[i] :]
-            seconds = np.uint32(0)
-            nanoseconds = np.uint32(0)
-            for k in range(4):
-                shift = np.uint32(8 * k if message[1] & 1 else 24 - 8 * k)
-                seconds |= np.uint32(message[ENCAPSULATION + k]) << shift
-                nanoseconds |= np.uint32(message[ENCAPSULATION + 4 + k]) << shift
-            if seconds <= 0x7FFFFFFF:
-                stamp[i] = np.int64(seconds) * NANOSECONDS + np.int64(nanoseconds)
-    return 0
 
 
 @c_function(types.int64(types.voidptr, types.voidptr, types.voidptr, types.int64, types.voidptr))
@@ -122,9 +101,14 @@ class MessageBatch:
 
     def stamps_ns(self) -> Int64Array:
         """Return the time at the head of each message, ns, int64 (n,); 0 before 0 and where a message is cut off."""
-        stamp = np.empty(len(self), dtype=np.int64)
-        _read_stamps(*self._addresses(), len(self), stamp.ctypes.data)
-        return stamp
+        stamps = np.zeros(len(self), dtype=np.int64)
+        rows = np.flatnonzero(self.size >= HEAD)
+        heads = self.data[self.start[rows, np.newaxis] + np.arange(HEAD)]
+        times = np.ascontiguousarray(heads[:, ENCAPSULATION:HEAD])
+        little = heads[:, 1:2] & 1 == 1
+        seconds, nanoseconds = np.where(little, times.view("<u4"), times.view(">u4")).astype(np.int64).T
+        stamps[rows] = np.where(seconds < 1 << 31, seconds * NANOSECONDS + nanoseconds, 0)
+        return stamps
 
     def take(self, rows: NDArray[np.intp] | slice) -> MessageBatch:
         """Return a copy of these messages (an index or a slice), which holds no others."""
@@ -133,9 +117,6 @@ class MessageBatch:
         chosen = MessageBatch(np.empty(int(size.sum()), dtype=np.uint8), np.cumsum(size) - size, size)
         _copy(self.data.ctypes.data, start.ctypes.data, size.ctypes.data, len(size), chosen.data.ctypes.data)
         return chosen
-
-    def _addresses(self) -> tuple[Any, Any, Any]:
-        return self.data.ctypes.data, self.start.ctypes.data, self.size.ctypes.data
 
 
 def encoded(
@@ -203,8 +184,10 @@ class TemperatureEncoder:
         Raises:
             ExchangeError: if a name or a stamp cannot stand in a message.
         """
-        told = zip(self.stamp_ns[rows].tolist(), self._column[rows].tolist(), self._values[rows].tolist(), strict=True)
-        return MessageBatch.of([temperature_cdr(stamp, self._names[column], value) for stamp, column, value in told])
+        columns = (field[rows].tolist() for field in (self.stamp_ns, self._column, self._values))
+        return MessageBatch.of(
+            [temperature_cdr(stamp, self._names[k], value) for stamp, k, value in zip(*columns, strict=True)]
+        )
 
 
 def temperature_cdr(stamp_ns: int, name: str, temperature: float) -> bytes:

@@ -148,8 +148,7 @@ def _give_free_name(file: Path, name: Path) -> None:
 
 def columns(series: JointSeries) -> list[tuple[str, str, str]]:
     """Return joint, field and name of each column, such as `joint_1 position [rad]`, in the order of a message."""
-    told = series.quantities
-    return [(joint, field, f"{joint} {told[field]}") for field in series.fields for joint in series.names]
+    return [(joint, field, f"{joint} {series.quantities[field]}") for field in series.fields for joint in series.names]
 
 
 def array_name(topic: str, quantity: str) -> str:

@@ -43,7 +43,7 @@ class ImportedLog:
         topics: name, number of joints and number of messages of each.
         rows: how many there were.
         corrupt: number of the line of each row that was left out, and why.
-        seconds: from the first to the last row that was taken.
+        seconds: from the first to the last row that was kept.
         gap: longest time between two of these, s.
     """
 
@@ -58,11 +58,11 @@ class ImportedLog:
     @property
     def text(self) -> str:
         """Return it as lines for the terminal."""
-        taken = self.rows - len(self.corrupt)
+        good = self.rows - len(self.corrupt)
         lines = [
             *(f"{plain(path)}: {dialect}" for path, dialect in zip(self.paths, self.dialects, strict=True)),
-            f"{taken} of {self.rows} rows in {self.seconds:.6g} s"
-            + (f", {(taken - 1) / self.seconds:.6g} Hz, longest gap {self.gap:.6g} s" if self.seconds else ""),
+            f"{good} of {self.rows} rows in {self.seconds:.6g} s"
+            + (f", {(good - 1) / self.seconds:.6g} Hz, longest gap {self.gap:.6g} s" if self.seconds else ""),
             *(f"{name}: {counted(joints, 'joint')}" for name, joints, _ in self.topics),
         ]
         if self.corrupt:

@@ -24,7 +24,7 @@ from rx90_common.report.still import PICTURES
 
 USUAL = ("/joint_states", "/friction_states", "/rx90_controller/tracking_error")
 """What is drawn unless topics are chosen."""
-_PARTS = 1000  # of each bag, in which progress is told
+_PARTS = 1000  # of each bag, in which progress is reported
 _WALL_CLOCK = 10**8 * NANOSECONDS  # later stamps, from 1973 on, are no simulated time
 _HEIGHT = 1.9  # of a panel, inches
 

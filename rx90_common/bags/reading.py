@@ -189,8 +189,8 @@ def series_topics(topics: Iterable[BagTopic]) -> str:
     """Return the names of those topics that hold series, by type, for a message."""
     series = {topic.name: topic.is_joint_state for topic in topics if topic.holds_series}
     joints, others = ([name for name in sorted(series) if series[name] is kind] for kind in (True, False))
-    told = f"; Temperature topics: {listed(others)}" if others else ""
-    return f"JointState topics: {listed(joints) or 'none'}{told}"
+    temperatures = f"; Temperature topics: {listed(others)}" if others else ""
+    return f"JointState topics: {listed(joints) or 'none'}{temperatures}"
 
 
 def picked(path: Path, there: Sequence[BagTopic], topics: Sequence[str]) -> list[BagTopic]:

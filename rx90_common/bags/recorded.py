@@ -91,8 +91,7 @@ def read_values(path: Path | str) -> dict[str, Any]:
     Raises:
         BagError: if the bag cannot be read.
     """
-    told = [event for event in _events(path) if len(event.new_parameters)]
-    return {each.name: json.loads(_value(each.value)) for event in told for each in event.new_parameters}
+    return {each.name: json.loads(_value(each.value)) for event in _events(path) for each in event.new_parameters}
 
 
 def _events(path: Path | str) -> list[Any]:

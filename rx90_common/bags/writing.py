@@ -290,14 +290,14 @@ def parameters_message(topic: str, node: str, values: Mapping[str, int]) -> RawM
     types = typestore().types
     empty: dict[str, Any] = {f"{kind}_array_value": np.zeros(0, dtype) for kind, dtype in _VALUE_ARRAYS.items()}
 
-    def told(name: str, number: int) -> Any:
+    def parameter(name: str, number: int) -> Any:
         value = types["rcl_interfaces/msg/ParameterValue"](
             type=_INTEGER, bool_value=False, integer_value=number, double_value=0.0, string_value="",
             string_array_value=[], **empty,
         )  # fmt: skip
         return types["rcl_interfaces/msg/Parameter"](name, value)
 
-    new = [told(name, number) for name, number in values.items()]
+    new = [parameter(name, number) for name, number in values.items()]
     message = types[PARAMETER_EVENT](types["builtin_interfaces/msg/Time"](0, 0), node, new, [], [])
     return RawMessage(
         topic, PARAMETER_EVENT, 0, bytes(typestore().serialize_cdr(message, PARAMETER_EVENT)), transient_local=True

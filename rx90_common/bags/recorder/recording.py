@@ -136,11 +136,11 @@ class MessageReader(threading.Thread):
         for stream in streams:
             count = 0
             while count < _MAX_PER_ROUND:
-                taken = stream.take()
-                if not len(taken.messages):
+                arrived = stream.take()
+                if not len(arrived.messages):
                     break
-                count += len(taken.messages)
-                received.append(Arrived(stream.index, stream.time_source, taken.messages, taken.received_ns))
+                count += len(arrived.messages)
+                received.append(arrived)
         if not received:
             return 0
         with self._lock:

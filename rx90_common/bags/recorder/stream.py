@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rclpy.event_handler import QoSSubscriptionEventType, SubscriptionEventCallbacks
@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import Qos
 
 from rx90_common.bags.batch import Int64Array, MessageBatch
-from rx90_common.bags.ordering import TimeSource
+from rx90_common.bags.ordering import Arrived, TimeSource
 from rx90_common.bags.recorded import TrajectoryCount
 from rx90_common.bags.topics import CLOCK, JOINT_STATE, JOINT_TRAJECTORY, TRANSFORMS, tells_changes
 from rx90_common.bags.writing import offered_qos, typestore
@@ -38,22 +38,6 @@ _BASE = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "floa
 _SEQUENCE = re.compile(r"sequence<(?P<kind>.+?)(, (?P<most>\d+))?>")
 _ARRAY = re.compile(r"(?P<kind>.+)\[(?P<count>\d+)\]")
 _STRING = re.compile(r"(?P<kind>w?string)<(?P<most>\d+)>")
-
-
-class Taken(NamedTuple):
-    """n messages of one subscription in the order of arrival.
-
-    Attributes:
-        messages: as they came.
-        numbers: their publishers' sequence numbers, int64 (n,).
-        received_ns: the wall clock's time of reception, int64 (n,).
-        sent_ns: their publishers' wall clocks' time of sending, int64 (n,).
-    """
-
-    messages: MessageBatch
-    numbers: Int64Array
-    received_ns: Int64Array
-    sent_ns: Int64Array
 
 
 @dataclass
@@ -277,41 +261,34 @@ class Stream:
         self.counter.start()
         self._ready_ns = time.time_ns()
 
-    def take(self) -> Taken:
+    def take(self) -> Arrived:
         """Return messages that have come, counted, not more than some hundred; none if there are none."""
         found: list[tuple[bytes, dict[str, int]]] = []
         handle: Any = self.subscription.handle
         with handle:
             while len(found) < _MOST_AT_ONCE and (message := handle.take_message(self._kind, True)) is not None:
                 found.append(message)
-        columns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
-        taken = Taken(MessageBatch.of([raw for raw, _ in found]), *columns)
-        self.counter.add_many(taken.numbers)
-        if len(taken.sent_ns):
-            self.sent_ns = int(taken.sent_ns[-1])
+        numbers, received_ns, sent_ns = (np.array([info[name] for _, info in found], dtype=np.int64) for name in _INFO)
+        self.counter.add_many(numbers)
+        if found:
+            self.sent_ns = int(sent_ns[-1])
         if self.msgtype == JOINT_TRAJECTORY:
-            self._count_trajectories(taken)
-        return self._without_repetitions(taken) if self._dated and len(taken.messages) else taken
+            self._count_trajectories(found)
+        messages = MessageBatch.of([raw for raw, _ in found])
+        if self._dated and found:
+            # Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
+            again = messages.repeats(self._newest)
+            self._newest = found[-1][0]
+            if again.any():
+                self.repeated += int(again.sum())
+                messages, received_ns = messages.take(np.flatnonzero(~again)), received_ns[~again]
+        return Arrived(self.index, self.time_source, messages, received_ns)
 
-    def _count_trajectories(self, taken: Taken) -> None:
-        for message, sent_ns in zip(taken.messages, taken.sent_ns.tolist(), strict=True):
-            if not self._latched or sent_ns >= self._ready_ns:  # else it was accepted before the recording
+    def _count_trajectories(self, found: Sequence[tuple[bytes, dict[str, int]]]) -> None:
+        for message, info in found:
+            if not self._latched or info["source_timestamp"] >= self._ready_ns:  # else accepted before the recording
                 with suppress(Exception):  # rosbags has no error of its own for bytes that are no message
                     self._trajectories.add(self.topic, typestore().deserialize_cdr(message, self.msgtype))
-
-    def _without_repetitions(self, taken: Taken) -> Taken:
-        """Leave out, and count, messages that are the one before them once more, to the bit, stamp included.
-
-        Nodes send one again while time stands still, and where it may have been lost: it is no second sample.
-        """
-        messages = taken.messages
-        again = messages.repeats(self._newest)
-        self._newest = messages[len(messages) - 1]
-        if not again.any():
-            return taken
-        self.repeated += int(again.sum())
-        kept = np.flatnonzero(~again)
-        return Taken(messages.take(kept), taken.numbers[kept], taken.received_ns[kept], taken.sent_ns[kept])
 
     def matched(self) -> int:
         """Return how many publishers were ever matched."""
