@@ -12,7 +12,6 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import suppress
-from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from typing import IO, Final, cast
@@ -139,17 +138,21 @@ class McapFile:
     def _read_chunk(self, listed: ChunkIndex, wanted: Int64Array) -> list[LoggedMessage]:
         """Return messages of a chunk, which is held against its checksum, its head and both indexes."""
         start, end = listed.chunk_start_offset, listed.chunk_start_offset + listed.chunk_length
-        record = self._data[start:end]
-        if record[:_RECORD_HEAD] != struct.pack("<BQ", Opcode.CHUNK, listed.chunk_length - _RECORD_HEAD):
+        self._data.seek(start)
+        if self._data.read(_RECORD_HEAD) != struct.pack("<BQ", Opcode.CHUNK, listed.chunk_length - _RECORD_HEAD):
             raise DamagedError("its index is not that of its chunks")
-        chunk = Chunk.read(ReadDataStream(BytesIO(record[_RECORD_HEAD:])))
+        chunk = Chunk.read(ReadDataStream(cast("IO[bytes]", self._data)))
+        if self._data.tell() != end:
+            raise DamagedError("its index is not that of its chunks")
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         content = stream.read(size)
         rows = messages_in(content)
         _check_index(listed, chunk, size, rows, self._data[end : end + listed.message_index_length])
         if len(wanted) < len(listed.message_index_offsets) or not listed.message_index_offsets:
             rows = rows[np.isin(rows[:, 0], wanted)]
-        messages = [(channel, log_ns, content[begin:end]) for channel, log_ns, _, begin, end in rows.tolist()]
+        messages = [
+            (channel, log_ns, content[begin:end]) for channel, log_ns, begin, end in rows[:, [0, 1, 3, 4]].tolist()
+        ]
         if ZSTD_MAGIC in content and any(data.startswith(ZSTD_MAGIC) for _, _, data in messages):
             self.compression = "zstd messages"
             messages = [(channel, log_ns, decompressed(data)) for channel, log_ns, data in messages]
