@@ -11,7 +11,6 @@ import io
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from decimal import Decimal, DecimalException
 from itertools import islice
 from pathlib import Path
@@ -39,15 +38,6 @@ _LOOKED_AT = 200  # lines, by which delimiter and decimal sign are found out
 _DIALECTS = ((",", "."), (";", "."), ("tab", "."), ("|", "."), ("space", "."), (";", ","), ("tab", ","), ("|", ","),
              ("space", ","))  # fmt: skip
 _NOT_FINITE = {"nan", "inf", "infinity"}
-
-
-@dataclass
-class _Rows:
-    """Some rows: numbers of their lines, stamps, ns, and the numbers of each column that is used."""
-
-    lines: Int64Array
-    stamp_ns: Int64Array
-    numbers: Array
 
 
 class LogTable:
@@ -93,16 +83,14 @@ class LogTable:
         named += f" in {head} lines before the first row" if head > 1 else ""
         self.dialect = f"{self._width} columns, delimiter {delimiter!r}, decimal {self._decimal!r}, {named}"
         self._find_columns(file)
-        parts: list[_Rows] = []
+        parts: list[tuple[Int64Array, Int64Array, Array]] = []
         count = 0
         some = first[head:]
         while some:
             parts.append(self._read(some, count))
             count += len(some)
             some = list(islice(lines, _BLOCK))
-        self.lines = np.concatenate([part.lines for part in parts])
-        self.stamp_ns = np.concatenate([part.stamp_ns for part in parts])
-        self._numbers = np.concatenate([part.numbers for part in parts])
+        self.lines, self.stamp_ns, self._numbers = map(np.concatenate, zip(*parts, strict=True))
 
     def numbers_of(self, mapped: FieldMapping) -> Array:
         """Return the numbers of a field in SI units, shape (rows, joints)."""
@@ -163,8 +151,8 @@ class LogTable:
                     "accepted: the same unit in both"
                 )
 
-    def _read(self, rows: Sequence[tuple[int, str]], first: int) -> _Rows:
-        """Read rows, of which `first` came before; note what is wrong with some of them."""
+    def _read(self, rows: Sequence[tuple[int, str]], first: int) -> tuple[Int64Array, Int64Array, Array]:
+        """Return lines, stamps and numbers of rows, of which `first` came before; note what is wrong with some."""
         sign = DELIMITERS[self._delimiter] or "\t"
         lines = []
         for k, (_, text) in enumerate(rows):
@@ -194,7 +182,7 @@ class LogTable:
             else:
                 reason = f"time {quoted(text, 30)}; accepted: 0 to {_LAST_NS // NANOSECONDS} s"
                 self.faults.setdefault(first + row, reason)
-        return _Rows(np.array([number for number, _ in rows], dtype=np.int64), stamps, numbers)
+        return np.array([number for number, _ in rows], dtype=np.int64), stamps, numbers
 
 
 def _rows_of(path: Path, more: Callable[[int], None], comments: list[str] | None) -> Iterator[tuple[int, str]]:
