@@ -29,7 +29,7 @@ from rx90_emulator.identification.experiments.plan import Experiment
 from rx90_emulator.loop.setup import Setup
 
 _ATTEMPTS = 3  # of an experiment whose recorder loses messages
-_PATIENCE = 5.0  # s of the controller's time, for a trajectory to begin and beyond its end
+_PATIENCE = 5.0  # s of the controller's time and of the wall clock, for a trajectory to begin and beyond its end
 _AT_REST = 1e-6  # rad
 _APPROACH_SPEED, _APPROACH_ACCELERATION = 0.25, 2.0
 
@@ -136,21 +136,14 @@ class _Runner:
         # The newest stamp: while the recorder started nobody looked.
         for _ in range(3):
             self._spin()
-        set_points, timeout = self._set_points, self._client.timeout
-        begin, duration, before, end = set_points.time, float(points.times[-1]), self._position, points.position[-1]
+        run = FollowedTrajectory(points, self._position, self._client.timeout)
+        begin, clock = self._set_points.time, time.monotonic
         self._trajectory.send(self._robot.joint_names, points)
-        moved, seen, deadline = False, begin, time.monotonic() + timeout
-        while not (set_points.time > begin + duration + POLL and moved and self._is_at(end)):
+        run.see(begin, self._position, clock())
+        while not run.done:
             self._spin()
-            moved = moved or not self._is_at(before)
-            if set_points.time > seen:
-                seen, deadline = set_points.time, time.monotonic() + timeout
-            elif time.monotonic() > deadline:
-                raise ExchangeError(f"the controller's time stood still at {seen:.3f} s for {timeout:g} s")
-            late = set_points.time - begin - (duration if moved else 0.0)
-            if late > _PATIENCE:
-                raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
-            show(min(max(0.0, set_points.time - begin), duration))
+            run.see(self._set_points.time, self._position, clock())
+            show(run.elapsed)
 
     @property
     def _position(self) -> Array:
@@ -158,10 +151,61 @@ class _Runner:
         assert self._set_points.position is not None
         return self._set_points.position
 
-    def _is_at(self, position: Array) -> bool:
-        return bool(np.abs(self._position - position).max() <= _AT_REST)
-
     def _spin(self) -> None:
         self._client.spin()
         # The newest message is enough; in between the processor is the nodes'.
         time.sleep(POLL / 2.0)
+
+
+class FollowedTrajectory:
+    """Tells from set-points that are seen now and then whether a trajectory that was sent has begun and ended.
+
+    It begins when the controller takes it, which in a simulation without a pace may be many seconds of its time after
+    it was sent; so time counts from the first set-point that moved.
+
+    Args:
+        points: of the trajectory.
+        before: set-points when it is sent, rad, shape (n,).
+        timeout: longest that time may stand still, s of the wall clock.
+    """
+
+    def __init__(self, points: TrajectoryPoints, before: Array, timeout: float) -> None:
+        self._before, self._end, self._timeout = before, points.position[-1], timeout
+        leaves = int(np.argmax((np.abs(points.position - before) > _AT_REST).any(axis=1)))
+        self._rest = float(points.times[max(leaves - 1, 0)])
+        self._duration = float(points.times[-1])
+        self._began: float | None = None
+        self._seen, self._went_on, self._due = -math.inf, 0.0, (0.0, 0.0)
+        self.elapsed = 0.0
+        self.done = False
+
+    def see(self, now: float, position: Array, clock: float) -> None:
+        """Take the newest set-point.
+
+        Args:
+            now: its time, s.
+            position: rad, shape (n,).
+            clock: wall clock, s.
+
+        Raises:
+            ExchangeError: if time stands still, or the trajectory does not begin or end.
+        """
+        if self._seen == -math.inf:
+            self._due = now + _PATIENCE, clock + _PATIENCE
+        if now > self._seen:
+            self._seen, self._went_on = now, clock
+        elif clock - self._went_on > self._timeout:
+            raise ExchangeError(f"the controller's time stood still at {now:.3f} s for {self._timeout:g} s")
+        if self._began is None and not _near(position, self._before):
+            self._began = now - self._rest
+            self._due = self._began + self._duration + _PATIENCE, clock + self._duration + _PATIENCE
+        if self._began is not None:
+            self.elapsed = min(max(0.0, now - self._began), self._duration)
+            self.done = now > self._began + self._duration + POLL and _near(position, self._end)
+        # Both clocks: without a pace seconds of simulated time pass while a message is on its way.
+        if not self.done and now > self._due[0] and clock > self._due[1]:
+            raise ExchangeError("the controller did not run the trajectory to its end; it says why on its terminal")
+
+
+def _near(position: Array, other: Array) -> bool:
+    return bool(np.abs(position - other).max() <= _AT_REST)

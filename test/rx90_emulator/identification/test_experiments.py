@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rx90_common.bags.reading import BagReader, read_joint_states
-from rx90_common.base.errors import REFUSED, ConfigError, IdentificationError, Rx90Error
+from rx90_common.base.errors import REFUSED, ConfigError, ExchangeError, IdentificationError, Rx90Error
 from rx90_common.description.robot_files import RobotFiles
 from rx90_emulator.cli.frame import run
 from rx90_emulator.identification.experiments.folder import read_index, write_index
@@ -192,6 +192,38 @@ def test_a_folder_that_exists_is_refused(tmp_path: Path, capsys: pytest.CaptureF
     """A series is never written into a folder that is there."""
     assert run("rx90_experiment", ["run", "--engine", "--output", str(tmp_path)]) == REFUSED
     assert "exists; accepted: a new name" in capsys.readouterr().err
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("delay", [0.1, 7.0])
+def test_a_run_is_followed_from_its_beginning_to_its_end(shipped: Setup, delay: float) -> None:
+    """However long a trajectory is on its way, it ends when its last sweep does, not at a rest at the same place.
+
+    A simulation without a pace is 2 s further at each look; what never begins is given up by both clocks.
+    """
+    from rx90_emulator.identification.experiments.nodes import FollowedTrajectory
+
+    motion = Motion(np.zeros(6))
+    for speed in (0.1, 0.2):
+        motion.sweep(np.eye(6)[3], speed, 0.7, 6.0)
+        motion.rest(2.5)
+    points = motion.points(shipped.robot.joint_names)
+    run = FollowedTrajectory(points, np.zeros(6), 60.0)
+    clock, now = 0.0, 40.0
+    while not run.done:
+        into = now - 40.0 - delay
+        run.see(now, np.array([np.interp(into, points.times, joint) for joint in points.position.T]), clock)
+        clock, now = clock + 0.1, now + (2.0 if into < 0.0 else 0.05)
+    assert 0.0 < now - 40.0 - delay - points.times[-1] < 2.5
+    waiting = FollowedTrajectory(points, np.zeros(6), 60.0)
+    for clock, now in ((0.0, 0.0), (1.0, 90.0)):
+        waiting.see(now, np.zeros(6), clock)
+    with pytest.raises(ExchangeError, match="did not run the trajectory to its end"):
+        waiting.see(91.0, np.zeros(6), 5.5)
+    stuck = FollowedTrajectory(points, np.zeros(6), 60.0)
+    stuck.see(0.0, np.zeros(6), 0.0)
+    with pytest.raises(ExchangeError, match=r"time stood still at 0\.000 s for 60 s"):
+        stuck.see(0.0, np.zeros(6), 61.0)
 
 
 def test_kinds_have_topics() -> None:
